@@ -19,8 +19,13 @@ from test_effects_smooth import sledge_urdf
 import multiarm as ma
 from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.gradients import along as along_module
+from multiarm.gradients.along import Along, Panel, Piece, Segment
 from multiarm.gradients.collocation import NODES, ORDER, WEIGHTS, Collocation
+from multiarm.gradients.gradient import _Backward
+from multiarm.gradients.gradient import _solved as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
+from multiarm.gradients.sensitivities import _Forward
+from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import displaced, displacement
 from multiarm.scene.changes import changed, value_at
 
@@ -152,6 +157,28 @@ def test_a_series_is_its_function_to_within_its_defect(degree):
     assert bound < 10.0 ** (-0.7 * degree)
 
 
+def test_the_error_of_a_series_is_solved_for_with_the_solution():
+    """To first order, what a solution changes by when the series loses its highest degrees."""
+    panel, degree, size = Panel(0.0, 0.2), DEGREES[0], 2
+
+    def values(t):
+        found = np.zeros((size + 1, size + 2))
+        found[:2, :2] = [[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]]
+        found[:2, 2], found[:2, 3] = [0.0, np.sin(25.0 * t)], [np.cos(20.0 * t), 0.0]
+        return found
+
+    whole = Segment(panel, np.stack([values(t) for t in nodes(*panel, degree)]), 0)
+    less = Segment(panel, np.stack([values(t) for t in nodes(*panel, degree)]), 0)
+    less._series._coefficients[-2:] = 0.0
+    end, nothing = np.array([0.3, -1.0]), np.zeros(2)
+    full, short = (_backward(Piece(own, panel), end, nothing) for own in (whole, less))
+    close(full.start_error, full.start - short.start, 0.02)
+    close(full.integral_errors[1:], (full.integrals - short.integrals)[1:], 0.02)
+    S = np.column_stack([np.eye(2), [0.1, 0.2]])
+    full, short = (_forward(Piece(own, panel), S, np.zeros((2, 3))) for own in (whole, less))
+    close(full[1], full[0] - short[0], 0.02)
+
+
 # --- closed forms ---------------------------------------------------------------------------------
 
 
@@ -206,6 +233,16 @@ def test_the_integral_of_a_sledges_square_has_its_gradient(sledge):
     # the start moves as a whole: the sledge's part and the body's
     whole = g.start.d_joint_positions["a"][0] + g.start.d_object_pose[0]
     assert whole == pytest.approx(difference(lambda h: cost(x0=REST + h), 1e-3), rel=1e-6)
+
+
+def test_the_integral_of_a_scalar_of_time_alone_is_as_exact(sledge):
+    """Nothing moves here: panels must be short enough for the integral itself."""
+    g = ma.gradient(
+        sledge, 1.0, running=lambda t, state: math.cos(30.0 * t) + 2.0 + state.object_position[0],
+        accuracy=1e-9, parameters=["object.mass"],
+    )  # fmt: skip
+    assert g.value == pytest.approx(math.sin(30.0) / 30.0 + 2.0, rel=3e-9)
+    assert g.parameters["object.mass"] == 0.0
 
 
 # --- differences of runs --------------------------------------------------------------------------
@@ -391,6 +428,39 @@ def test_a_scalar_may_bring_its_own_derivatives():
     given = ma.gradient(system, 0.3, final=with_slope, running=with_slope, accuracy=1e-8)
     assert given.value == pytest.approx(plain.value, rel=1e-10)
     close(given.start.matrix, plain.start.matrix, 1e-8)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("name", ["open loop", "hinge and ball"])
+def test_estimated_errors_are_as_large_as_the_errors(name, tolerance, monkeypatch):
+    """Along one run of high accuracy, against the derivatives of high accuracy along it."""
+    monkeypatch.setattr(along_module, "PANEL", 0.4)  # long panels, whose errors count
+    system, T = ma.compile_system(CHAINS[name]), 0.4
+    exact = ma.sensitivities(system, [T], accuracy=1e-9, parameters=["object.mass"])
+    along = Along(system, 0.0, T, 1e-9, None, ["object.mass"], np.array([T]))
+    along.tolerance = along.panel_tolerance = tolerance
+    found = along.to_accuracy(lambda report: _Forward(along).walk(report), lambda *_: None)
+    sizes = np.maximum(np.abs(exact.matrix[0]).max(axis=0), 1.0)
+    missed = (np.abs(found.at[T] - exact.matrix[0]).max(axis=0) / sizes).max()
+    assert found.error <= tolerance and missed <= 5.0 * found.error + 1e-8
+
+    target = height_with_slope
+    g = ma.gradient(system, T, final=target, accuracy=1e-9, parameters=["object.mass"])
+    along = Along(system, 0.0, T, 1e-9, None, ["object.mass"], np.zeros(0))
+    along.tolerance = along.panel_tolerance = tolerance
+
+    def walk(report):
+        return _Backward(along, *target(T, along.state(T))).walk(report)
+
+    back = along.to_accuracy(walk, lambda *_: None)
+    missed = np.abs(back.start - g.start.matrix).max() / np.abs(g.start.matrix).max()
+    assert back.error <= tolerance and missed <= 5.0 * back.error + 1e-8
+    by_mass, exact_by_mass = back.integrals[1], g.parameters["object.mass"]
+    assert abs(by_mass - exact_by_mass) <= 5.0 * back.error * max(1.0, abs(exact_by_mass)) + 1e-8
+
+
+def height_with_slope(t, state):
+    return height(t, state), slope_of(height, state)
 
 
 def test_little_memory_gives_the_same_numbers(monkeypatch):

@@ -240,7 +240,8 @@ class _Solved(NamedTuple):
     torque_density: np.ndarray  # (3, n)
     start_error: np.ndarray  # (D,)
     integral_errors: np.ndarray  # (1 + P,)
-    series_error: np.ndarray  # (D,), the part that begins here
+    series_error: float  # the part that begins here, relative to the adjoint
+    series_integrals: np.ndarray  # (1 + P,), the same of the integrals
 
 
 class _Backward:
@@ -259,11 +260,12 @@ class _Backward:
     def walk(self, report: Step) -> _Walk:
         """Solve the adjoint equation over all segments."""
         along = self._along
-        shares = np.zeros(along.count)
+        shares = np.zeros(along.count), np.zeros((along.count, self._integrals.size))
         for k in reversed(range(along.count)):
             segment = along.segment(k)
             for piece in reversed(list(segment.pieces(along.bounds))):
-                shares[k] += self._over(piece)
+                for own, added in zip(shares, self._over(piece), strict=True):
+                    own[k] += added
             report(along.count - k)
         sizes, (admissible, _) = np.maximum(self._magnitudes, TINY), along.closed(along.begin)
         start = admissible @ self._mu
@@ -272,7 +274,7 @@ class _Backward:
         weights = [panel.length * WEIGHTS for panel, _ in self._pieces]
         return _Walk(
             error=float(max(of_start, (np.abs(self._integral_errors) / sizes).max())),
-            shares=shares,
+            shares=np.maximum(shares[0], (shares[1] / sizes).max(axis=1)),
             adjoint=self._mu,
             start=start,
             integrals=self._integrals,
@@ -281,27 +283,36 @@ class _Backward:
             torque_density=np.concatenate([density for _, density in self._pieces]),
         )
 
-    def _over(self, piece: Piece) -> float:
-        """Solve over one piece, or over parts of it; returns the relative error of the series."""
+    def _over(self, piece: Piece) -> tuple[float, np.ndarray]:
+        """Solve over one piece, or over parts of it.
+
+        Returns what the series' error adds: relative to the adjoint, and to the integrals.
+        """
         along, panel, (first, second) = self._along, piece.panel, piece.halves
         whole = _solved(piece, self._mu, None)
         late = _solved(second, self._mu, self._error)
         early = _solved(first, late.start, late.start_error)
         missed = (whole.start - early.start) / RICHARDSON
-        share = np.abs(missed).max() / np.abs(early.start).max(initial=TINY)
-        allowed = along.panel_tolerance * panel.length / (along.end - along.begin)
-        if share > allowed and panel.length > SHORTEST * (along.end - along.begin):
-            return self._over(second) + self._over(first)
         integrals = late.integrals + early.integrals
         missed_integrals = (whole.integrals - integrals) / RICHARDSON
+        magnitudes = late.magnitudes + early.magnitudes
+        part = panel.length / (along.end - along.begin)
+        sizes = np.maximum(magnitudes, part * self._magnitudes) + TINY
+        wrong = np.abs(missed).max() / (part * np.abs(early.start).max(initial=TINY))
+        wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
+        if wrong > along.panel_tolerance and part > SHORTEST:
+            (later, later_integrals), (own, own_integrals) = self._over(second), self._over(first)
+            return later + own, later_integrals + own_integrals
         self._mu, self._error = early.start, early.start_error + missed
         self._integrals += integrals
         self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
-        self._magnitudes += late.magnitudes + early.magnitudes
+        self._magnitudes += magnitudes
         densities = late.torque_density, early.torque_density
         self._pieces += zip((second.panel, first.panel), densities, strict=True)
-        of_series = np.abs(late.series_error).max() + np.abs(early.series_error).max()
-        return float(of_series / np.abs(self._mu).max(initial=TINY))
+        return (
+            late.series_error + early.series_error,
+            late.series_integrals + early.series_integrals,
+        )
 
 
 def _solved(piece: Piece, end: np.ndarray, error: np.ndarray | None) -> _Solved:
@@ -314,14 +325,20 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray | None) -> _Solved:
     magnitudes, none = weights @ np.abs(integrand), np.zeros(0)
     density = np.einsum("idn,id->in", at.B, stages)
     if error is None:
-        return _Solved(start, weights @ integrand, magnitudes, density, none, none, none)
+        return _Solved(start, weights @ integrand, magnitudes, density, none, none, 0.0, none)
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
     start_error, error_stages = collocation.backward(error, wrong)
-    missed = _integrand(at, error_stages) + _integrand(defect, stages)
-    missed[:, 0] += defect.rate
-    own = weights @ wrong
+    of_series = _integrand(defect, stages)
+    of_series[:, 0] += defect.rate
     return _Solved(
-        start, weights @ integrand, magnitudes, density, start_error, weights @ missed, own
+        start,
+        weights @ integrand,
+        magnitudes,
+        density,
+        start_error,
+        weights @ (_integrand(at, error_stages) + of_series),
+        float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
+        weights @ np.abs(of_series),
     )
 
 

@@ -218,9 +218,9 @@ class _Forward:
             of_series += own
         missed = (whole - S) / RICHARDSON
         sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
-        allowed = along.panel_tolerance * panel.length / (along.end - along.begin)
-        too_large = (np.abs(missed).max(axis=0) > allowed * np.maximum(sizes, self._grown)).any()
-        if too_large and panel.length > SHORTEST * (along.end - along.begin):
+        part = panel.length / (along.end - along.begin)
+        wrong = np.abs(missed).max(axis=0) / (part * np.maximum(sizes, self._grown))
+        if wrong.max() > along.panel_tolerance and part > SHORTEST:
             for half in piece.halves:
                 self._over(half, share)
             return
