@@ -5,6 +5,7 @@ The scenes are spatial: two UR5s welded to a box, in joints with up to 1e8 N m s
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -141,6 +142,35 @@ def step_of_the_package(system, state, h):
     return stepping
 
 
+def derivatives_of(system, stepping):
+    """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
+    work, blocks = stepping.work
+    if not blocks.used[0]:
+        return work.by_position, work.by_velocity
+    layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
+    n, size = 6 + layout.joints, stepping.step.tolerance.size
+    d, m, e = blocks.d, blocks.m, blocks.e
+    found, own, own_columns = np.zeros((size + works, size)), 2 * d + e, []
+    found[n : n + 6, [*range(6), *range(n, n + 6)]] = blocks.by_object[:6, :12]
+    found[size:, [*range(6), *range(n, n + 6)]] = blocks.by_object[6:, :12]
+    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
+        joints, states = np.arange(first, last), blocks.states[i, : blocks.counts[i]]
+        columns = np.r_[6 + joints, n + 6 + joints, 2 * n + states]
+        local = np.r_[: last - first, d : d + last - first, 2 * d : 2 * d + states.size]
+        found[n : n + 6, columns] = blocks.on_object[i][:, local]
+        own_columns.append((columns, local))
+    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
+        A, (columns, local) = blocks.derivatives[i], own_columns[i]
+        rows = n + 6 + np.arange(first, last)
+        found[np.ix_(rows, columns)] = A[: last - first, local]
+        found[np.ix_(rows, np.r_[:6, n : n + 6])] = A[: last - first, own : own + 12]
+        found[rows] += A[: last - first, own + 13 :] @ found[n : n + 6]
+        states = columns[2 * (last - first) :]
+        found[np.ix_(states, columns)] = A[d + m : d + m + states.size, local]
+        found[size:, columns] += A[d + m + e :, local]
+    return found[n:, :n], found[n:, n:]
+
+
 SPUN = {
     "weld and ball": lambda tmp: ur5_pair(
         WELD, BALL, control=harmonic(phase={"left": [0.7] * 6}), effects={"joint_damping": 30.0}
@@ -176,14 +206,15 @@ def test_derivatives_of_a_step_are_those_of_the_accelerations(spun):
     """Forward and central differences against differences of order 8."""
     system, state, textbook = spun
     stepping, n, J = step_of_the_package(system, state, 1e-3), textbook.n, textbook.jacobian(0.0)
+    by_position, by_velocity = derivatives_of(system, stepping)
     for found, exact in (
-        (stepping.work.by_position, J[n:, :n]),
-        (stepping.work.by_velocity, J[n:, n : 2 * n]),
-        (stepping.work.time_slope[:, None], textbook.time_slope(0.0)[:, None]),
+        (by_position, J[n:, :n]),
+        (by_velocity, J[n:, n : 2 * n]),
+        (stepping.work[0].time_slope[:, None], textbook.time_slope(0.0)[:, None]),
     ):
         scale = np.maximum(np.max(np.abs(exact), axis=0), 1.0)
         assert np.all(np.max(np.abs(found - exact), axis=0) < 2e-5 * scale)
-    changing = np.max(np.abs(stepping.work.time_slope))
+    changing = np.max(np.abs(stepping.work[0].time_slope))
     assert changing > 10.0 if system.scene.control.kind == "harmonic" else changing < 1e-3
 
 
@@ -208,11 +239,11 @@ def test_stages_solve_the_whole_system_to_rounding(spun):
     J = np.zeros((z.size, z.size))
     J[:n, n : 2 * n] = np.eye(n)
     J[3:6, 3:6] = np.cross(np.eye(3), z[n + 3 : n + 6]) / 2  # of omega - theta x omega / 2
-    J[n:, :n], J[n:, n : 2 * n] = stepping.work.by_position, stepping.work.by_velocity
+    J[n:, :n], J[n:, n : 2 * n] = derivatives_of(system, stepping)
     matrix = np.eye(z.size) / m.gamma - h * J
     for i in range(8):
         right = textbook.slope(m.c[i] * h, z + h * m.A[i, :i] @ stepping.step.k[:i])
-        right += m.C[i, :i] @ stepping.step.k[:i] + h * m.d[i] * stepping.work.time_slope
+        right += m.C[i, :i] @ stepping.step.k[:i] + h * m.d[i] * stepping.work[0].time_slope
         exact = np.linalg.solve(matrix, right)
         slopes = stepping.step.k
         np.testing.assert_allclose(slopes[i], exact, rtol=0, atol=1e-10 * np.max(np.abs(slopes)))
