@@ -5,30 +5,18 @@ The scenes are spatial: two UR5s welded to a box, in joints with up to 1e8 N m s
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 import pytest
-from mechanics import (
-    chain_urdf,
-    data_of,
-    first_difference,
-    random_state,
-    scene_of,
-    ur5_pair,
-)
+from mechanics import chain_urdf, first_difference, random_state, scene_of, ur5_pair
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from steps import derivatives_of, step_of_the_package
 
 import multiarm as ma
 from multiarm.integration.step import make_method
-from multiarm.integration.step_control import FINISHED
-from multiarm.integration.time_loop import advance
-from multiarm.jit.structs import struct_of
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.results.event_log import EventLog
-from multiarm.simulation.setup import Task, prepare, run_spec
 from multiarm.tableaus import METHODS
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
@@ -119,56 +107,6 @@ def left_jacobian(theta):
     S = np.cross(np.eye(3), theta)
     terms = [np.linalg.matrix_power(S, k) / math.factorial(k + 1) for k in range(20)]
     return np.sum(terms, axis=0)
-
-
-def step_of_the_package(system, state, h):
-    """The arrays of one step of length ``h`` from time 0."""
-    choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
-    changes = {"duration": h, "stabilization": "none", "output_step": h}
-    spec = run_spec(system.scene.run, changes, choice, None)
-    data = data_of(system)
-    run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
-    stepping = run.stepping
-    settings = run.settings._replace(adaptive=False, step=h, divergence_bound=np.inf)
-    reason = advance(
-        data_of(system).struct,
-        stepping.struct,
-        run.clock.struct,
-        struct_of(settings),
-        run.block,
-        1000,
-    )
-    assert reason == FINISHED and run.clock.steps == 1
-    return stepping
-
-
-def derivatives_of(system, stepping):
-    """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
-    work, blocks = stepping.work
-    if not blocks.used[0]:
-        return work.by_position, work.by_velocity
-    layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
-    n, size = 6 + layout.joints, stepping.step.tolerance.size
-    d, m, e = blocks.d, blocks.m, blocks.e
-    found, own, own_columns = np.zeros((size + works, size)), 2 * d + e, []
-    found[n : n + 6, [*range(6), *range(n, n + 6)]] = blocks.by_object[:6, :12]
-    found[size:, [*range(6), *range(n, n + 6)]] = blocks.by_object[6:, :12]
-    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
-        joints, states = np.arange(first, last), blocks.states[i, : blocks.counts[i]]
-        columns = np.r_[6 + joints, n + 6 + joints, 2 * n + states]
-        local = np.r_[: last - first, d : d + last - first, 2 * d : 2 * d + states.size]
-        found[n : n + 6, columns] = blocks.on_object[i][:, local]
-        own_columns.append((columns, local))
-    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
-        A, (columns, local) = blocks.derivatives[i], own_columns[i]
-        rows = n + 6 + np.arange(first, last)
-        found[np.ix_(rows, columns)] = A[: last - first, local]
-        found[np.ix_(rows, np.r_[:6, n : n + 6])] = A[: last - first, own : own + 12]
-        found[rows] += A[: last - first, own + 13 :] @ found[n : n + 6]
-        states = columns[2 * (last - first) :]
-        found[np.ix_(states, columns)] = A[d + m : d + m + states.size, local]
-        found[size:, columns] += A[d + m + e :, local]
-    return found[n:, :n], found[n:, n:]
 
 
 SPUN = {

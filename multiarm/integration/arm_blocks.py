@@ -571,23 +571,26 @@ def solve_arms(blocks, work):
 def solve_rows(A, n, pivots, X):
     """Solve ``A X = B`` with the factors of ``factor_lu``; ``X[:n]`` is ``B`` on entry."""
     for i in range(n):
-        other = pivots[i]
-        if other != i:
-            for c in range(X.shape[1]):
-                X[i, c], X[other, c] = X[other, c], X[i, c]
+        if pivots[i] != i:
+            row, other = X[i], X[pivots[i]]
+            for c in range(row.size):
+                row[c], other[c] = other[c], row[c]
     for i in range(n):
         for k in range(i):
-            factor = A[i, k]
-            for c in range(X.shape[1]):
-                X[i, c] -= factor * X[k, c]
+            subtract(A[i, k], X[k], X[i])
     for i in range(n - 1, -1, -1):
+        row, inverse = X[i], 1.0 / A[i, i]
         for k in range(i + 1, n):
-            factor = A[i, k]
-            for c in range(X.shape[1]):
-                X[i, c] -= factor * X[k, c]
-        inverse = 1.0 / A[i, i]
-        for c in range(X.shape[1]):
-            X[i, c] *= inverse
+            subtract(A[i, k], X[k], row)
+        for c in range(row.size):
+            row[c] *= inverse
+
+
+@inlined
+def subtract(factor, other, row):
+    """``row -= factor * other``."""
+    for c in range(row.size):
+        row[c] -= factor * other[c]
 
 
 @kernel
@@ -619,38 +622,39 @@ def write_time_slope(blocks, struct, slope):
 
 
 @kernel
-def factor_stages(a, blocks, struct, omega, h):
-    """Factors of the stages' systems, ``a = 1 / gamma``; returns whether they can be used."""
+def factor_stages(gamma, blocks, struct, omega, h):
+    """Factors of the stages' systems; returns whether they can be used."""
     _, _, work = open_system(struct)
-    d, own, node = blocks.d, 2 * blocks.d + blocks.e, blocks.node
-    pose, usable = own + POSE, True
+    d, own, node, usable = blocks.d, 2 * blocks.d + blocks.e, blocks.node, True
     for l in range(6):  # noqa: E741
-        along_object(a, h, omega, blocks.by_object[l], 0, node[l])
+        along_object(gamma, h, omega, blocks.by_object[l], 0, node[l])
         for c in range(6):
             node[l, c] = (1.0 if l == c else 0.0) - node[l, c]
     for i in range(blocks.counts.size):
-        n, A, E, V = (
-            work.dofs[i + 1] - work.dofs[i],
+        A, B, D, E, V = (
             blocks.derivatives[i],
+            blocks.on_object[i],
+            blocks.D[i],
             blocks.E[i],
             blocks.V[i],
         )
-        B, D, size = blocks.on_object[i], blocks.D[i], n + blocks.counts[i]
+        n = work.dofs[i + 1] - work.dofs[i]
+        size = n + blocks.counts[i]
         for r in range(size):
             row = A[r if r < n else d + blocks.m + r - n]
-            along_object(a, h, omega, row, pose, V[r])
+            along_object(gamma, h, omega, row, own + POSE, V[r])
             for l in range(6):  # noqa: E741
                 V[r, l] = h * (V[r, l] + row[own + ACCELERATION + l])
             for c in range(n):
-                E[r, c] = -h * (row[d + c] + h / a * row[c])
+                E[r, c] = -h * (row[d + c] + h * gamma * row[c])
             for c in range(n, size):
                 E[r, c] = -h * row[2 * d + c - n]
-            E[r, r] += a
+            E[r, r] += 1.0 / gamma
         usable = usable and factor_lu(E, size, blocks.E_pivots[i]) > 0.0
         solve_rows(E, size, blocks.E_pivots[i], V)
         for l in range(6):  # noqa: E741
             for c in range(n):
-                D[l, c] = B[l, d + c] + h / a * B[l, c]
+                D[l, c] = B[l, d + c] + h * gamma * B[l, c]
             for c in range(n, size):
                 D[l, c] = B[l, 2 * d + c - n]
             for k in range(size):
@@ -660,15 +664,15 @@ def factor_stages(a, blocks, struct, omega, h):
 
 
 @inlined
-def along_object(a, h, omega, row, first, out):
+def along_object(gamma, h, omega, row, first, out):
     """``h gamma (h R_o^T row_x + row_v)``: a row along the rates that a unit of alpha gives.
 
     ``row`` has the derivatives by pose and twist from ``first`` on.
     """
-    turn(a, -0.5 * h, omega, row[first + 3 : first + 6], out[3:6])
+    turn(1.0 / gamma, -0.5 * h, omega, row[first + 3 : first + 6], out[3:6])
     for l in range(3):  # noqa: E741
-        out[l] = h / a * (h / a * row[first + l] + row[first + 6 + l])
-        out[3 + l] = h / a * (h * out[3 + l] + row[first + 9 + l])
+        out[l] = h * gamma * (h * gamma * row[first + l] + row[first + TWIST + l])
+        out[3 + l] = h * gamma * (h * out[3 + l] + row[first + TWIST + 3 + l])
 
 
 @kernel
@@ -684,18 +688,13 @@ def turn(a, half, omega, vector, out):
 
 
 @kernel
-def solve_arm_stage(a, blocks, struct, omega, h, right, out):
-    """Solve a stage's system for the right-hand side ``right``; ``a = 1 / gamma``."""
+def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
+    """Solve a stage's system for the right-hand side ``right``."""
     _, data, work = open_system(struct)
-    n, d, own, alpha, k_o = (
-        data.angles.size,
-        blocks.d,
-        2 * blocks.d + blocks.e,
-        blocks.alpha,
-        blocks.rates,
-    )
+    n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    alpha, k_o = blocks.alpha, blocks.rates
     clear(alpha)
-    write_object_rates(a, h, omega, n, right, alpha, k_o)
+    write_object_rates(gamma, h, omega, n, right, alpha, k_o)
     for l in range(6):  # noqa: E741
         s = 0.0
         for c in range(12):
@@ -711,18 +710,18 @@ def solve_arm_stage(a, blocks, struct, omega, h, right, out):
             for c in range(12):
                 s += row[own + c] * k_o[c]
             for c in range(joints):
-                s += row[c] * right[6 + d0 + c] / a
+                s += gamma * row[c] * right[6 + d0 + c]
             k_i[r] = right[unknown_place(blocks, i, n, d0, joints, r)] + h * s
         solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
         for l in range(6):  # noqa: E741
             s = 0.0
             for c in range(joints):
-                s += B[l, c] * right[6 + d0 + c] / a
+                s += gamma * B[l, c] * right[6 + d0 + c]
             for c in range(size):
                 s += D[l, c] * k_i[c]
             alpha[l] += s
     solve_lu(blocks.node, 6, blocks.node_pivots, alpha)
-    write_object_rates(a, h, omega, n, right, alpha, k_o)
+    write_object_rates(gamma, h, omega, n, right, alpha, k_o)
     for l in range(6):  # noqa: E741
         out[l], out[6 + n + l] = k_o[l], k_o[6 + l]
     for i in range(blocks.counts.size):
@@ -733,8 +732,8 @@ def solve_arm_stage(a, blocks, struct, omega, h, right, out):
                 s += blocks.V[i, r, l] * alpha[l]
             out[unknown_place(blocks, i, n, d0, joints, r)] = s
             if r < joints:
-                out[6 + d0 + r] = (right[6 + d0 + r] + h * s) / a
-    add_powers(a, blocks, work, n, h, right, out)
+                out[6 + d0 + r] = gamma * (right[6 + d0 + r] + h * s)
+    add_powers(gamma, blocks, work, n, h, right, out)
 
 
 @inlined
@@ -744,18 +743,18 @@ def unknown_place(blocks, i, n, d0, joints, r):
 
 
 @inlined
-def write_object_rates(a, h, omega, n, right, alpha, rates):
+def write_object_rates(gamma, h, omega, n, right, alpha, rates):
     """Rates of the object's pose and twist for the derivative ``alpha`` of its acceleration."""
     for l in range(6):  # noqa: E741
-        rates[6 + l] = (right[6 + n + l] + h * alpha[l]) / a
+        rates[6 + l] = gamma * (right[6 + n + l] + h * alpha[l])
         rates[l] = right[l] + h * rates[6 + l]
     for l in range(3):  # noqa: E741
-        rates[l] /= a
-    turn(a, 0.5 * h, omega, rates[3:6], rates[3:6])
+        rates[l] *= gamma
+    turn(1.0 / gamma, 0.5 * h, omega, rates[3:6], rates[3:6])
 
 
 @inlined
-def add_powers(a, blocks, work, n, h, right, out):
+def add_powers(gamma, blocks, work, n, h, right, out):
     """Rates of the works along the rates of the state, which are known."""
     d, count = blocks.d, blocks.power.shape[1]
     works, first = right.size - count, blocks.d + blocks.m + blocks.e
@@ -764,13 +763,10 @@ def add_powers(a, blocks, work, n, h, right, out):
         for c in range(12):
             total += row[c] * blocks.rates[c]
         for i in range(blocks.counts.size):
-            d0, joints, row = (
-                work.dofs[i],
-                work.dofs[i + 1] - work.dofs[i],
-                blocks.derivatives[i, first + k],
-            )
+            d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+            row = blocks.derivatives[i, first + k]
             for j in range(joints):
                 total += row[j] * out[6 + d0 + j] + row[d + j] * out[12 + n + d0 + j]
             for j in range(blocks.counts[i]):
                 total += row[2 * d + j] * out[12 + 2 * n + blocks.states[i, j]]
-        out[works + k] = (right[works + k] + h * total) / a
+        out[works + k] = gamma * (right[works + k] + h * total)

@@ -50,6 +50,7 @@ from multiarm.integration.arm_blocks import (
     differentiate_arms,
     factor_stages,
     is_regular,
+    largest,
     make_arm_blocks,
     solve_arm_stage,
     turn,
@@ -114,10 +115,10 @@ def rosenbrock_step(address, size, t, h):
     status = differentiate(step, work, blocks, t, h)
     if status != OK:
         return status
-    n, a = work.by_position.shape[1], 1.0 / method.gamma
-    omega = step.z[n + 3 : n + 6]
+    n = work.by_position.shape[1]
+    omega, gamma = step.z[n + 3 : n + 6], method.gamma
     if blocks.used[0] != 0:
-        usable = factor_stages(a, blocks, work.system, omega, h)
+        usable = factor_stages(gamma, blocks, work.system, omega, h)
     else:
         usable = factor(method, step, work, h)
     if not usable:
@@ -136,7 +137,7 @@ def rosenbrock_step(address, size, t, h):
         for l in range(work.other.size):  # noqa: E741
             work.other[l] += h * method.d[i] * work.time_slope[l]
         if blocks.used[0] != 0:
-            solve_arm_stage(a, blocks, work.system, omega, h, work.other, step.k[i])
+            solve_arm_stage(gamma, blocks, work.system, omega, h, work.other, step.k[i])
         else:
             solve_stage(method, step, work, h, work.other, step.k[i])
     combine(step, method.b, method.stages, h, step.z_new)
@@ -170,14 +171,12 @@ def differentiate(step, work, blocks, t, h):
 @kernel
 def differentiate_whole(step, work, t, h):
     """Derivatives from differences of whole evaluations; returns a status."""
-    # changes of a position [m, rad] and of a velocity, relative to the fastest one or to 1
-    position_change, velocity_change = 2e-6, 1e-6
+    # changes of a position [m, rad]; of a velocity and of a state of effects, relative to the
+    # largest one or to 1
+    position_change, relative_change = 2e-6, 1e-6
     z, n, other, below = step.z_stage, work.by_position.shape[1], work.other, work.time_slope
     m, rows = work.matrix.shape[0], work.by_position.shape[0]
-    fastest = 1.0
-    for i in range(m):
-        fastest = max(fastest, abs(step.z[n + i]))
-    velocity_change *= fastest
+    fast, strong = largest(step.z[n : 2 * n]), largest(step.z[2 * n : n + m])
     copy(step.z, z)
     for j in range(n):
         z[j] = step.z[j] - position_change
@@ -192,13 +191,14 @@ def differentiate_whole(step, work, t, h):
         for i in range(rows):
             work.by_position[i, j] = (other[n + i] - below[n + i]) / (2.0 * position_change)
     for j in range(m):
-        z[n + j] = step.z[n + j] + velocity_change
+        change = relative_change * (fast if j < n else strong)
+        z[n + j] = step.z[n + j] + change
         status = slope_at(step, work, t, z, other)
         if status != OK:
             return status
         z[n + j] = step.z[n + j]
         for i in range(rows):
-            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / velocity_change
+            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / change
     return differentiate_by_time(step, work, t, h)
 
 
