@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from mechanics import data_of
@@ -12,6 +13,11 @@ from multiarm.integration.time_loop import advance
 from multiarm.jit.structs import struct_of
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Task, prepare, run_spec
+
+
+def coupled(system):
+    """The same system with effects that are not declared local."""
+    return replace(system, model=system.model.with_constants(local_effects=False))
 
 
 def step_of_the_package(system, state, h):

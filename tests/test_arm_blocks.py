@@ -4,8 +4,6 @@ where arms differ; what is declared to act locally does; and what is not is neve
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from mechanics import (
@@ -17,7 +15,7 @@ from mechanics import (
     scene_of,
     ur5_pair,
 )  # fmt: skip
-from steps import derivatives_of, step_of_the_package
+from steps import coupled, derivatives_of, step_of_the_package
 
 import multiarm as ma
 from multiarm.dynamics.arrays import OK
@@ -68,11 +66,6 @@ def everything(tmp_path, control):
             {"on": "object", "torque": [1, 2, 0], "sinusoid": {"frequency": 2.0}},
         ],
     )
-
-
-def coupled(system):
-    """The same system with effects that are not declared local."""
-    return replace(system, model=system.model.with_constants(local_effects=False))
 
 
 def used(stepping) -> bool:
