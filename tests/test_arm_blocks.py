@@ -161,6 +161,19 @@ def test_a_run_is_the_same_with_either_derivatives(name, tmp_path):
     assert np.max(np.abs(found.work)) > 1.0
 
 
+def test_the_gains_of_drift_feedback_may_grow_as_steps_get_shorter(tmp_path):
+    """An error of the derivatives of the gaps would not decrease with the steps."""
+    system = SCENES["harmonic"](tmp_path)
+    run = {"duration": 0.1, "integrator": "rodas5p", "tolerance": 1e-10, "output_step": 0.1}
+    found, known = (
+        ma.simulate(s, stabilization="feedback", **run) for s in (system, coupled(system))
+    )
+    assert found.status == "completed", found.message
+    assert found.statistics["steps"] < 1.1 * known.statistics["steps"]
+    difference = np.abs(found.object_position[-1] - known.object_position[-1])
+    assert np.max(difference) < 1e-9
+
+
 def test_the_order_is_5_with_lagging_drives_and_for_the_works(tmp_path, monkeypatch):
     system, duration = everything(tmp_path, swing("b")), 0.1
     run = {"duration": duration, "output_step": duration}

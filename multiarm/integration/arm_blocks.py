@@ -14,8 +14,10 @@ only, and :math:`h_o` on the object's.
 
 *Differences* of these residuals therefore displace joint number j of all arms at once: as many
 columns as the largest arm has, whatever the number of arms.  Nothing is solved for them, so that
-their roundings are small enough for forward differences with short displacements.  The columns of
-the object and of the time leave the terms of the arms as they are.
+their roundings are small enough for forward differences with short displacements.  Those by
+positions are central where drift feedback acts: its gains grow as steps get shorter, so that the
+error of :math:`\beta^2 \varphi` would not decrease with them.  The columns of the object and of the
+time leave the terms of the arms as they are.
 
 *Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
 :math:`\alpha = d\dot v_o`, and then the object by its mobility,
@@ -96,9 +98,11 @@ from multiarm.jit.structs import (
     floats_at,
 )
 
-# Change of a difference [m, rad]; of velocities and of effects' states relative to the largest one,
-# or to 1.  Residuals are sums of few terms: their roundings are 1e-9 of these in the derivative.
+# Change of a forward difference [m, rad]; of velocities and of effects' states relative to the
+# largest one, or to 1.  Residuals are sums of few terms: roundings are 1e-9 of these.
 CHANGE = 1e-7
+# Change of a central difference by positions [m, rad].
+CENTRAL_CHANGE = 2e-6
 # The same of the time, relative to the step or to 1 s.
 TIME_CHANGE = 1e-5
 # Columns of the object in ``ArmBlocks.by_object``, and after the arm's own ones in
@@ -298,22 +302,30 @@ def differentiate_by_state(step, struct, blocks, t):
     z, n, d, own = step.z_stage, data.angles.size, blocks.d, 2 * blocks.d + blocks.e
     fast = CHANGE * largest(step.z[6 + n : 12 + 2 * n])
     strong = CHANGE * largest(step.z[12 + 2 * n : step.tolerance.size])
+    central = step.implicit.beta != 0.0
+    short = CENTRAL_CHANGE if central else CHANGE
     copy(step.z, z)
     for j in range(12):
-        at, change = (j, CHANGE) if j < 6 else (n + j, fast)
-        z[at] = step.z[at] + change
-        status = write_residuals(step, struct, blocks, t, z, False, j < 6)
-        if status != OK:
-            return status
-        add_difference(blocks, 1.0 / change, own + j)
+        at, change = (j, short) if j < 6 else (n + j, fast)
+        sides = 2 if central and j < 6 else 1
+        for side in range(sides):
+            offset = change if side == 0 else -change
+            z[at] = step.z[at] + offset
+            status = write_residuals(step, struct, blocks, t, z, False, j < 6)
+            if status != OK:
+                return status
+            add_difference(blocks, 1.0 / (sides * offset), own + j)
         z[at] = step.z[at]
     for j in range(own):
-        change = CHANGE if j < d else (fast if j < 2 * d else strong)
-        displace_arms(step, blocks, work, n, j, change)
-        status = write_residuals(step, struct, blocks, t, z, True, j < d)
-        if status != OK:
-            return status
-        add_difference(blocks, 1.0 / change, j)
+        change = short if j < d else (fast if j < 2 * d else strong)
+        sides = 2 if central and j < d else 1
+        for side in range(sides):
+            offset = change if side == 0 else -change
+            displace_arms(step, blocks, work, n, j, offset)
+            status = write_residuals(step, struct, blocks, t, z, True, j < d)
+            if status != OK:
+                return status
+            add_difference(blocks, 1.0 / (sides * offset), j)
         displace_arms(step, blocks, work, n, j, 0.0)
     return OK
 
