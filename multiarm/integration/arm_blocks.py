@@ -246,19 +246,12 @@ def differentiate_arms(step, struct, blocks, t, h):
 
     Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular.
     """
-    model, data, work = open_system(struct)
+    _, data, work = open_system(struct)
     clear_derivatives(blocks)
     write_products(blocks, data, work, blocks.products, blocks.products_o)
-    status = write_residuals(step, struct, blocks, t, step.z, False, False)
-    if status != OK:
-        return status
-    for i in range(blocks.counts.size):
-        copy(blocks.found[i], blocks.base[i])
-    copy(blocks.found_o, blocks.base_o)
-    if not factor_arms(blocks, data, work):
-        return NOT_FINITE
-    if model.control.shape[0] > 0 or model.effects.shape[0] > 0:
-        status = differentiate_by_time(step, struct, blocks, t, h)
+    status = differentiate_by_time(step, struct, blocks, t, h)
+    if status == OK and not factor_arms(blocks, data, work):
+        status = NOT_FINITE
     if status == OK:
         status = differentiate_by_state(step, struct, blocks, t)
     if status == OK and not solve_arms(blocks, work):
@@ -280,14 +273,25 @@ def clear_derivatives(blocks):
 
 @kernel
 def differentiate_by_time(step, struct, blocks, t, h):
-    """From two later times, inside the step: its beginning may be a kink; returns a status."""
+    """Write the residuals of the beginning, and their derivatives by time where they have any.
+
+    These come from two later times, inside the step: its beginning may be a kink.  Returns a
+    status.
+    """
+    model, _, _ = open_system(struct)
     column = 2 * blocks.d + blocks.e + TIME
     change = TIME_CHANGE * min(h, 1.0)  # [s]
-    for k in range(1, 3):
+    steady = model.control.shape[0] == 0 and model.effects.shape[0] == 0
+    for k in range(1 if steady else 3):
         status = write_residuals(step, struct, blocks, t + k * change, step.z, False, False)
         if status != OK:
             return status
-        add_difference(blocks, (2.0 if k == 1 else -0.5) / change, column)
+        if k == 0:
+            for i in range(blocks.counts.size):
+                copy(blocks.found[i], blocks.base[i])
+            copy(blocks.found_o, blocks.base_o)
+        else:
+            add_difference(blocks, (2.0 if k == 1 else -0.5) / change, column)
     return OK
 
 
@@ -299,34 +303,28 @@ def differentiate_by_state(step, struct, blocks, t):
     Returns a status.
     """
     _, data, work = open_system(struct)
-    z, n, d, own = step.z_stage, data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
     fast = CHANGE * largest(step.z[6 + n : 12 + 2 * n])
     strong = CHANGE * largest(step.z[12 + 2 * n : step.tolerance.size])
     central = step.implicit.beta != 0.0
-    short = CENTRAL_CHANGE if central else CHANGE
-    copy(step.z, z)
-    for j in range(12):
-        at, change = (j, short) if j < 6 else (n + j, fast)
-        sides = 2 if central and j < 6 else 1
+    copy(step.z, step.z_stage)
+    for k in range(TIME + own):
+        of_arms = k >= TIME
+        column = k - TIME if of_arms else own + k
+        of_position = column < d or own <= column < own + TWIST
+        if of_position:
+            change = CENTRAL_CHANGE if central else CHANGE
+        else:
+            change = strong if 2 * d <= column < own else fast
+        sides = 2 if central and of_position else 1
         for side in range(sides):
             offset = change if side == 0 else -change
-            z[at] = step.z[at] + offset
-            status = write_residuals(step, struct, blocks, t, z, False, j < 6)
+            displace(step, blocks, work, n, column, offset)
+            status = write_residuals(step, struct, blocks, t, step.z_stage, of_arms, of_position)
             if status != OK:
                 return status
-            add_difference(blocks, 1.0 / (sides * offset), own + j)
-        z[at] = step.z[at]
-    for j in range(own):
-        change = short if j < d else (fast if j < 2 * d else strong)
-        sides = 2 if central and j < d else 1
-        for side in range(sides):
-            offset = change if side == 0 else -change
-            displace_arms(step, blocks, work, n, j, offset)
-            status = write_residuals(step, struct, blocks, t, z, True, j < d)
-            if status != OK:
-                return status
-            add_difference(blocks, 1.0 / (sides * offset), j)
-        displace_arms(step, blocks, work, n, j, 0.0)
+            add_difference(blocks, 1.0 / (sides * offset), column)
+        displace(step, blocks, work, n, column, 0.0)
     return OK
 
 
@@ -340,20 +338,24 @@ def largest(values):
 
 
 @inlined
-def displace_arms(step, blocks, work, n, column, change):
+def displace(step, blocks, work, n, column, change):
     """Displace the entry of the state that a column belongs to, of every arm that has it."""
-    d = blocks.d
+    d, z, own = blocks.d, step.z_stage, 2 * blocks.d + blocks.e
+    if column >= own:
+        at = column - own if column < own + TWIST else n + column - own
+        z[at] = step.z[at] + change
+        return
     for i in range(blocks.counts.size):
-        first, joint = work.dofs[i], column if column < d else column - d
-        if column < 2 * d:
-            if joint >= work.dofs[i + 1] - first:
-                continue
-            at = (6 if column < d else 12 + n) + first + joint
-        elif column - 2 * d < blocks.counts[i]:
+        first, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        at = -1
+        if column < d and column < joints:
+            at = 6 + first + column
+        elif d <= column < d + joints:
+            at = 12 + n + first + column - d
+        elif 2 * d <= column < 2 * d + blocks.counts[i]:
             at = 12 + 2 * n + blocks.states[i, column - 2 * d]
-        else:
-            continue
-        step.z_stage[at] = step.z[at] + change
+        if at >= 0:
+            z[at] = step.z[at] + change
 
 
 @kernel
