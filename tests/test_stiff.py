@@ -9,25 +9,14 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import (
-    chain_urdf,
-    data_of,
-    first_difference,
-    random_state,
-    scene_of,
-    ur5_pair,
-)
+from mechanics import chain_urdf, first_difference, random_state, scene_of, ur5_pair
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from steps import coupled, derivatives_of, step_of_the_package
 
 import multiarm as ma
 from multiarm.integration.step import make_method
-from multiarm.integration.step_control import FINISHED
-from multiarm.integration.time_loop import advance
-from multiarm.jit.structs import struct_of
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.results.event_log import EventLog
-from multiarm.simulation.setup import Task, prepare, run_spec
 from multiarm.tableaus import METHODS
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
@@ -120,27 +109,6 @@ def left_jacobian(theta):
     return np.sum(terms, axis=0)
 
 
-def step_of_the_package(system, state, h):
-    """The arrays of one step of length ``h`` from time 0."""
-    choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
-    changes = {"duration": h, "stabilization": "none", "output_step": h}
-    spec = run_spec(system.scene.run, changes, choice, None)
-    data = data_of(system)
-    run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
-    stepping = run.stepping
-    settings = run.settings._replace(adaptive=False, step=h, divergence_bound=np.inf)
-    reason = advance(
-        data_of(system).struct,
-        stepping.struct,
-        run.clock.struct,
-        struct_of(settings),
-        run.block,
-        1000,
-    )
-    assert reason == FINISHED and run.clock.steps == 1
-    return stepping
-
-
 SPUN = {
     "weld and ball": lambda tmp: ur5_pair(
         WELD, BALL, control=harmonic(phase={"left": [0.7] * 6}), effects={"joint_damping": 30.0}
@@ -176,14 +144,15 @@ def test_derivatives_of_a_step_are_those_of_the_accelerations(spun):
     """Forward and central differences against differences of order 8."""
     system, state, textbook = spun
     stepping, n, J = step_of_the_package(system, state, 1e-3), textbook.n, textbook.jacobian(0.0)
+    by_position, by_velocity = derivatives_of(system, stepping)
     for found, exact in (
-        (stepping.work.by_position, J[n:, :n]),
-        (stepping.work.by_velocity, J[n:, n : 2 * n]),
-        (stepping.work.time_slope[:, None], textbook.time_slope(0.0)[:, None]),
+        (by_position, J[n:, :n]),
+        (by_velocity, J[n:, n : 2 * n]),
+        (stepping.work[0].time_slope[:, None], textbook.time_slope(0.0)[:, None]),
     ):
         scale = np.maximum(np.max(np.abs(exact), axis=0), 1.0)
         assert np.all(np.max(np.abs(found - exact), axis=0) < 2e-5 * scale)
-    changing = np.max(np.abs(stepping.work.time_slope))
+    changing = np.max(np.abs(stepping.work[0].time_slope))
     assert changing > 10.0 if system.scene.control.kind == "harmonic" else changing < 1e-3
 
 
@@ -208,11 +177,11 @@ def test_stages_solve_the_whole_system_to_rounding(spun):
     J = np.zeros((z.size, z.size))
     J[:n, n : 2 * n] = np.eye(n)
     J[3:6, 3:6] = np.cross(np.eye(3), z[n + 3 : n + 6]) / 2  # of omega - theta x omega / 2
-    J[n:, :n], J[n:, n : 2 * n] = stepping.work.by_position, stepping.work.by_velocity
+    J[n:, :n], J[n:, n : 2 * n] = derivatives_of(system, stepping)
     matrix = np.eye(z.size) / m.gamma - h * J
     for i in range(8):
         right = textbook.slope(m.c[i] * h, z + h * m.A[i, :i] @ stepping.step.k[:i])
-        right += m.C[i, :i] @ stepping.step.k[:i] + h * m.d[i] * stepping.work.time_slope
+        right += m.C[i, :i] @ stepping.step.k[:i] + h * m.d[i] * stepping.work[0].time_slope
         exact = np.linalg.solve(matrix, right)
         slopes = stepping.step.k
         np.testing.assert_allclose(slopes[i], exact, rtol=0, atol=1e-10 * np.max(np.abs(slopes)))
@@ -375,9 +344,11 @@ def test_scenes_that_are_not_stiff_never_change_the_method(accuracy, welded_ur5_
 
 @pytest.mark.slow
 def test_a_trial_that_does_not_pay_is_given_up():
-    """Many joints, mild damping, high accuracy: a long step costs more than some short ones."""
+    """Many joints, mild damping, high accuracy: a long step costs more than some short ones, where
+    it is differentiated as a whole.
+    """
     scene = ring_of_arms(8).replace(effects={"joint_damping": 1000.0})
-    system, run = ma.compile_system(scene), {"duration": 0.5, "output_step": 0.05}
+    system, run = coupled(ma.compile_system(scene)), {"duration": 0.5, "output_step": 0.05}
     found = ma.simulate(system, accuracy=1e-6, certificate=False, **run)
     told = [event["text"] for event in method_events(found)]
     assert told == [

@@ -335,7 +335,7 @@ def test_works_of_effects_are_no_unknowns_of_a_step(ur5_system):
     effects = {"joint_damping": 0.5, "drag": {"linear": 1.0}}
     system = ma.compile_system(ur5_system.scene.replace(effects=effects))
     assert len(system.model.effects.works) == 2
-    step = make_stepping(data_of(system), "variational", None).work
+    step = make_stepping(data_of(system), "variational", None).work[0]
     for unknowns in (step.xi, step.start, step.push, step.scratch):
         assert unknowns.size == 6 + system.model.layout.joints
     assert step.last.shape == (2, 6 + system.model.layout.joints + system.model.layout.contacts)

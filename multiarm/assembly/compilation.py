@@ -441,6 +441,8 @@ def draft_model(
         passive_end=0,
         actuator_end=0,
         applied_end=0,
+        local_control=False,
+        local_effects=True,
         joint_rows=np.zeros((0, 3), dtype=np.int64),
         dense=scene.run.solver == "dense",
         calls_user=bool(rows.table.functions) or effects.calls_user,
@@ -483,7 +485,9 @@ def finished_model(
     )
     breakpoints, sampling, span = draft.breakpoints, None, None
     if law is not None:
-        constants = constants._replace(control=law.addresses, parameters=law.parameters)
+        constants = constants._replace(
+            control=law.addresses, parameters=law.parameters, local_control=law.local
+        )
         breakpoints = np.union1d(breakpoints, law.breakpoints)
         sampling, span = law.sampling, law.span
     if law is not None and sampling is not None:

@@ -122,7 +122,7 @@ def _(control: FunctionControl, _context: ControlContext) -> ControlProgram:
 def _(control: ConstantControl, context: ControlContext) -> ControlProgram:
     torques = context.stacked(control.torques)
     zero = np.zeros_like(torques)
-    return ControlProgram((harmonic,), pack_harmonic(0.0, torques, zero, zero))
+    return ControlProgram((harmonic,), pack_harmonic(0.0, torques, zero, zero), local=True)
 
 
 @program_of.register
@@ -137,7 +137,7 @@ def _(control: HarmonicControl, context: ControlContext) -> ControlProgram:
         constant += holding_torque(context.data, context.start)
     amplitude, phase = context.stacked(control.amplitude), context.stacked(control.phase)
     numbers = pack_harmonic(control.frequency, constant, amplitude, phase)
-    return ControlProgram((harmonic,), numbers)
+    return ControlProgram((harmonic,), numbers, local=True)
 
 
 @program_of.register
@@ -156,11 +156,13 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     table = read_table(control, names)
     zero, gains = control.outside == "zero", np.zeros(0)
     laws: tuple[Kernel, ...] = (recorded_torque,)
+    carrying: tuple[Kernel, ...] = ()
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
         values = table.stacked(names, context.start.position[7:])
         gains = _gains(control, context)
-        laws = (recorded_position, *_carrying(context))
+        carrying = _carrying(context)
+        laws = (recorded_position, *carrying)
     shape = table.times, values, control.interpolation, zero
     span = ControlSpan(
         f"the table {control.file.name}",
@@ -169,7 +171,7 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
         control.where_no_rows_are,
     )
     numbers = np.concatenate([gains, pack_table(*shape)])
-    return ControlProgram(laws, numbers, rough_times(*shape), span)
+    return ControlProgram(laws, numbers, rough_times(*shape), span, local=not carrying)
 
 
 @program_of.register
@@ -179,7 +181,8 @@ def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
         path = context.joint_path(control.path)
     numbers = np.concatenate([_gains(control, context), pack_path(path.bounds, path.coefficients)])
     breakpoints = path.bounds if control.path else np.zeros(0)
-    return ControlProgram((joint_pd, *_carrying(context)), numbers, breakpoints)
+    carrying = _carrying(context)
+    return ControlProgram((joint_pd, *carrying), numbers, breakpoints, local=not carrying)
 
 
 def _gains(control: JointPDControl | RecordedControl, context: ControlContext) -> np.ndarray:

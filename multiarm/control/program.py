@@ -89,6 +89,10 @@ class ControlProgram:
         In place of compiled laws.
     sampling : Sampling, optional
         Taken from the control's ``sample_time``.  Absent: they are evaluated all the time.
+    local : bool
+        The torques of an arm depend on the time and on the state of this arm only.  Derivatives of
+        accelerations then cost less in :mod:`multiarm.integration.arm_blocks`, which are wrong
+        where this does not hold.
     """
 
     laws: tuple[Kernel, ...] = ()
@@ -97,6 +101,7 @@ class ControlProgram:
     span: ControlSpan | None = None
     python: PythonControl | None = None
     sampling: Sampling | None = None
+    local: bool = False
 
     @property
     def addresses(self) -> np.ndarray:

@@ -65,6 +65,9 @@ class Constants(NamedTuple):
     passive_end: Int
     actuator_end: Int
     applied_end: Int
+    # whether control and effects act within each arm, and on the object, from its own state only
+    local_control: Flag
+    local_effects: Flag
     joint_rows: Ints2  # (r, 3) rows of W that belong to a joint: arm, row, joint
     dense: Flag  # solve by the dense reference instead of the node algorithm
     calls_user: Flag  # there are user functions: a controller, surfaces, effects

@@ -70,6 +70,13 @@ class EffectKernel:
     watched : tuple of (int, int)
         Indices of an array among ``arrays`` and of a joint: this entry is a margin, which is
         positive while the joint's drive is saturated.  The beginning and the end are events.
+    local : bool
+        Forces and torques on the joints of an arm depend on the time and on the state of this arm
+        only, those on the object on the time and the object's state only, and the power, if there
+        is one, is that of these forces.  Derivatives of accelerations then cost less in
+        :mod:`multiarm.integration.arm_blocks`, which are wrong where this does not hold.
+    state_joints : tuple of int
+        The joint, among all, to which each state of a local kernel belongs.
     """
 
     name: str
@@ -84,6 +91,8 @@ class EffectKernel:
     calls_user: bool = False
     unilateral: bool = False
     watched: tuple[tuple[int, int], ...] = ()
+    local: bool = False
+    state_joints: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -130,6 +139,12 @@ class EffectProgram:
     def calls_user(self) -> bool:
         """Whether a kernel calls user functions."""
         return any(own.calls_user for own in self.kernels)
+
+    @property
+    def local(self) -> bool:
+        """Whether no kernel couples the arms with each other, or with the object."""
+        called = [own for own in self.kernels if own.kernel is not None]
+        return all(own.local and len(own.state_joints) == own.states for own in called)
 
     @property
     def watched(self) -> list[tuple[int, int]]:

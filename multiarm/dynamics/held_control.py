@@ -62,7 +62,11 @@ class Sampling:
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
     row = [address_of(hold_torques), int(delay)]
-    return constants._replace(control=np.array([row], dtype=np.int64), sampled=laws)
+    return constants._replace(
+        control=np.array([row], dtype=np.int64),
+        sampled=laws,
+        local_control=constants.local_control or not len(laws),
+    )
 
 
 @cfunc

@@ -180,7 +180,7 @@ class Model:
             breakpoints=self.effects.breakpoints,
         )
         user = model.calls_user or bool(self.surfaces)
-        constants = self.constants._replace(calls_user=user)
+        constants = self.constants._replace(calls_user=user, local_control=False)
         if sampling is None:
             constants = constants._replace(control=control.laws, sampled=NO_CONTROL)
         else:
@@ -273,7 +273,11 @@ def with_effects(constants: Constants, effects: EffectProgram) -> Constants:
     """Constants with the kernels of other effects."""
     kernels, (passive, actuator, applied) = effects.program()
     return constants._replace(
-        effects=kernels, passive_end=passive, actuator_end=actuator, applied_end=applied
+        effects=kernels,
+        passive_end=passive,
+        actuator_end=actuator,
+        applied_end=applied,
+        local_effects=effects.local,
     )
 
 

@@ -51,5 +51,7 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             works=False,
             states=lagging.size,
             start=start,
+            local=True,
+            state_joints=tuple(lagging.tolist()),
         )
     ]

@@ -54,4 +54,4 @@ def add_drag(address, size, at, _t):
 def build(spec, _context: BuildContext) -> list[EffectKernel]:
     """The kernel of an object that moves through a medium."""
     own = np.array([*spec.linear, *spec.per_axis(), *spec.angular, *spec.wind])
-    return [EffectKernel("drag", add_drag, APPLIED, (own,))]
+    return [EffectKernel("drag", add_drag, APPLIED, (own,), local=True)]

@@ -197,6 +197,7 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             breakpoints=np.concatenate(times),
             connect=connect if functions else None,
             calls_user=bool(functions),
+            local=not functions,
         )
     ]
 

@@ -28,4 +28,4 @@ def add_joint_damping(address, size, at, _t):
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of viscous friction."""
     damping = context.stacked(spec, damping_of)
-    return [EffectKernel("joint_damping", add_joint_damping, PASSIVE, (damping,))]
+    return [EffectKernel("joint_damping", add_joint_damping, PASSIVE, (damping,), local=True)]

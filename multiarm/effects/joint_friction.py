@@ -61,10 +61,12 @@ def add_coulomb_friction(address, size, at, _t):
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of smooth friction."""
     arrays = (context.stacked(spec.torque, friction_of), np.array([spec.smoothing_speed]))
-    return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, arrays)]
+    return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, arrays, local=True)]
 
 
 def coulomb_kernel(joints: int) -> EffectKernel:
     """The kernel of Coulomb friction; a mode writes the torques."""
     arrays = (np.zeros(joints),)
-    return EffectKernel("joint_friction", add_coulomb_friction, PASSIVE, arrays, unilateral=True)
+    return EffectKernel(
+        "joint_friction", add_coulomb_friction, PASSIVE, arrays, unilateral=True, local=True
+    )

@@ -47,5 +47,6 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             (limits, margins),
             works=False,
             watched=watched,
+            local=True,
         )
     ]

@@ -25,10 +25,13 @@ with ``R = (1/gamma - hB)^{-1}``, which is written down,
 
 one matrix as large as there are velocities, half as large as the state, without inner states.
 
-*The differences* are central in the positions, on which everything depends in the most curved way,
-and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n) evaluations
-for n joints, two more when something depends on time.  The cost of a step grows with the square of
-the number of arms, that of the matrix with its cube; for few arms both are small.
+*The differences* are those of residuals, arm by arm, where control and effects are local
+(:mod:`multiarm.integration.arm_blocks`): 2 n evaluations without solution, 3 n with drift feedback,
+for n joints of the largest arm, and a cost linear in the arms.  Elsewhere they are those of whole
+evaluations, central in the positions, on which everything depends in the most curved way, and
+forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n) evaluations for
+n joints of all arms, two more when something depends on time.  The cost of a step then grows with
+the square of the number of arms, that of the matrix with its cube; for few arms both are small.
 """
 
 from __future__ import annotations
@@ -40,6 +43,17 @@ import numpy as np
 from multiarm.dynamics.arrays import NOT_FINITE, OK, open_system
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
+from multiarm.integration.arm_blocks import (
+    TIME_CHANGE,
+    ArmBlocks,
+    acts_locally,
+    differentiate_arms,
+    is_regular,
+    largest,
+    make_arm_blocks,
+    write_time_slope,
+)
+from multiarm.integration.arm_stages import factor_stages, solve_arm_stage, turn
 from multiarm.integration.step import IMPLICIT_WORK, Step, combine, evaluate_slope, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
@@ -63,11 +77,11 @@ class RosenbrockWork(NamedTuple):
     pivots: Ints1  # (M,)
 
 
-def make_rosenbrock(data: Data, step: Step) -> RosenbrockWork:
+def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks]:
     """Allocate the arrays of a Rosenbrock method's steps."""
     size, n = step.z.size, 6 + data.model.layout.joints
     m = step.tolerance.size - n
-    return RosenbrockWork(
+    work = RosenbrockWork(
         system=data.struct,
         slope=np.zeros(size),
         other=np.zeros(size),
@@ -78,9 +92,11 @@ def make_rosenbrock(data: Data, step: Step) -> RosenbrockWork:
         matrix=np.zeros((m, m)),
         pivots=np.zeros(m, dtype=np.int64),
     )
+    return work, make_arm_blocks(data, step)
 
 
 _view_work = view(RosenbrockWork, IMPLICIT_WORK)
+_view_blocks = view(ArmBlocks, IMPLICIT_WORK + len(RosenbrockWork._fields))
 
 
 @cfunc
@@ -91,13 +107,19 @@ def rosenbrock_step(address, size, t, h):
     """
     struct = struct_at(address, size)
     method, step = open_step(struct)
-    work = _view_work(struct)
+    work, blocks = _view_work(struct), _view_blocks(struct)
     copy(step.k[0], work.slope)
     step.implicit.evaluations = 0
-    status = differentiate(step, work, t, h)
+    status = differentiate(step, work, blocks, t, h)
     if status != OK:
         return status
-    if not factor(method, step, work, h):
+    n = work.by_position.shape[1]
+    omega, gamma = step.z[n + 3 : n + 6], method.gamma
+    if blocks.used[0] != 0:
+        usable = factor_stages(gamma, blocks, work.system, omega, h)
+    else:
+        usable = factor(method, step, work, h)
+    if not usable:
         return NOT_FINITE
     for i in range(method.stages):
         copy(work.slope, work.other)
@@ -112,7 +134,10 @@ def rosenbrock_step(address, size, t, h):
                 work.other[l] += weight * step.k[j, l]
         for l in range(work.other.size):  # noqa: E741
             work.other[l] += h * method.d[i] * work.time_slope[l]
-        solve_stage(method, step, work, h, work.other, step.k[i])
+        if blocks.used[0] != 0:
+            solve_arm_stage(gamma, blocks, work.system, omega, h, work.other, step.k[i])
+        else:
+            solve_stage(method, step, work, h, work.other, step.k[i])
     combine(step, method.b, method.stages, h, step.z_new)
     return OK
 
@@ -126,16 +151,30 @@ def slope_at(step, work, t, z, slope):
 
 
 @kernel
-def differentiate(step, work, t, h):
-    """Derivatives at the beginning of the step; returns a status."""
-    # changes of a position [m, rad] and of a velocity, relative to the fastest one or to 1
-    position_change, velocity_change = 2e-6, 1e-6
+def differentiate(step, work, blocks, t, h):
+    """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
+    blocks.used[0] = 0
+    if acts_locally(work.system):
+        status = slope_at(step, work, t, step.z, work.other)
+        if status != OK:
+            return status
+        if is_regular(work.system):
+            blocks.used[0] = 1
+            status = differentiate_arms(step, work.system, blocks, t, h)
+            write_time_slope(blocks, work.system, work.time_slope)
+            return status
+    return differentiate_whole(step, work, t, h)
+
+
+@kernel
+def differentiate_whole(step, work, t, h):
+    """Derivatives from differences of whole evaluations; returns a status."""
+    # changes of a position [m, rad]; of a velocity and of a state of effects, relative to the
+    # largest one or to 1
+    position_change, relative_change = 2e-6, 1e-6
     z, n, other, below = step.z_stage, work.by_position.shape[1], work.other, work.time_slope
     m, rows = work.matrix.shape[0], work.by_position.shape[0]
-    fastest = 1.0
-    for i in range(m):
-        fastest = max(fastest, abs(step.z[n + i]))
-    velocity_change *= fastest
+    fast, strong = largest(step.z[n : 2 * n]), largest(step.z[2 * n : n + m])
     copy(step.z, z)
     for j in range(n):
         z[j] = step.z[j] - position_change
@@ -150,13 +189,14 @@ def differentiate(step, work, t, h):
         for i in range(rows):
             work.by_position[i, j] = (other[n + i] - below[n + i]) / (2.0 * position_change)
     for j in range(m):
-        z[n + j] = step.z[n + j] + velocity_change
+        change = relative_change * (fast if j < n else strong)
+        z[n + j] = step.z[n + j] + change
         status = slope_at(step, work, t, z, other)
         if status != OK:
             return status
         z[n + j] = step.z[n + j]
         for i in range(rows):
-            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / velocity_change
+            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / change
     return differentiate_by_time(step, work, t, h)
 
 
@@ -168,7 +208,7 @@ def differentiate_by_time(step, work, t, h):
     clear(rate)
     if model.control.shape[0] == 0 and model.effects.shape[0] == 0:
         return OK
-    change = 1e-5 * min(h, 1.0)  # [s]
+    change = TIME_CHANGE * min(h, 1.0)  # [s]
     status = slope_at(step, work, t + 2.0 * change, step.z, other)
     if status != OK:
         return status
@@ -196,18 +236,6 @@ def factor(method, step, work, h):
             work.matrix[i, j] -= h * h * row[j]
         work.matrix[i, i] += a
     return factor_lu(work.matrix, m, work.pivots) > 0.0
-
-
-@kernel
-def turn(a, half, omega, vector, out):
-    """``out = (a - S(w))^-1 vector``, ``w = half * omega``: for row vectors with ``-half``."""
-    w0, w1, w2 = half * omega[0], half * omega[1], half * omega[2]
-    v0, v1, v2 = vector[0], vector[1], vector[2]
-    along = w0 * v0 + w1 * v1 + w2 * v2
-    scale = 1.0 / (a * (a * a + w0 * w0 + w1 * w1 + w2 * w2))
-    out[0] = scale * (a * a * v0 + a * (w1 * v2 - w2 * v1) + along * w0)
-    out[1] = scale * (a * a * v1 + a * (w2 * v0 - w0 * v2) + along * w1)
-    out[2] = scale * (a * a * v2 + a * (w0 * v1 - w1 * v0) + along * w2)
 
 
 @kernel

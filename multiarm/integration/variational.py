@@ -78,11 +78,11 @@ class VariationalWork(NamedTuple):
     scratch: Floats1  # (6 + n,)
 
 
-def make_variational(data: Data, _step: Step) -> VariationalWork:
+def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     """Allocate the arrays of the variational method's steps."""
     size, rows = 6 + data.model.layout.joints, data.model.layout.contacts
     calls, places = data.coriolis()
-    return VariationalWork(
+    work = VariationalWork(
         system=data.struct,
         coriolis_calls=calls,
         coriolis=places,
@@ -97,6 +97,7 @@ def make_variational(data: Data, _step: Step) -> VariationalWork:
         last=np.zeros((2, size + rows)),
         scratch=np.zeros(size),
     )
+    return (work,)
 
 
 _view_work = view(VariationalWork, IMPLICIT_WORK)

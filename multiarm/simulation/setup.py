@@ -96,7 +96,7 @@ class Stepping:
     tableau: Tableau
     method: Method
     step: Step
-    work: tuple  # arrays of an implicit method; empty for others
+    work: tuple[tuple, ...]  # arrays of an implicit method; empty for others
     struct: np.ndarray  # struct of method, step and work
 
 
@@ -197,13 +197,12 @@ def make_stepping(data: Data, name: str, tolerance: Tolerance | None) -> Steppin
         of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
         coordinates = [of_unit[unit] for unit in units]
         step.tolerance[:] = 2 * coordinates + [tolerance.smallest] * effects.states
-    work: tuple = ()
+    work: tuple[tuple, ...] = ()
     if tableau.kind in IMPLICIT_STEPS:
         make_work = make_rosenbrock if tableau.kind == ROSENBROCK else make_variational
         work = make_work(data, step)
         step.implicit.function = address_of(IMPLICIT_STEPS[tableau.kind])
-    struct = struct_of(method, step, work) if work else struct_of(method, step)
-    return Stepping(tableau, method, step, work, struct)
+    return Stepping(tableau, method, step, work, struct_of(method, step, *work))
 
 
 def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:

@@ -1,0 +1,609 @@
+r"""Derivatives of the accelerations arm by arm, at a cost linear in the arms.
+
+The accelerations and contact forces :math:`y = (\dot v_o, \ddot q_i, \lambda_i)` of a state ``x``
+solve :math:`F(x, y) = 0` (:mod:`multiarm.dynamics.derivatives`),
+
+.. math::
+    F_i &= M_i \ddot q_i - h_i - W_i \lambda_i, \qquad
+    F_{\varphi i} = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i, \\
+    F_o &= M_o \dot v_o - h_o + \sum_i g_i, \qquad g_i = -W_{oi} \lambda_i ,
+
+so that :math:`dy = -K^{-1}\, \partial F`.  Where control and effects are *local*, an arm's
+:math:`F_i, F_{\varphi i}, g_i` at fixed ``y`` depend on the states of this arm and of the object
+only, and :math:`h_o` on the object's.
+
+*Differences* of these residuals therefore displace joint number j of all arms at once: as many
+columns as the largest arm has, whatever the number of arms.  Nothing is solved for them, so that
+their roundings are small enough for forward differences with short displacements.  Those by
+positions are central where drift feedback acts: its gains grow as steps get shorter, so that the
+error of :math:`\beta^2 \varphi` would not decrease with them.  The columns of the object and of the
+time leave the terms of the arms as they are.
+
+*Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
+:math:`\alpha = d\dot v_o`, and then the object by its mobility,
+
+.. math::
+    d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \alpha, \qquad
+    d\lambda_i = A^\lambda_i\, dx_i + A^\lambda_{oi}\, dx_o + U^\lambda_i\, \alpha, \\
+    \alpha &= \sum_i B_i\, dx_i + B_o\, dx_o, \qquad
+    S = M_o - \sum_i W_{oi} U^\lambda_i, \\
+    B_i &= S^{-1} (W_{oi} A^\lambda_i - \partial g_i), \qquad
+    B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
+          - \partial_o (M_o \dot v_o - h_o)\Big) .
+
+The rates of effects' states have rows in :math:`A_i`, whose columns contain these states.  The
+linear systems of a step with these blocks: :mod:`multiarm.integration.arm_stages`.
+
+*Powers* of local forces are those of the forces on each joint and on the object, so that each arm
+has its own share of them, and its own derivatives.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.arms.terms import BIAS_AT
+from multiarm.dynamics.arrays import (
+    CALLBACK_FAILED,
+    HELD,
+    NOT_FINITE,
+    OK,
+    open_coupled,
+    open_system,
+)
+from multiarm.dynamics.equations import (
+    drift_terms,
+    load_gravity_torque,
+    update_kinematics,
+    update_rows,
+)
+from multiarm.dynamics.kinematics import object_terms
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.factors import factor_lu
+from multiarm.integration.step import Step, load
+from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import (
+    Floats1,
+    Floats2,
+    Floats3,
+    Int,
+    Ints1,
+    Ints2,
+    floats_at,
+)
+
+# Change of a forward difference [m, rad]; of velocities and of effects' states relative to the
+# largest one, or to 1.  Residuals are sums of few terms: roundings are 1e-9 of these.
+CHANGE = 1e-7
+# Change of a central difference by positions [m, rad].
+CENTRAL_CHANGE = 2e-6
+# The same of the time, relative to the step or to 1 s.
+TIME_CHANGE = 1e-5
+# Columns of the object in ``ArmBlocks.by_object``, and after the arm's own ones in
+# ``ArmBlocks.derivatives``: pose, twist, time; there the acceleration of the object follows.
+POSE, TWIST, TIME, ACCELERATION, OBJECT_COLUMNS = 0, 6, 12, 13, 19
+
+
+class ArmBlocks(NamedTuple):
+    """Arrays for ``n`` arms; ``d`` joints, ``m`` contacts and ``e`` effects' states of the largest.
+
+    An arm has ``P = 2 d + e`` columns of its own: positions, velocities, states.  Its
+    ``R = d + m + e + w`` rows are those of its joints, right after them those of its contacts, from
+    row ``d + m`` on the rates of its states, and from ``d + m + e`` on its ``w`` powers.
+    """
+
+    d: Int
+    m: Int
+    e: Int
+    used: Ints1  # (1,) whether the derivatives of the last step are here
+    counts: Ints1  # (n,) effects' states of each arm
+    states: Ints2  # (n, e) their places among all
+    powers: Ints1  # (effects that are called,) the place of each one's power, -1 without
+    # (n + 1, w) powers of the forces on each arm, and last on the object [W]; forces before those
+    # of an effect, on the object and on all joints
+    power: Floats2
+    before: Floats1
+    # products of matrices in the residuals at the beginning of the step; residuals there, and
+    # elsewhere: (n, R + 6) with g_i at the end of each arm's rows, (6 + w,) of the object without
+    products: Floats2
+    products_o: Floats1
+    base: Floats2
+    base_o: Floats1
+    found: Floats2
+    found_o: Floats1
+    derivatives: Floats3  # (n, R, P + 19) A, A_o, U; before the solution, of the residuals
+    on_object: Floats3  # (n, 6, P) B_i
+    by_object: Floats2  # (6 + w, 13) B_o; the powers of the forces on the object
+    Wo: Floats2  # (N, 6) at the beginning of the step
+    # factors: of each arm's equations (n, d + m, d + m), of S (6, 6), of E (n, d + e, d + e), of
+    # the system for alpha (6, 6)
+    K: Floats3
+    K_pivots: Ints2
+    S: Floats2
+    S_pivots: Ints1
+    E: Floats3
+    E_pivots: Ints2
+    V: Floats3  # (n, d + e, 6)
+    D: Floats3  # (n, 6, d + e)
+    node: Floats2
+    node_pivots: Ints1
+    # of a stage: derivative of the object's acceleration (6,), rates of the object (12,), unknowns
+    # of each arm (n, d + e)
+    alpha: Floats1
+    rates: Floats1
+    unknowns: Floats2
+
+
+def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
+    """Allocate the blocks of a system; see :func:`acts_locally` for when they are used."""
+    layout, effects = data.model.layout, data.model.effects
+    n, d = len(layout.dofs) - 1, int(np.max(np.diff(layout.dofs)))
+    m, works = int(np.max(np.diff(layout.rows))), step.z.size - step.tolerance.size
+    owned: list[list[int]] = [[] for _ in range(n)]
+    if effects.local:
+        joints = [joint for own in effects.kernels for joint in own.state_joints]
+        for state, joint in enumerate(joints):
+            owned[int(np.searchsorted(layout.dofs, joint, side="right")) - 1].append(state)
+    e = max(map(len, owned))
+    states = np.full((n, e), -1, dtype=np.int64)
+    for row, own in zip(states, owned, strict=True):
+        row[: len(own)] = own
+    places = np.cumsum([0, *(own.works for own in effects.kernels)])
+    powers = [
+        int(place) if own.works else -1
+        for own, place in zip(effects.kernels, places, strict=False)
+        if own.kernel is not None
+    ]
+    own_columns, rows = 2 * d + e, d + m + e + works
+    return ArmBlocks(
+        d=d,
+        m=m,
+        e=e,
+        used=np.zeros(1, dtype=np.int64),
+        counts=np.array([len(own) for own in owned], dtype=np.int64),
+        states=states,
+        powers=np.array(powers, dtype=np.int64),
+        power=np.zeros((n + 1, works)),
+        before=np.zeros(6 + layout.joints),
+        products=np.zeros((n, rows + 6)),
+        products_o=np.zeros(6 + works),
+        base=np.zeros((n, rows + 6)),
+        base_o=np.zeros(6 + works),
+        found=np.zeros((n, rows + 6)),
+        found_o=np.zeros(6 + works),
+        derivatives=np.zeros((n, rows, own_columns + OBJECT_COLUMNS)),
+        on_object=np.zeros((n, 6, own_columns)),
+        by_object=np.zeros((6 + works, ACCELERATION)),
+        Wo=np.zeros((layout.contacts, 6)),
+        K=np.zeros((n, d + m, d + m)),
+        K_pivots=np.zeros((n, d + m), dtype=np.int64),
+        S=np.zeros((6, 6)),
+        S_pivots=np.zeros(6, dtype=np.int64),
+        E=np.zeros((n, d + e, d + e)),
+        E_pivots=np.zeros((n, d + e), dtype=np.int64),
+        V=np.zeros((n, d + e, 6)),
+        D=np.zeros((n, 6, d + e)),
+        node=np.zeros((6, 6)),
+        node_pivots=np.zeros(6, dtype=np.int64),
+        alpha=np.zeros(6),
+        rates=np.zeros(12),
+        unknowns=np.zeros((n, d + e)),
+    )
+
+
+@kernel
+def acts_locally(struct):
+    """Whether control and effects are local now, in a scene that the node algorithm solves."""
+    model, data, _ = open_system(struct)
+    held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
+    controlled = model.control.shape[0] > 0 and not held
+    if not model.local_effects or (controlled and not model.local_control):
+        return False
+    # modes have solutions of their own, and projected stages depend on all arms
+    plain = data.functions.solve == data.functions.project and not model.dense
+    return plain and data.status.stage_gap < 0.0
+
+
+@kernel
+def is_regular(struct):
+    """Whether the last evaluation has eliminated all arms, and left their matrices."""
+    _, _, work = open_system(struct)
+    return open_coupled(struct).status.arms == 0 and work.factored[0] == 0
+
+
+# --- derivatives ---------------------------------------------------------------------------------
+
+
+@kernel
+def differentiate_arms(step, struct, blocks, t, h):
+    """Write the derivatives at the beginning of a step, right after its evaluation.
+
+    Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular.
+    """
+    _, data, work = open_system(struct)
+    clear_derivatives(blocks)
+    write_products(blocks, data, work, blocks.products, blocks.products_o)
+    status = differentiate_by_time(step, struct, blocks, t, h)
+    if status == OK and not factor_arms(blocks, data, work):
+        status = NOT_FINITE
+    if status == OK:
+        status = differentiate_by_state(step, struct, blocks, t)
+    if status == OK and not solve_arms(blocks, work):
+        status = NOT_FINITE
+    return status
+
+
+@inlined
+def clear_derivatives(blocks):
+    """Prepare for :func:`add_difference`."""
+    for i in range(blocks.counts.size):
+        for k in range(blocks.derivatives.shape[1]):
+            clear(blocks.derivatives[i, k])
+        for k in range(6):
+            clear(blocks.on_object[i, k])
+    for k in range(blocks.by_object.shape[0]):
+        clear(blocks.by_object[k])
+
+
+@kernel
+def differentiate_by_time(step, struct, blocks, t, h):
+    """Write the residuals of the beginning, and their derivatives by time where they have any.
+
+    These come from two later times, inside the step: its beginning may be a kink.  Returns a
+    status.
+    """
+    model, _, _ = open_system(struct)
+    column = 2 * blocks.d + blocks.e + TIME
+    change = TIME_CHANGE * min(h, 1.0)  # [s]
+    steady = model.control.shape[0] == 0 and model.effects.shape[0] == 0
+    for k in range(1 if steady else 3):
+        status = write_residuals(step, struct, blocks, t + k * change, step.z, False, False)
+        if status != OK:
+            return status
+        if k == 0:
+            for i in range(blocks.counts.size):
+                copy(blocks.found[i], blocks.base[i])
+            copy(blocks.found_o, blocks.base_o)
+        else:
+            add_difference(blocks, (2.0 if k == 1 else -0.5) / change, column)
+    return OK
+
+
+@kernel
+def differentiate_by_state(step, struct, blocks, t):
+    """Displace the object; then one joint, or one effect's state, of all arms at once.
+
+    As the object's columns need the arms' terms at the beginning of the step, they come first.
+    Returns a status.
+    """
+    _, data, work = open_system(struct)
+    n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    fast = CHANGE * largest(step.z[6 + n : 12 + 2 * n])
+    strong = CHANGE * largest(step.z[12 + 2 * n : step.tolerance.size])
+    central = step.implicit.beta != 0.0
+    copy(step.z, step.z_stage)
+    for k in range(TIME + own):
+        of_arms = k >= TIME
+        column = k - TIME if of_arms else own + k
+        of_position = column < d or own <= column < own + TWIST
+        if of_position:
+            change = CENTRAL_CHANGE if central else CHANGE
+        else:
+            change = strong if 2 * d <= column < own else fast
+        sides = 2 if central and of_position else 1
+        for side in range(sides):
+            offset = change if side == 0 else -change
+            displace(step, blocks, work, n, column, offset)
+            status = write_residuals(step, struct, blocks, t, step.z_stage, of_arms, of_position)
+            if status != OK:
+                return status
+            add_difference(blocks, 1.0 / (sides * offset), column)
+        displace(step, blocks, work, n, column, 0.0)
+    return OK
+
+
+@inlined
+def largest(values):
+    """The largest magnitude, or 1."""
+    most = 1.0
+    for k in range(values.size):
+        most = max(most, abs(values[k]))
+    return most
+
+
+@inlined
+def displace(step, blocks, work, n, column, change):
+    """Displace the entry of the state that a column belongs to, of every arm that has it."""
+    d, z, own = blocks.d, step.z_stage, 2 * blocks.d + blocks.e
+    if column >= own:
+        at = column - own if column < own + TWIST else n + column - own
+        z[at] = step.z[at] + change
+        return
+    for i in range(blocks.counts.size):
+        first, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        at = -1
+        if column < d and column < joints:
+            at = 6 + first + column
+        elif d <= column < d + joints:
+            at = 12 + n + first + column - d
+        elif 2 * d <= column < 2 * d + blocks.counts[i]:
+            at = 12 + 2 * n + blocks.states[i, column - 2 * d]
+        if at >= 0:
+            z[at] = step.z[at] + change
+
+
+@kernel
+def write_residuals(step, struct, blocks, t, z, arms_move, positions_move):
+    """Write F at a state, for the accelerations and forces in the data; returns a status.
+
+    Without ``arms_move`` the arms' terms are those in the data, without ``positions_move`` all
+    products of matrices are those of the beginning.
+    """
+    model, data, work = open_system(struct)
+    found, found_o = blocks.found, blocks.found_o
+    load(z, step.base, data)
+    data.time.now = min(t, data.time.latest)
+    if arms_move:
+        step.implicit.evaluations += 1
+        status = update_kinematics(struct)
+        if status != OK:
+            return status
+    else:
+        object_terms(model, data)
+        update_rows(struct)
+    write_local_forces(struct, blocks)
+    drift_terms(data, step.implicit.alpha, step.implicit.beta)
+    if data.status.failed:
+        return CALLBACK_FAILED
+    if positions_move:
+        write_products(blocks, data, work, found, found_o)
+    else:
+        for i in range(blocks.counts.size):
+            copy(blocks.products[i], found[i])
+        copy(blocks.products_o, found_o)
+    rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
+    for i in range(blocks.counts.size):
+        row, d0, r0 = found[i], work.dofs[i], work.rows[i]
+        n = work.dofs[i + 1] - d0
+        for a in range(n):
+            row[a] -= data.h[d0 + a]
+        for k in range(work.rows[i + 1] - r0):
+            row[n + k] -= data.c[r0 + k]
+        for k in range(blocks.counts[i]):
+            row[rates + k] = data.inner_rate[blocks.states[i, k]]
+        for k in range(blocks.power.shape[1]):
+            row[powers + k] = blocks.power[i, k]
+    for l in range(6):  # noqa: E741
+        found_o[l] -= data.h_o[l]
+    for k in range(blocks.power.shape[1]):
+        found_o[6 + k] = blocks.power[blocks.counts.size, k]
+    return OK
+
+
+@kernel
+def write_products(blocks, data, work, found, found_o):
+    """Write the products of matrices in F: all but ``h, h_o, c``, and g of the arms."""
+    end = blocks.derivatives.shape[1]
+    for i in range(blocks.counts.size):
+        row, d0, r0, M, W = found[i], work.dofs[i], work.rows[i], work.L[i], work.Y[i]
+        n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
+        for l in range(6):  # noqa: E741
+            row[end + l] = 0.0
+        for k in range(m):
+            contact, force, s = data.Wo[r0 + k], data.force[r0 + k], 0.0
+            for l in range(6):  # noqa: E741
+                s += contact[l] * data.q_o[l]
+                row[end + l] -= contact[l] * force
+            row[n + k] = s
+        for a in range(n):
+            own, s = data.qdd[d0 + a], 0.0
+            for b in range(a):
+                s += M[a, b] * data.qdd[d0 + b]
+                row[b] += M[a, b] * own
+            s += M[a, a] * own
+            for k in range(m):
+                s -= W[a, k] * data.force[r0 + k]
+                row[n + k] += W[a, k] * own
+            row[a] = s
+    for l in range(6):  # noqa: E741
+        s = 0.0
+        for k in range(6):
+            s += data.inertia[l, k] * data.q_o[k]
+        found_o[l] = s
+
+
+@inlined
+def add_difference(blocks, weight, column):
+    """Add the change of the residuals, times a weight, to one column of the derivatives."""
+    own, end = 2 * blocks.d + blocks.e, blocks.derivatives.shape[1]
+    base, found = blocks.base, blocks.found
+    for i in range(blocks.counts.size):
+        for k in range(end):
+            blocks.derivatives[i, k, column] += weight * (found[i, k] - base[i, k])
+        for l in range(6):  # noqa: E741
+            change = weight * (found[i, end + l] - base[i, end + l])
+            if column < own:
+                blocks.on_object[i, l, column] += change
+            else:
+                blocks.by_object[l, column - own] += change
+    if column >= own:
+        for k in range(blocks.found_o.size):
+            change = weight * (blocks.found_o[k] - blocks.base_o[k])
+            blocks.by_object[k, column - own] += change
+
+
+@kernel
+def write_local_forces(struct, blocks):
+    """The right-hand sides ``h`` and ``h_o`` of local control and effects, and the powers by arm.
+
+    As :func:`multiarm.dynamics.equations.right_hand_sides` in scenes whose effects are local.
+    """
+    model, data, work = open_system(struct)
+    arms, total = blocks.counts.size, blocks.power.shape[1] - 1
+    for i in range(arms + 1):
+        clear(blocks.power[i])
+    for i in range(arms):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        bias = floats_at(data.pointers[i, BIAS_AT], d)
+        for j in range(d):
+            data.h[d0 + j] = -bias[j]
+    call_local_effects(struct, model, data, work, blocks, 0, model.passive_end)
+    if model.control.shape[0] > 0:
+        load_gravity_torque(data, work)
+        clear(data.torque)
+        for k in range(model.control.shape[0]):
+            law, place = model.control[k, 0], float(model.control[k, 1])
+            call_cfunc(law, struct, place, data.time.now)
+        call_local_effects(struct, model, data, work, blocks, model.passive_end, model.actuator_end)
+        for i in range(arms):
+            for j in range(work.dofs[i], work.dofs[i + 1]):
+                data.h[j] += data.torque[j]
+                blocks.power[i, total] += data.torque[j] * data.v[j]
+    call_local_effects(struct, model, data, work, blocks, model.actuator_end, model.applied_end)
+
+
+@inlined
+def call_local_effects(struct, model, data, work, blocks, first, end):
+    """Call the effects of one phase, and add the powers of their forces by arm."""
+    arms, total, before = blocks.counts.size, blocks.power.shape[1] - 1, blocks.before
+    for k in range(first, end):
+        power = blocks.powers[k]
+        for l in range(6):  # noqa: E741
+            before[l] = data.h_o[l]
+        for j in range(data.h.size):
+            before[6 + j] = data.h[j]
+        call_cfunc(model.effects[k, 0], struct, float(model.effects[k, 1]), data.time.now)
+        if power < 0:
+            continue
+        for i in range(arms):
+            s = 0.0
+            for j in range(work.dofs[i], work.dofs[i + 1]):
+                s += (data.h[j] - before[6 + j]) * data.v[j]
+            blocks.power[i, power] += s
+            blocks.power[i, total] += s
+        s = 0.0
+        for l in range(6):  # noqa: E741
+            s += (data.h_o[l] - before[l]) * data.twist[l]
+        blocks.power[arms, power] += s
+        blocks.power[arms, total] += s
+
+
+# --- solution for the derivatives ----------------------------------------------------------------
+
+
+@kernel
+def factor_arms(blocks, data, work):
+    """Factors of the arms' equations at the matrices in the data, and ``M_o`` and ``W_o`` of the
+    solution; returns whether they can be used.
+    """
+    usable, first = True, 2 * blocks.d + blocks.e + ACCELERATION
+    for l in range(6):  # noqa: E741
+        copy(data.inertia[l], blocks.S[l])
+    for i in range(blocks.counts.size):
+        r0, n = work.rows[i], work.dofs[i + 1] - work.dofs[i]
+        m, K, M, W = work.rows[i + 1] - r0, blocks.K[i], work.L[i], work.Y[i]
+        for a in range(n):
+            for b in range(a + 1):
+                K[a, b] = K[b, a] = M[a, b]
+            for k in range(m):
+                K[a, n + k], K[n + k, a] = -W[a, k], W[a, k]
+        for k in range(m):
+            copy(data.Wo[r0 + k], blocks.Wo[r0 + k])
+            for l in range(6):  # noqa: E741
+                blocks.derivatives[i, n + k, first + l] = data.Wo[r0 + k, l]
+            for b in range(m):
+                K[n + k, n + b] = 0.0
+        usable = usable and factor_lu(K, n + m, blocks.K_pivots[i]) > 0.0
+    return usable
+
+
+@kernel
+def solve_arms(blocks, work):
+    """From the derivatives of the residuals to those of the accelerations; returns whether it
+    succeeded.
+    """
+    own = 2 * blocks.d + blocks.e
+    first, S = own + ACCELERATION, blocks.S
+    for l in range(6):  # noqa: E741
+        for c in range(ACCELERATION):
+            blocks.by_object[l, c] = -blocks.by_object[l, c]
+    for i in range(blocks.counts.size):
+        r0, n, A = work.rows[i], work.dofs[i + 1] - work.dofs[i], blocks.derivatives[i]
+        m, B = work.rows[i + 1] - r0, blocks.on_object[i]
+        for k in range(n + m):
+            row = A[k]
+            for c in range(row.size):
+                row[c] = -row[c]
+        solve_rows(blocks.K[i], n + m, blocks.K_pivots[i], A)
+        for l in range(6):  # noqa: E741
+            row = B[l]
+            for c in range(own):
+                row[c] = -row[c]
+            for k in range(m):
+                weight, forces = blocks.Wo[r0 + k, l], A[n + k]
+                for c in range(own):
+                    row[c] += weight * forces[c]
+                for c in range(ACCELERATION):
+                    blocks.by_object[l, c] += weight * forces[own + c]
+                for c in range(6):
+                    S[l, c] -= weight * forces[first + c]
+    if not factor_lu(S, 6, blocks.S_pivots) > 0.0:
+        return False
+    for i in range(blocks.counts.size):
+        solve_rows(S, 6, blocks.S_pivots, blocks.on_object[i])
+    solve_rows(S, 6, blocks.S_pivots, blocks.by_object)
+    return True
+
+
+@kernel
+def solve_rows(A, n, pivots, X):
+    """Solve ``A X = B`` with the factors of ``factor_lu``; ``X[:n]`` is ``B`` on entry."""
+    for i in range(n):
+        if pivots[i] != i:
+            row, other = X[i], X[pivots[i]]
+            for c in range(row.size):
+                row[c], other[c] = other[c], row[c]
+    for i in range(n):
+        for k in range(i):
+            subtract(A[i, k], X[k], X[i])
+    for i in range(n - 1, -1, -1):
+        row, inverse = X[i], 1.0 / A[i, i]
+        for k in range(i + 1, n):
+            subtract(A[i, k], X[k], row)
+        for c in range(row.size):
+            row[c] *= inverse
+
+
+@inlined
+def subtract(factor, other, row):
+    """``row -= factor * other``."""
+    for c in range(row.size):
+        row[c] -= factor * other[c]
+
+
+@kernel
+def write_time_slope(blocks, struct, slope):
+    """Write the derivative of the whole slope with respect to time."""
+    _, data, work = open_system(struct)
+    n, time = data.angles.size, 2 * blocks.d + blocks.e + TIME
+    rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
+    works = slope.size - blocks.power.shape[1]
+    clear(slope)
+    for l in range(6):  # noqa: E741
+        slope[6 + n + l] = blocks.by_object[l, TIME]
+    for k in range(blocks.power.shape[1]):
+        slope[works + k] = blocks.by_object[6 + k, TIME]
+    for i in range(blocks.counts.size):
+        A, first = blocks.derivatives[i], 12 + n + work.dofs[i]
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            s = A[j, time]
+            for l in range(6):  # noqa: E741
+                s += A[j, time + 1 + l] * blocks.by_object[l, TIME]
+            slope[first + j] = s
+        for k in range(blocks.counts[i]):
+            slope[12 + 2 * n + blocks.states[i, k]] = A[rates + k, time]
+        for k in range(blocks.power.shape[1]):
+            slope[works + k] += A[powers + k, time]

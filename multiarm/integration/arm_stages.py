@@ -1,0 +1,186 @@
+r"""The linear systems of a Rosenbrock method's stages, arm by arm: linear in the arms.
+
+With the blocks A, B, U of :mod:`multiarm.integration.arm_blocks`, a stage has the unknowns
+:math:`k_i`, the rates of an arm's velocities and effects' states, those of the object :math:`k_o`,
+and :math:`\alpha`, the derivative of the object's acceleration along the stage.  With R of
+:mod:`multiarm.integration.rosenbrock` and right-hand sides r (x: of the object's pose, q: of the
+joints' positions), these rates are functions of the others,
+
+.. math::
+    k_o = \gamma (r_o + h \alpha), \qquad k_x = R_o (r_x + h k_o), \qquad
+    k_{qi} = \gamma (r_{qi} + h k_i) .
+
+What is left is a matrix :math:`E_i` as large as the arm's velocities and states, and one system of
+six equations for :math:`\alpha` alone:
+
+.. math::
+    E_i &= \frac1\gamma - h A^v_i - h^2 \gamma A^q_i, \qquad
+    E_i V_i = h\,(h^2 \gamma A^x_{oi} R_o + h \gamma A^v_{oi} + U_i), \qquad
+    D_i = B^v_i + h \gamma B^q_i, \\
+    E_i k^0_i &= r_i + h\,(\gamma A^q_i r_{qi} + A^x_{oi} k^0_x + A^v_{oi} k^0_o), \qquad
+    k_i = k^0_i + V_i \alpha, \\
+    &\Big(1 - h^2 \gamma B^x_o R_o - h \gamma B^v_o - \sum_i D_i V_i\Big)\,\alpha =
+    B^x_o k^0_x + B^v_o k^0_o + \sum_i (\gamma B^q_i r_{qi} + D_i k^0_i)
+
+with the superscript 0 where :math:`\alpha = 0`.
+
+The rates of the works follow, as powers do not act on the state.
+"""
+
+from __future__ import annotations
+
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.solver.factors import factor_lu, solve_lu
+from multiarm.integration.arm_blocks import ACCELERATION, POSE, TWIST, solve_rows
+from multiarm.jit.kernels import clear, inlined, kernel
+
+
+@kernel
+def factor_stages(gamma, blocks, struct, omega, h):
+    """Factors of the stages' systems; returns whether they can be used."""
+    _, _, work = open_system(struct)
+    d, own, node, usable = blocks.d, 2 * blocks.d + blocks.e, blocks.node, True
+    for l in range(6):  # noqa: E741
+        along_object(gamma, h, omega, blocks.by_object[l], 0, node[l])
+        for c in range(6):
+            node[l, c] = (1.0 if l == c else 0.0) - node[l, c]
+    for i in range(blocks.counts.size):
+        A, B, D, E, V = (
+            blocks.derivatives[i],
+            blocks.on_object[i],
+            blocks.D[i],
+            blocks.E[i],
+            blocks.V[i],
+        )
+        n = work.dofs[i + 1] - work.dofs[i]
+        size = n + blocks.counts[i]
+        for r in range(size):
+            row = A[r if r < n else d + blocks.m + r - n]
+            along_object(gamma, h, omega, row, own + POSE, V[r])
+            for l in range(6):  # noqa: E741
+                V[r, l] = h * (V[r, l] + row[own + ACCELERATION + l])
+            for c in range(n):
+                E[r, c] = -h * (row[d + c] + h * gamma * row[c])
+            for c in range(n, size):
+                E[r, c] = -h * row[2 * d + c - n]
+            E[r, r] += 1.0 / gamma
+        usable = usable and factor_lu(E, size, blocks.E_pivots[i]) > 0.0
+        solve_rows(E, size, blocks.E_pivots[i], V)
+        for l in range(6):  # noqa: E741
+            for c in range(n):
+                D[l, c] = B[l, d + c] + h * gamma * B[l, c]
+            for c in range(n, size):
+                D[l, c] = B[l, 2 * d + c - n]
+            for k in range(size):
+                for c in range(6):
+                    node[l, c] -= D[l, k] * V[k, c]
+    return usable and factor_lu(node, 6, blocks.node_pivots) > 0.0
+
+
+@inlined
+def along_object(gamma, h, omega, row, first, out):
+    """``h gamma (h R_o^T row_x + row_v)``: a row along the rates that a unit of alpha gives.
+
+    ``row`` has the derivatives by pose and twist from ``first`` on.
+    """
+    turn(1.0 / gamma, -0.5 * h, omega, row[first + 3 : first + 6], out[3:6])
+    for l in range(3):  # noqa: E741
+        out[l] = h * gamma * (h * gamma * row[first + l] + row[first + TWIST + l])
+        out[3 + l] = h * gamma * (h * out[3 + l] + row[first + TWIST + 3 + l])
+
+
+@kernel
+def turn(a, half, omega, vector, out):
+    """``out = (a - S(w))^-1 vector``, ``w = half * omega``: for row vectors with ``-half``."""
+    w0, w1, w2 = half * omega[0], half * omega[1], half * omega[2]
+    v0, v1, v2 = vector[0], vector[1], vector[2]
+    along = w0 * v0 + w1 * v1 + w2 * v2
+    scale = 1.0 / (a * (a * a + w0 * w0 + w1 * w1 + w2 * w2))
+    out[0] = scale * (a * a * v0 + a * (w1 * v2 - w2 * v1) + along * w0)
+    out[1] = scale * (a * a * v1 + a * (w2 * v0 - w0 * v2) + along * w1)
+    out[2] = scale * (a * a * v2 + a * (w0 * v1 - w1 * v0) + along * w2)
+
+
+@kernel
+def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
+    """Solve a stage's system for the right-hand side ``right``."""
+    _, data, work = open_system(struct)
+    n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    alpha, k_o = blocks.alpha, blocks.rates
+    clear(alpha)
+    write_object_rates(gamma, h, omega, n, right, alpha, k_o)
+    for l in range(6):  # noqa: E741
+        s = 0.0
+        for c in range(12):
+            s += blocks.by_object[l, c] * k_o[c]
+        alpha[l] = s
+    for i in range(blocks.counts.size):
+        A, B, D, k_i = blocks.derivatives[i], blocks.on_object[i], blocks.D[i], blocks.unknowns[i]
+        d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        size = joints + blocks.counts[i]
+        for r in range(size):
+            row = A[r if r < joints else d + blocks.m + r - joints]
+            s = 0.0
+            for c in range(12):
+                s += row[own + c] * k_o[c]
+            for c in range(joints):
+                s += gamma * row[c] * right[6 + d0 + c]
+            k_i[r] = right[unknown_place(blocks, i, n, d0, joints, r)] + h * s
+        solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
+        for l in range(6):  # noqa: E741
+            s = 0.0
+            for c in range(joints):
+                s += gamma * B[l, c] * right[6 + d0 + c]
+            for c in range(size):
+                s += D[l, c] * k_i[c]
+            alpha[l] += s
+    solve_lu(blocks.node, 6, blocks.node_pivots, alpha)
+    write_object_rates(gamma, h, omega, n, right, alpha, k_o)
+    for l in range(6):  # noqa: E741
+        out[l], out[6 + n + l] = k_o[l], k_o[6 + l]
+    for i in range(blocks.counts.size):
+        d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        for r in range(joints + blocks.counts[i]):
+            s = blocks.unknowns[i, r]
+            for l in range(6):  # noqa: E741
+                s += blocks.V[i, r, l] * alpha[l]
+            out[unknown_place(blocks, i, n, d0, joints, r)] = s
+            if r < joints:
+                out[6 + d0 + r] = gamma * (right[6 + d0 + r] + h * s)
+    add_powers(gamma, blocks, work, n, h, right, out)
+
+
+@inlined
+def unknown_place(blocks, i, n, d0, joints, r):
+    """Place in the state of an unknown of an arm: a joint's velocity or an effect's state."""
+    return 12 + n + d0 + r if r < joints else 12 + 2 * n + blocks.states[i, r - joints]
+
+
+@inlined
+def write_object_rates(gamma, h, omega, n, right, alpha, rates):
+    """Rates of the object's pose and twist for the derivative ``alpha`` of its acceleration."""
+    for l in range(6):  # noqa: E741
+        rates[6 + l] = gamma * (right[6 + n + l] + h * alpha[l])
+        rates[l] = right[l] + h * rates[6 + l]
+    for l in range(3):  # noqa: E741
+        rates[l] *= gamma
+    turn(1.0 / gamma, 0.5 * h, omega, rates[3:6], rates[3:6])
+
+
+@inlined
+def add_powers(gamma, blocks, work, n, h, right, out):
+    """Rates of the works along the rates of the state, which are known."""
+    d, count = blocks.d, blocks.power.shape[1]
+    works, first = right.size - count, blocks.d + blocks.m + blocks.e
+    for k in range(count):
+        total, row = 0.0, blocks.by_object[6 + k]
+        for c in range(12):
+            total += row[c] * blocks.rates[c]
+        for i in range(blocks.counts.size):
+            d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+            row = blocks.derivatives[i, first + k]
+            for j in range(joints):
+                total += row[j] * out[6 + d0 + j] + row[d + j] * out[12 + n + d0 + j]
+            for j in range(blocks.counts[i]):
+                total += row[2 * d + j] * out[12 + 2 * n + blocks.states[i, j]]
+        out[works + k] = gamma * (right[works + k] + h * total)

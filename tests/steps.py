@@ -1,0 +1,70 @@
+"""Single steps of an implicit method, and their derivatives as whole matrices."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+from mechanics import data_of
+
+from multiarm.integration.step_control import FINISHED
+from multiarm.integration.time_loop import advance
+from multiarm.jit.structs import struct_of
+from multiarm.results.event_log import EventLog
+from multiarm.simulation.setup import Task, prepare, run_spec
+
+
+def coupled(system):
+    """The same system with effects that are not declared local."""
+    return replace(system, model=system.model.with_constants(local_effects=False))
+
+
+def step_of_the_package(system, state, h):
+    """The arrays of one step of length ``h`` from time 0."""
+    choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
+    changes = {"duration": h, "stabilization": "none", "output_step": h}
+    spec = run_spec(system.scene.run, changes, choice, None)
+    data = data_of(system)
+    run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
+    stepping = run.stepping
+    settings = run.settings._replace(adaptive=False, step=h, divergence_bound=np.inf)
+    reason = advance(
+        data_of(system).struct,
+        stepping.struct,
+        run.clock.struct,
+        struct_of(settings),
+        run.block,
+        1000,
+    )
+    assert reason == FINISHED and run.clock.steps == 1
+    return stepping
+
+
+def derivatives_of(system, stepping):
+    """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
+    work, blocks = stepping.work
+    if not blocks.used[0]:
+        return work.by_position, work.by_velocity
+    layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
+    n, size = 6 + layout.joints, stepping.step.tolerance.size
+    d, m, e = blocks.d, blocks.m, blocks.e
+    found, own, own_columns = np.zeros((size + works, size)), 2 * d + e, []
+    found[n : n + 6, [*range(6), *range(n, n + 6)]] = blocks.by_object[:6, :12]
+    found[size:, [*range(6), *range(n, n + 6)]] = blocks.by_object[6:, :12]
+    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
+        joints, states = np.arange(first, last), blocks.states[i, : blocks.counts[i]]
+        columns = np.r_[6 + joints, n + 6 + joints, 2 * n + states]
+        local = np.r_[: last - first, d : d + last - first, 2 * d : 2 * d + states.size]
+        found[n : n + 6, columns] = blocks.on_object[i][:, local]
+        own_columns.append((columns, local))
+    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
+        A, (columns, local) = blocks.derivatives[i], own_columns[i]
+        rows = n + 6 + np.arange(first, last)
+        found[np.ix_(rows, columns)] = A[: last - first, local]
+        found[np.ix_(rows, np.r_[:6, n : n + 6])] = A[: last - first, own : own + 12]
+        found[rows] += A[: last - first, own + 13 :] @ found[n : n + 6]
+        states = columns[2 * (last - first) :]
+        found[np.ix_(states, columns)] = A[d + m : d + m + states.size, local]
+        found[size:, columns] += A[d + m + e :, local]
+    return found[n:, :n], found[n:, n:]
