@@ -20,7 +20,7 @@ from mechanics import (
 from steps import coupled, derivatives_of, step_of_the_package
 
 import multiarm as ma
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.arrays import COUPLED, LOCAL, OK, OPEN_LOOP
 from multiarm.integration.step import evaluate_slope
 from multiarm.problems import ring_of_arms
 from multiarm.scene.control import BUILT_IN as CONTROLS
@@ -257,7 +257,7 @@ def couplings(system, state):
 def test_a_local_effect_acts_on_nobody_else(name, rng):
     effects = {name: LOCAL_EFFECTS[name]}
     system = ma.compile_system(ur5_pair(WELD, BALL, control=SPRINGS, effects=effects))
-    assert system.model.constants.local_effects and system.model.constants.local_control
+    assert system.model.constants.local_effects and system.model.constants.control_reach == LOCAL
     state = random_state(system, rng, turn=0.05)
     assert not couplings(system, state)
 
@@ -285,37 +285,47 @@ def test_effects_of_users_and_functions_are_not_local(tmp_path):
 
 
 CONTROLS_OF_ARMS = {
-    "none": (True, {"kind": "none"}),
-    "constant": (True, {"kind": "constant", "torques": {"left": [1.0] * 6}}),
-    "harmonic": (True, swing("left")),
-    "joint_pd": (True, SPRINGS),
-    "gravity_compensation": (False, {"kind": "gravity_compensation"}),
-    "joint_pd that carries": (False, {**SPRINGS, "gravity_compensation": True}),
-    "computed_torque": (False, {"kind": "computed_torque"}),
+    "none": (OPEN_LOOP, {"kind": "none"}),
+    "constant": (OPEN_LOOP, {"kind": "constant", "torques": {"left": [1.0] * 6}}),
+    "harmonic": (OPEN_LOOP, swing("left")),
+    "joint_pd": (LOCAL, SPRINGS),
+    "gravity_compensation": (COUPLED, {"kind": "gravity_compensation"}),
+    "joint_pd that carries": (COUPLED, {**SPRINGS, "gravity_compensation": True}),
+    "computed_torque": (COUPLED, {"kind": "computed_torque"}),
     "object_impedance": (
-        False,
+        COUPLED,
         {"kind": "object_impedance", "stiffness": {"translation": 500, "rotation": 50},
          "damping": {"translation": 50, "rotation": 5}},
     ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*CONTROLS_OF_ARMS, "recorded", "recorded that carries"])
-def test_a_control_says_whether_it_couples_the_arms(name, tmp_path, rng):
-    if name.startswith("recorded"):
+TABLE = {"kind": "recorded"}
+FOLLOWED = {**TABLE, "quantity": "position", "stiffness": 200.0, "damping": 20.0}
+RECORDED = {
+    "recorded torques": (OPEN_LOOP, TABLE),
+    "recorded positions": (LOCAL, {**FOLLOWED, "gravity_compensation": False}),
+    "recorded positions that carry": (COUPLED, {**FOLLOWED, "gravity_compensation": True}),
+}
+
+
+@pytest.mark.parametrize("name", [*CONTROLS_OF_ARMS, *RECORDED])
+def test_a_control_says_what_its_torques_depend_on(name, tmp_path, rng):
+    reach, control = (CONTROLS_OF_ARMS | RECORDED)[name]
+    if name in RECORDED:
         table = tmp_path / "table.csv"
         table.write_text("time,left/elbow_joint\n0,1.0\n1,0.5\n2,0.7\n")
-        local = name == "recorded"
-        control = {"kind": "recorded", "file": str(table), "quantity": "position"}
-        control |= {"stiffness": 200.0, "damping": 20.0, "gravity_compensation": not local}
-    else:
-        local, control = CONTROLS_OF_ARMS[name]
+        control = {**control, "file": str(table)}
     system = ma.compile_system(ur5_pair(WELD, BALL, control=control))
     state = random_state(system, rng, turn=0.05)
     if name != "none":
-        assert system.model.constants.local_control == local
-    assert (not couplings(system, state)) == local
-    assert used(step_of_the_package(system, state, 1e-3)) == local
+        assert system.model.constants.control_reach == reach
+    assert (not couplings(system, state)) == (reach <= LOCAL)
+    assert used(step_of_the_package(system, state, 1e-3)) == (reach <= LOCAL)
+    moved, torques = random_state(system, rng, turn=0.05), []
+    for own in (state, moved):
+        torques.append(np.concatenate(list(ma.evaluate(system, 0.1, own).joint_torques.values())))
+    assert np.array_equal(*torques) == (reach == OPEN_LOOP)
 
 
 def test_every_control_of_ours_is_judged():

@@ -29,7 +29,7 @@ from multiarm.control.program import (
     JointPath,
     needs_gravity_torque,
 )
-from multiarm.dynamics.arrays import Constants
+from multiarm.dynamics.arrays import COUPLED, Constants
 from multiarm.dynamics.callbacks import NO_CONTROL, ControlFunction
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, locate_pairs
 from multiarm.dynamics.equations import (
@@ -441,7 +441,7 @@ def draft_model(
         passive_end=0,
         actuator_end=0,
         applied_end=0,
-        local_control=False,
+        control_reach=COUPLED,
         local_effects=True,
         joint_rows=np.zeros((0, 3), dtype=np.int64),
         dense=scene.run.solver == "dense",
@@ -486,7 +486,7 @@ def finished_model(
     breakpoints, sampling, span = draft.breakpoints, None, None
     if law is not None:
         constants = constants._replace(
-            control=law.addresses, parameters=law.parameters, local_control=law.local
+            control=law.addresses, parameters=law.parameters, control_reach=law.reach
         )
         breakpoints = np.union1d(breakpoints, law.breakpoints)
         sampling, span = law.sampling, law.span

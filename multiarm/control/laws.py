@@ -46,7 +46,7 @@ from multiarm.control.recorded import (
 )
 from multiarm.control.tables import read_table
 from multiarm.control.user_control import Control
-from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.arrays import COUPLED, LOCAL, OK, OPEN_LOOP, open_system
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.held_control import Sampling
@@ -122,7 +122,7 @@ def _(control: FunctionControl, _context: ControlContext) -> ControlProgram:
 def _(control: ConstantControl, context: ControlContext) -> ControlProgram:
     torques = context.stacked(control.torques)
     zero = np.zeros_like(torques)
-    return ControlProgram((harmonic,), pack_harmonic(0.0, torques, zero, zero), local=True)
+    return ControlProgram((harmonic,), pack_harmonic(0.0, torques, zero, zero), reach=OPEN_LOOP)
 
 
 @program_of.register
@@ -137,7 +137,7 @@ def _(control: HarmonicControl, context: ControlContext) -> ControlProgram:
         constant += holding_torque(context.data, context.start)
     amplitude, phase = context.stacked(control.amplitude), context.stacked(control.phase)
     numbers = pack_harmonic(control.frequency, constant, amplitude, phase)
-    return ControlProgram((harmonic,), numbers, local=True)
+    return ControlProgram((harmonic,), numbers, reach=OPEN_LOOP)
 
 
 @program_of.register
@@ -156,13 +156,13 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     table = read_table(control, names)
     zero, gains = control.outside == "zero", np.zeros(0)
     laws: tuple[Kernel, ...] = (recorded_torque,)
-    carrying: tuple[Kernel, ...] = ()
+    reach = OPEN_LOOP
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
         values = table.stacked(names, context.start.position[7:])
         gains = _gains(control, context)
         carrying = _carrying(context)
-        laws = (recorded_position, *carrying)
+        laws, reach = (recorded_position, *carrying), COUPLED if carrying else LOCAL
     shape = table.times, values, control.interpolation, zero
     span = ControlSpan(
         f"the table {control.file.name}",
@@ -171,7 +171,7 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
         control.where_no_rows_are,
     )
     numbers = np.concatenate([gains, pack_table(*shape)])
-    return ControlProgram(laws, numbers, rough_times(*shape), span, local=not carrying)
+    return ControlProgram(laws, numbers, rough_times(*shape), span, reach=reach)
 
 
 @program_of.register
@@ -182,7 +182,9 @@ def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
     numbers = np.concatenate([_gains(control, context), pack_path(path.bounds, path.coefficients)])
     breakpoints = path.bounds if control.path else np.zeros(0)
     carrying = _carrying(context)
-    return ControlProgram((joint_pd, *carrying), numbers, breakpoints, local=not carrying)
+    return ControlProgram(
+        (joint_pd, *carrying), numbers, breakpoints, reach=COUPLED if carrying else LOCAL
+    )
 
 
 def _gains(control: JointPDControl | RecordedControl, context: ControlContext) -> np.ndarray:

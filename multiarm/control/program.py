@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.dynamics.arrays import COUPLED
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan, Data
@@ -89,10 +90,10 @@ class ControlProgram:
         In place of compiled laws.
     sampling : Sampling, optional
         Taken from the control's ``sample_time``.  Absent: they are evaluated all the time.
-    local : bool
-        The torques of an arm depend on the time and on the state of this arm only.  Derivatives of
-        accelerations then cost less in :mod:`multiarm.integration.arm_blocks`, which are wrong
-        where this does not hold.
+    reach : int
+        What the torques of an arm depend on: the time (``OPEN_LOOP``), also the state of this arm
+        (``LOCAL``), or anything (``COUPLED``).  Derivatives cost less where it is less, and are
+        wrong where it is more than this says.
     """
 
     laws: tuple[Kernel, ...] = ()
@@ -101,7 +102,7 @@ class ControlProgram:
     span: ControlSpan | None = None
     python: PythonControl | None = None
     sampling: Sampling | None = None
-    local: bool = False
+    reach: int = COUPLED
 
     @property
     def addresses(self) -> np.ndarray:

@@ -33,6 +33,8 @@ from multiarm.jit.structs import (
 # Results of an evaluation; k >= 0: the elimination failed at arm k, or at the object where k is the
 # number of arms.
 OK, CALLBACK_FAILED, PROJECTION_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -3, -4, -5
+# What the torques of an arm's drives depend on: the time, also the state of this arm, anything.
+OPEN_LOOP, LOCAL, COUPLED = range(3)
 
 
 class Constants(NamedTuple):
@@ -65,8 +67,9 @@ class Constants(NamedTuple):
     passive_end: Int
     actuator_end: Int
     applied_end: Int
-    # whether control and effects act within each arm, and on the object, from its own state only
-    local_control: Flag
+    # what the torques of an arm depend on, see ``OPEN_LOOP``; whether effects act within each arm,
+    # and on the object, from its own state only
+    control_reach: Int
     local_effects: Flag
     joint_rows: Ints2  # (r, 3) rows of W that belong to a joint: arm, row, joint
     dense: Flag  # solve by the dense reference instead of the node algorithm

@@ -23,7 +23,8 @@ The right-hand sides at fixed y come from
   of the motion of the link that carries the tip (:mod:`multiarm.arms.derivatives`);
 * the contact rows, as functions of the link's motion seen from the object
   (:mod:`multiarm.dynamics.contact_derivatives`);
-* differences of order four of control and effects, in scenes that have any.
+* differences of order four of effects, and of control that depends on the state, in scenes that
+  have any.
 
 *Parameters.*  A wrench on the object, its mass and its inertia enter :math:`F_o` alone.  Contacts
 that are displaced against the arm's link move like that link for the rows, while their wrench still
@@ -39,7 +40,7 @@ import numpy as np
 
 from multiarm.arms.derivatives import ArmDerivatives
 from multiarm.contacts.table import KIND, SIDE, TANGENT
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.arrays import OK, OPEN_LOOP
 from multiarm.dynamics.contact_derivatives import (
     BODY_SIZE,
     SCRATCH_ROWS,
@@ -126,7 +127,8 @@ class _Derivation:
         self._rows, self._parts = np.zeros_like(b.contacts), np.zeros_like(b.parts)
         self._slopes, self._wrench = np.zeros((layout.contacts, SLOPES_WIDTH)), np.zeros((7, 6))
         self._applied = None  # derivatives of h_o and h, where these are more than weight and bias
-        if len(model.constants.control) or model.effects.kernels:
+        controlled = len(model.constants.control) and model.constants.control_reach > OPEN_LOOP
+        if controlled or model.effects.kernels:
             self._applied = self._forces_by_differences(closed_loop)
             self.gravity = np.zeros(3)  # is in h
         self.dF_o = self._object_equation()

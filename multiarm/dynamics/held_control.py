@@ -22,7 +22,7 @@ from numbers import Real
 
 import numpy as np
 
-from multiarm.dynamics.arrays import HELD, ONCE, Constants, open_system
+from multiarm.dynamics.arrays import HELD, ONCE, OPEN_LOOP, Constants, open_system
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, copy
 from multiarm.jit.pointers import address_of, call_cfunc
@@ -65,7 +65,7 @@ def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = Fals
     return constants._replace(
         control=np.array([row], dtype=np.int64),
         sampled=laws,
-        local_control=constants.local_control or not len(laws),
+        control_reach=constants.control_reach if len(laws) else OPEN_LOOP,
     )
 
 

@@ -41,6 +41,7 @@ from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
 from multiarm.dynamics.arrays import (
     ALWAYS,
     CALLBACK_FAILED,
+    COUPLED,
     FUNCTIONS,
     HELD,
     ONCE,
@@ -180,7 +181,7 @@ class Model:
             breakpoints=self.effects.breakpoints,
         )
         user = model.calls_user or bool(self.surfaces)
-        constants = self.constants._replace(calls_user=user, local_control=False)
+        constants = self.constants._replace(calls_user=user, control_reach=COUPLED)
         if sampling is None:
             constants = constants._replace(control=control.laws, sampled=NO_CONTROL)
         else:

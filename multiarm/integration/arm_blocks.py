@@ -48,6 +48,7 @@ from multiarm.arms.terms import BIAS_AT
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
     HELD,
+    LOCAL,
     NOT_FINITE,
     OK,
     open_coupled,
@@ -200,7 +201,7 @@ def acts_locally(struct):
     model, data, _ = open_system(struct)
     held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
     controlled = model.control.shape[0] > 0 and not held
-    if not model.local_effects or (controlled and not model.local_control):
+    if not model.local_effects or (controlled and model.control_reach > LOCAL):
         return False
     # modes have solutions of their own, and projected stages depend on all arms
     plain = data.functions.solve == data.functions.project and not model.dense
