@@ -20,7 +20,7 @@ import multiarm as ma
 from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.gradients import along as along_module
 from multiarm.gradients.along import Along, Panel, Piece, Segment
-from multiarm.gradients.collocation import NODES, ORDER, WEIGHTS, Collocation
+from multiarm.gradients.collocation import COUNT, NODES, ORDER, WEIGHTS, Collocation
 from multiarm.gradients.gradient import _Backward
 from multiarm.gradients.gradient import _solved as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
@@ -109,11 +109,13 @@ def height(t, state):
 # --- the parts ------------------------------------------------------------------------------------
 
 
-def test_collocation_is_of_order_five():
+def test_collocation_is_of_order_nine():
     A = np.array([[0.0, 1.0], [-4.0, -0.3]])
     errors = []
-    for length in (0.4, 0.2):
-        end, _ = Collocation(np.stack([A] * 3), length).forward(np.eye(2), np.zeros((3, 2, 2)))
+    for length in (1.6, 0.8):
+        end, _ = Collocation(np.stack([A] * COUNT), length).forward(
+            np.eye(2), np.zeros((COUNT, 2, 2))
+        )
         errors.append(np.abs(end - expm(length * A)).max())
     # the local error falls with the power of the order and one
     assert ORDER + 0.7 < math.log2(errors[0] / errors[1]) < ORDER + 1.3
@@ -121,9 +123,9 @@ def test_collocation_is_of_order_five():
 
 def test_the_backward_map_is_the_transposed_forward_map():
     rng = np.random.default_rng(1)
-    A, slopes = rng.standard_normal((3, 5, 5)), rng.standard_normal((3, 5))
+    A, slopes = rng.standard_normal((COUNT, 5, 5)), rng.standard_normal((COUNT, 5))
     b, start, mu = (
-        rng.standard_normal((3, 5, 1)),
+        rng.standard_normal((COUNT, 5, 1)),
         rng.standard_normal((5, 1)),
         rng.standard_normal(5),
     )
@@ -136,8 +138,8 @@ def test_the_backward_map_is_the_transposed_forward_map():
 
 
 def test_fast_motions_die_out_within_one_panel():
-    fast = Collocation(np.full((3, 1, 1), -1e7), 1.0)
-    end, _ = fast.forward(np.ones((1, 1)), np.zeros((3, 1, 1)))
+    fast = Collocation(np.full((COUNT, 1, 1), -1e7), 1.0)
+    end, _ = fast.forward(np.ones((1, 1)), np.zeros((COUNT, 1, 1)))
     assert abs(end[0, 0]) < 1e-6
     assert NODES[-1] == 1.0
 

@@ -53,8 +53,10 @@ from multiarm.terminal.progress import Report
 
 # Rate at which errors across the joints die out [1/s].
 RETURN = 40.0
+# Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
+FINEST = 1e-8
 # Longest segments and panels that are tried [s], and the shortest, as part of the run.
-SEGMENT, PANEL, SHORTEST = 0.5, 0.1, 1e-6
+SEGMENT, PANEL, SHORTEST = 0.5, 0.5, 1e-6
 # Numbers of all matrices that are kept.
 MOST_KEPT = 3e7
 MOST_WALKS = 12
@@ -85,7 +87,7 @@ class Panel(NamedTuple):
 
     @property
     def nodes(self) -> list[float]:
-        """The three nodes of the collocation [s]."""
+        """The nodes of the collocation [s]."""
         return (self.begin + NODES * self.length).tolist()
 
     @property
@@ -249,7 +251,7 @@ class Along:
         self._accuracy, self._start = accuracy, start
         written = system.scene.run.accuracy
         of_scene = DEFAULT_ACCURACY if written is None else written.smallest
-        self.tolerance = of_scene if accuracy is None else accuracy
+        self.tolerance = max(of_scene if accuracy is None else accuracy, FINEST)
         self.panel_tolerance = self.tolerance
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
         self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]

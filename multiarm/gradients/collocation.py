@@ -1,7 +1,7 @@
-r"""Radau collocation of linear differential equations: three stages, order 5.
+r"""Radau collocation of linear differential equations: five stages, order 9.
 
 Over a panel from t to t + h, a solution of :math:`\dot\delta = A(t)\,\delta + b(t)` is replaced by
-the polynomial of degree 3 that obeys the equation at the nodes :math:`t + c_i h`:
+the polynomial of degree 5 that obeys the equation at the nodes :math:`t + c_i h`:
 
 .. math::
     \Delta_i = \delta_0 + h \sum_j a_{ij} (A_j \Delta_j + b_j), \qquad
@@ -23,22 +23,27 @@ long as they last.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from numpy.polynomial.legendre import legroots
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-_R = math.sqrt(6.0)
-NODES = np.array([(4.0 - _R) / 10.0, (4.0 + _R) / 10.0, 1.0])
-WEIGHTS = np.array([16.0 - _R, 16.0 + _R, 4.0]) / 36.0
-STAGES = np.array(
-    [
-        [(88.0 - 7.0 * _R) / 360.0, (296.0 - 169.0 * _R) / 1800.0, (-2.0 + 3.0 * _R) / 225.0],
-        [(296.0 + 169.0 * _R) / 1800.0, (88.0 + 7.0 * _R) / 360.0, (-2.0 - 3.0 * _R) / 225.0],
-        WEIGHTS,
-    ]
-)
-ORDER = 5
+COUNT = 5
+ORDER = 2 * COUNT - 1
+
+
+def _radau(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and stages of Radau IIA: collocation at the roots of ``P_n - P_(n-1)`` on (0, 1]."""
+    polynomial = np.zeros(count + 1)
+    polynomial[-2:] = -1.0, 1.0
+    nodes = 0.5 * (1.0 + np.sort(legroots(polynomial)))
+    nodes[-1] = 1.0
+    powers = np.arange(count)
+    values, integrals = nodes[:, None] ** powers, nodes[:, None] ** (powers + 1) / (powers + 1)
+    return nodes, np.linalg.solve(values.T, integrals.T).T
+
+
+NODES, STAGES = _radau(COUNT)
+WEIGHTS = STAGES[-1]
 
 
 class Collocation:
@@ -46,7 +51,7 @@ class Collocation:
 
     Parameters
     ----------
-    A : ndarray, shape (3, D, D)
+    A : ndarray, shape (s, D, D)
         At the nodes.
     length : float
         h
@@ -54,20 +59,22 @@ class Collocation:
 
     def __init__(self, A: np.ndarray, length: float) -> None:
         self._A, self._h, size = A, length, A.shape[1]
-        blocks = np.eye(3)[:, :, None, None] * np.eye(size) - length * STAGES[:, :, None, None] * A
-        stages = blocks.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
+        blocks = (
+            np.eye(COUNT)[:, :, None, None] * np.eye(size) - length * STAGES[:, :, None, None] * A
+        )
+        stages = blocks.transpose(0, 2, 1, 3).reshape(COUNT * size, COUNT * size)
         # of the transposed matrix, which is in LAPACK's order
         self._factors, self._pivots, _ = dgetrf(stages.T, overwrite_a=True)
 
     def forward(self, start: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solutions at the end, and at the nodes, from those at the start.
 
-        Shapes (D, k), (3, D, k); ``b`` (3, D, k).
+        Shapes (D, k), (s, D, k); ``b`` (s, D, k).
         """
         h, size = self._h, len(start)
         right = start + h * np.einsum("ij,jdk->idk", STAGES, b)
-        stages, _ = dgetrs(self._factors, self._pivots, right.reshape(3 * size, -1), trans=1)
-        stages = stages.reshape(3, size, -1)
+        stages, _ = dgetrs(self._factors, self._pivots, right.reshape(COUNT * size, -1), trans=1)
+        stages = stages.reshape(COUNT, size, -1)
         rates = self._A @ stages + b
         return start + h * np.einsum("i,idk->dk", WEIGHTS, rates), stages
 
@@ -78,14 +85,14 @@ class Collocation:
         ----------
         end : ndarray, shape (D,)
             ``mu_1``
-        slopes : ndarray, shape (3, D)
+        slopes : ndarray, shape (s, D)
             Those of an integrand at the nodes.
 
         Returns
         -------
         start : ndarray, shape (D,)
             ``mu_0``
-        stages : ndarray, shape (3, D)
+        stages : ndarray, shape (s, D)
             ``Lambda``
         """
         right = self._h * WEIGHTS[:, None] * (np.einsum("ide,d->ie", self._A, end) + slopes)

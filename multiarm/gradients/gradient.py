@@ -182,8 +182,8 @@ def gradient(
         mapping with a change that is no longer small, of which a thousandth is tried (None: the
         number itself).
     accuracy : float, optional
-        Of the run [m, rad], and relative error of its derivatives; the scene's when left out.  The
-        run is not certified.
+        Of the run [m, rad], and relative error of its derivatives, but not below 1e-8; the scene's
+        when left out.  The run is not certified.
     state : State, optional
         Initial state; the scene's start when left out, which parameters may move.
     start_time : float
@@ -237,7 +237,7 @@ class _Solved(NamedTuple):
     start: np.ndarray  # (D,), the adjoint
     integrals: np.ndarray  # (1 + P,)
     magnitudes: np.ndarray  # (1 + P,), of the integrands
-    torque_density: np.ndarray  # (3, n)
+    torque_density: np.ndarray  # (s, n)
     start_error: np.ndarray  # (D,)
     integral_errors: np.ndarray  # (1 + P,)
     series_error: float  # the part that begins here, relative to the adjoint
@@ -343,7 +343,7 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray | None) -> _Solved:
 
 
 def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
-    """Of the integrals over a panel by the parameters, shape (3, 1 + P)."""
+    """Of the integrals over a panel by the parameters, shape (s, 1 + P)."""
     found = np.zeros((len(stages), 1 + at.beta.shape[2]))
     found[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
     return found

@@ -245,7 +245,7 @@ def _solved(
 
 
 def _by_column(at: Coefficients, S: np.ndarray) -> np.ndarray:
-    """What drives the columns: nothing, and for the last ones a parameter, (3, D, C)."""
+    """What drives the columns: nothing, and for the last ones a parameter, (s, D, C)."""
     b = np.zeros((len(at.beta), *S.shape))
     b[:, :, S.shape[1] - at.beta.shape[2] :] = at.beta
     return b
