@@ -259,6 +259,15 @@ def test_two_arms_swing_a_box_to_its_target(printed):
 
 
 @pytest.mark.slow
+def test_crocoddyl_swings_the_box_too(printed):
+    pytest.importorskip("crocoddyl")
+    text = printed("16_crocoddyl.py")
+    assert "solved: True" in text
+    assert figures("simulated, it misses# mm", text)[0][0] < 0.5
+    assert figures("speed at the end# mm/s", text)[0][0] < 1.0
+
+
+@pytest.mark.slow
 def test_a_load_is_weighed_by_how_it_moves(printed):
     text = printed("14_weigh_a_load.py")
     ((misfit, rounding),) = figures("misfit# steps, by rounding alone#", text)

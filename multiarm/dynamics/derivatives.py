@@ -127,8 +127,9 @@ class _Derivation:
         self._rows, self._parts = np.zeros_like(b.contacts), np.zeros_like(b.parts)
         self._slopes, self._wrench = np.zeros((layout.contacts, SLOPES_WIDTH)), np.zeros((7, 6))
         self._applied = None  # derivatives of h_o and h, where these are more than weight and bias
-        controlled = len(model.constants.control) and model.constants.control_reach > OPEN_LOOP
-        if controlled or model.effects.kernels:
+        constants = model.constants
+        follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
+        if (closed_loop and follows) or model.effects.kernels:
             self._applied = self._forces_by_differences(closed_loop)
             self.gravity = np.zeros(3)  # is in h
         self.dF_o = self._object_equation()
