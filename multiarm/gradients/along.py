@@ -6,13 +6,8 @@ smooth.  The matrices of the variational equation (:mod:`multiarm.gradients.vari
 evaluated at the nodes of a segment, and are series between them
 (:mod:`multiarm.gradients.interpolation`): how many evaluations that takes depends on how the
 posture changes, and not on how fast motions die out.  The equation itself is solved over panels of
-the segments (:mod:`multiarm.gradients.collocation`), each as a whole and in two halves.  For a
-method of order p, the result of the halves is wrong by
-
-.. math:: \frac{y_{\text{whole}} - y_{\text{halves}}}{2^p - 1} ;
-
-panels for which that is too much are divided.  These errors, and those of the series, are carried
-along with the result.  Segments that contribute too much get more nodes, or are divided.
+the segments (:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the
+result.  Segments that contribute too much get more nodes, or are divided.
 
 *Stabilisation.*  With the projector P on displacements that keep the joints closed, and the least
 displacement n that follows joints which a parameter moves, the equation is
@@ -28,11 +23,9 @@ at a time; those of all segments as long as they have at most ``MOST_KEPT`` numb
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
-from itertools import pairwise
-from typing import NamedTuple, Protocol, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Protocol, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -41,13 +34,14 @@ from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
-from multiarm.errors import SolverError
+from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
-from multiarm.gradients.collocation import NODES, ORDER, Collocation
-from multiarm.gradients.interpolation import DEGREES, Series, nodes
+from multiarm.gradients.interpolation import DEGREES, nodes
+from multiarm.gradients.segments import SHORTEST, TINY, Segment, divided
 from multiarm.gradients.variation import Parameter, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
+from multiarm.simulation.setup import positive
 from multiarm.simulation.simulate import simulate
 from multiarm.terminal.progress import Report
 
@@ -55,8 +49,8 @@ from multiarm.terminal.progress import Report
 RETURN = 40.0
 # Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
-# Longest segments and panels that are tried [s], and the shortest, as part of the run.
-SEGMENT, PANEL, SHORTEST = 0.5, 0.5, 1e-6
+# Longest segments that are tried [s].
+LONGEST = 0.5
 # Numbers of all matrices that are kept.
 MOST_KEPT = 3e7
 MOST_WALKS = 12
@@ -65,120 +59,10 @@ MOST_WALKS = 12
 LESSENED, USELESS = 0.5, 1e-2
 # Series that alone may make an error of so many times the tolerance are refined at once.
 COARSE = 10.0
-RICHARDSON = 2.0**ORDER - 1.0
-# In place of sizes that are zero.
-TINY = 1e-300
 
-Step = Callable[[int], None]
+Done = Callable[[int], None]
 Parameters = Sequence[str] | Mapping[str, float | None]
 Slope = Callable[[float, State], tuple[float, np.ndarray]]
-
-
-class Panel(NamedTuple):
-    """A piece of time over which the equation is solved at once [s]."""
-
-    begin: float
-    end: float
-
-    @property
-    def length(self) -> float:
-        """[s]"""
-        return self.end - self.begin
-
-    @property
-    def nodes(self) -> list[float]:
-        """The nodes of the collocation [s]."""
-        return (self.begin + NODES * self.length).tolist()
-
-    @property
-    def halves(self) -> tuple[Panel, Panel]:
-        """The panel in two."""
-        middle = 0.5 * (self.begin + self.end)
-        return Panel(self.begin, middle), Panel(middle, self.end)
-
-
-class Coefficients(NamedTuple):
-    """The variational equation at some times, or an error of it.
-
-    Attributes
-    ----------
-    A : ndarray, shape (k, D, D)
-        By the state.
-    B : ndarray, shape (k, D, n)
-        By torques that are added to the joints.
-    beta : ndarray, shape (k, D, P)
-        By the parameters.
-    rate, slope : ndarray, shapes (k,), (k, D)
-        An integrand and its derivatives; zero without one.
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    beta: np.ndarray
-    rate: np.ndarray
-    slope: np.ndarray
-
-
-class Segment:
-    """A piece of time over which the matrices are a series.
-
-    Attributes
-    ----------
-    panel : Panel
-        The whole of it.
-    defect, error : float
-        Of the series, relative to its largest value; the error that it alone may make, relative to
-        a displacement.  Twice the degree about squares the first.
-    """
-
-    def __init__(self, panel: Panel, values: np.ndarray, joints: int) -> None:
-        self.panel, self._joints = panel, joints
-        self._series = Series(panel.begin, panel.end, values)
-        size = values.shape[1] - 1
-        wrong = self._series.defect[:size, :size].max()
-        self.defect = float(wrong / np.abs(values[:, :size, :size]).max())
-        self.error = float(panel.length * wrong)
-
-    def at(self, times: list[float]) -> tuple[Coefficients, Coefficients]:
-        """Coefficients at some times, and their defects."""
-        values, defects = self._series.at(times)
-        return self._parts(values), self._parts(defects)
-
-    def pieces(self, bounds: np.ndarray) -> Iterator[Piece]:
-        """Pieces to begin with, which end at the given times among others, in order."""
-        inner = bounds[(bounds > self.panel.begin) & (bounds < self.panel.end)]
-        for panel in divided([self.panel.begin, *inner.tolist(), self.panel.end], PANEL):
-            yield Piece(self, panel)
-
-    def _parts(self, values: np.ndarray) -> Coefficients:
-        size, n = values.shape[1] - 1, self._joints
-        rows, last = values[:, :-1], values[:, -1]
-        beta = rows[:, :, size + n : -1]
-        return Coefficients(rows[:, :, :size], rows[:, :, size : size + n], beta, last[:, -1],
-                            rows[:, :, -1])  # fmt: skip
-
-
-class Piece:
-    """A panel of a segment, with the solution of its equation.
-
-    Attributes
-    ----------
-    panel : Panel
-    at, defect : Coefficients
-        At its nodes, and their defects.
-    collocation : Collocation
-    """
-
-    def __init__(self, segment: Segment, panel: Panel) -> None:
-        self._segment, self.panel = segment, panel
-        self.at, self.defect = segment.at(panel.nodes)
-        self.collocation = Collocation(self.at.A, panel.length)
-
-    @cached_property
-    def halves(self) -> tuple[Piece, Piece]:
-        """The piece in two."""
-        first, second = self.panel.halves
-        return Piece(self._segment, first), Piece(self._segment, second)
 
 
 class Walk(Protocol):
@@ -251,14 +135,17 @@ class Along:
         self._accuracy, self._start = accuracy, start
         written = system.scene.run.accuracy
         of_scene = DEFAULT_ACCURACY if written is None else written.smallest
-        self.tolerance = max(of_scene if accuracy is None else accuracy, FINEST)
+        wanted = of_scene if accuracy is None else positive("accuracy", accuracy)
+        self.tolerance = max(wanted, FINEST)
         self.panel_tolerance = self.tolerance
+        if isinstance(parameters, str):
+            raise SceneError(f"parameters: expected a list of paths, such as [{parameters!r}]")
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
         self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
         rough = system.model.breakpoints
         inner = rough[(rough > self.begin) & (rough < self.end)]
         times = np.unique([self.begin, self.end, *inner])
-        self._segments = [(panel, DEGREES[0]) for panel in divided(times, SEGMENT)]
+        self._segments = [(panel, DEGREES[0]) for panel in divided(times, LONGEST)]
         self._states: dict[float, State] = {}
         self._values: dict[float, np.ndarray] = {}
 
@@ -293,8 +180,14 @@ class Along:
         return Segment(panel, values, self.layout.joints)
 
     def closed(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Projector (D, D) on displacements that keep the joints closed, at an end of the run, and
-        those by the parameters (D, P) that follow joints which move.
+        """What joints allow at an end of the run.
+
+        Returns
+        -------
+        admissible : ndarray, shape (D, D)
+            Projector on displacements that keep the joints closed.
+        across : ndarray, shape (D, P)
+            Least displacements that follow joints which parameters move.
         """
         motions = self._derivatives(t).motions
         across = np.zeros((self.size, len(self.parameters)))
@@ -317,9 +210,7 @@ class Along:
                 )
         return found
 
-    def to_accuracy(
-        self, walk: Callable[[Callable[[int], None]], AnyWalk], show: Report
-    ) -> AnyWalk:
+    def to_accuracy(self, walk: Callable[[Done], AnyWalk], show: Report) -> AnyWalk:
         """The result of a walk over segments that are short enough, or as short as helps.
 
         Raises
@@ -446,15 +337,6 @@ def _across(motions: Motions, gaps: np.ndarray) -> np.ndarray:
     return -np.linalg.lstsq(C / lengths[:, None], gaps / lengths, SYSTEM_TOLERANCE)[0]
 
 
-def divided(times: Iterable[float], longest: float) -> list[Panel]:
-    """Equal panels between each time and the next, at most so long [s]."""
-    panels = []
-    for begin, end in pairwise(float(t) for t in times):
-        count = max(1, math.ceil((end - begin) / longest * (1.0 - 1e-9)))
-        panels += [Panel(*pair) for pair in pairwise(np.linspace(begin, end, count + 1).tolist())]
-    return panels
-
-
 def _refuse(system: System) -> None:
     """Refuse systems whose runs have states that displacements do not contain."""
     if system.model.effects.states:
@@ -471,7 +353,7 @@ def _refuse(system: System) -> None:
 
 def _refuse_events(run: Trajectory) -> None:
     if run.statistics.get("contact_events", 0):
-        first = run.events[0]
+        first = next(event for event in run.events if "before" in event)
         raise SolverError(
             f"derivatives of a run: contacts open, close or slide in it, and the motion beyond "
             f"depends on when ({first['text']} at t = {first['time']:.6g} s); end the run before, "

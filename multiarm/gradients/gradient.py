@@ -27,18 +27,9 @@ from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError
-from multiarm.gradients.along import (
-    RICHARDSON,
-    SHORTEST,
-    TINY,
-    Along,
-    Coefficients,
-    Panel,
-    Parameters,
-    Piece,
-    Step,
-)
+from multiarm.gradients.along import Along, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
+from multiarm.gradients.segments import RICHARDSON, SHORTEST, TINY, Coefficients, Panel, Piece
 from multiarm.gradients.variation import displaced, state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -210,7 +201,7 @@ def gradient(
     with displayed(progress, Progress) as show:
         along = Along(system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand)
 
-        def walk(report: Step) -> _Walk:
+        def walk(report: Done) -> _Walk:
             nothing = 0.0, np.zeros(along.size)
             at_end = nothing
             if final is not None:
@@ -257,7 +248,7 @@ class _Backward:
         self._integrals[1:] = (slope - self._mu) @ across
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
-    def walk(self, report: Step) -> _Walk:
+    def walk(self, report: Done) -> _Walk:
         """Solve the adjoint equation over all segments."""
         along = self._along
         shares = np.zeros(along.count), np.zeros((along.count, self._integrals.size))

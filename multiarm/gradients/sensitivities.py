@@ -20,17 +20,9 @@ from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SceneError
-from multiarm.gradients.along import (
-    RICHARDSON,
-    SHORTEST,
-    TINY,
-    Along,
-    Coefficients,
-    Parameters,
-    Piece,
-    Step,
-)
+from multiarm.gradients.along import Along, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
+from multiarm.gradients.segments import RICHARDSON, SHORTEST, TINY, Coefficients, Piece
 from multiarm.gradients.variation import state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -191,7 +183,7 @@ class _Forward:
         self._grown = np.zeros(self._S.shape[1])
         self._at = {along.begin: self._S}
 
-    def walk(self, report: Step) -> _Walk:
+    def walk(self, report: Done) -> _Walk:
         """Solve the variational equation over all segments."""
         along = self._along
         shares = np.zeros((along.count, self._S.shape[1]))
