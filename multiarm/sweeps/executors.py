@@ -18,10 +18,11 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import islice
 from pickle import PicklingError
+from queue import Empty
 from typing import TYPE_CHECKING, Any, Protocol
 
 from multiarm.errors import MultiarmError, SweepError
@@ -231,7 +232,11 @@ class _Processes:
             ) from error
 
     def stop(self) -> None:
-        self._executor().shutdown(kill_workers=True)
+        executor = self._executor()
+        with suppress(Empty):  # work that waits for a process would let the shutdown fail
+            while True:
+                executor._work_ids.get_nowait()
+        executor.shutdown(kill_workers=True)
 
     def _executor(self) -> Any:
         """The processes of an earlier call if they are alive, else new ones."""
