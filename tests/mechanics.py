@@ -170,6 +170,17 @@ def random_state(system, rng, turn: float = 0.3, speed: float = 1.0):
     )
 
 
+def state_at(system, run, k):
+    """Sample ``k`` of a run as a state."""
+    return system.state(
+        run.object_position[k],
+        run.object_quaternion_xyzw[k],
+        {arm: q[k] for arm, q in run.joint_positions.items()},
+        run.object_twist[k],
+        {arm: v[k] for arm, v in run.joint_velocities.items()},
+    )
+
+
 def moved_state(system, state, t: float):
     """The state after ``t`` when nothing accelerates: v_o' = 0 (world axes, classical), q'' = 0."""
     turn = Rotation.from_rotvec(t * state.object_twist[3:])

@@ -61,10 +61,10 @@ def answers(system, state, t=0.3):
     )
 
 
-def difference(function):
+def difference(function, step=STEP):
     """Derivative at 0 to order four."""
-    values = {k: function(k * STEP) for k in (-2, -1, 1, 2)}
-    return (8.0 * (values[1] - values[-1]) - values[2] + values[-2]) / (12.0 * STEP)
+    values = {k: function(k * step) for k in (-2, -1, 1, 2)}
+    return (8.0 * (values[1] - values[-1]) - values[2] + values[-2]) / (12.0 * step)
 
 
 def assert_equal(found, expected, tolerance=1e-8):

@@ -10,10 +10,11 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import SCENES, planar_pair, scene_of, ur5_pair
+from mechanics import SCENES, planar_pair, scene_of, state_at, ur5_pair
 from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
+from test_derivatives import difference
 from test_effects_smooth import sledge_urdf
 
 import multiarm as ma
@@ -64,22 +65,6 @@ def end_of(system, duration, state=None, t=0.0):
         output_times=[t + duration],
     )  # fmt: skip
     return state_at(system, run, -1)
-
-
-def state_at(system, run, k):
-    return system.state(
-        run.object_position[k],
-        run.object_quaternion_xyzw[k],
-        {arm: q[k] for arm, q in run.joint_positions.items()},
-        run.object_twist[k],
-        {arm: v[k] for arm, v in run.joint_velocities.items()},
-    )
-
-
-def difference(function, step):
-    """Derivative at 0 to order four."""
-    values = {k: function(k * step) for k in (-2, -1, 1, 2)}
-    return (8.0 * (values[1] - values[-1]) - values[2] + values[-2]) / (12.0 * step)
 
 
 def by_parameter(scene, path, duration, step=1e-3):
@@ -286,10 +271,7 @@ def test_gradients_by_the_start_are_differences_of_runs(name):
         direction /= np.abs(direction).max()
 
         def moved(amount, direction=direction):
-            state = start
-            for column, part in enumerate(direction):
-                state = displaced(state, column, amount * part)
-            return height(T, end_of(system, T, state))
+            return height(T, end_of(system, T, displaced(start, amount * direction)))
 
         # the start is put on the joints again, which errs with the square of the step
         expected = difference(moved, 2e-4)
@@ -326,12 +308,9 @@ def test_sensitivities_by_numbers_of_the_scene_are_differences_of_runs(name, pat
 
 
 def slope_of(function, state):
-    size = 12 + 2 * state.layout.joints
+    axes = np.eye(12 + 2 * state.layout.joints)
     return np.array(
-        [
-            difference(lambda h, c=c: function(0.5, displaced(state, c, h)), 1e-4)
-            for c in range(size)
-        ]
+        [difference(lambda h, e=e: function(0.5, displaced(state, h * e))) for e in axes]
     )
 
 

@@ -14,6 +14,7 @@ import pytest
 from mechanics import (
     data_of,
     single_arm,
+    state_at,
 )
 from test_crossing import compiled, state_on
 from test_singular import system_matrices
@@ -48,16 +49,6 @@ def straight():
 def released():
     """Two arms that are driven through the straight posture."""
     return ma.compile_system(stretched_and_released_scene())
-
-
-def state_at(system, trajectory, k):
-    return system.state(
-        trajectory.object_position[k],
-        trajectory.object_quaternion_xyzw[k],
-        {arm: q[k] for arm, q in trajectory.joint_positions.items()},
-        trajectory.object_twist[k],
-        {arm: v[k] for arm, v in trajectory.joint_velocities.items()},
-    )
 
 
 def arm_matrix(system, trajectory, arm, k):

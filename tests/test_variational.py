@@ -17,6 +17,7 @@ from mechanics import (
     pose,
     random_state,
     scene_of,
+    state_at,
     two_arm_block,
     ur5_pair,
 )
@@ -38,17 +39,6 @@ def one_step(system, state, h, integrator="variational"):
     )
     assert run.status == "completed", run.message
     return state_at(system, run, -1)
-
-
-def state_at(system, run, k):
-    """Sample ``k`` of a run as a state."""
-    return system.state(
-        run.object_position[k],
-        run.object_quaternion_xyzw[k],
-        {arm: run.joint_positions[arm][k] for arm in run.arm_names},
-        run.object_twist[k],
-        {arm: run.joint_velocities[arm][k] for arm in run.arm_names},
-    )
 
 
 def joints(run):

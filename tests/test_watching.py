@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics import scene_of, single_arm
+from mechanics import scene_of, single_arm, state_at
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
@@ -45,17 +45,6 @@ def sliding(tmp_path):
         return ma.compile_system(scene)
 
     return build
-
-
-def state_of(system, trajectory, k):
-    arm = trajectory.arm_names[0]
-    return system.state(
-        object_position=trajectory.object_position[k],
-        object_quaternion_xyzw=trajectory.object_quaternion_xyzw[k],
-        object_twist=trajectory.object_twist[k],
-        joint_positions={arm: trajectory.joint_positions[arm][k]},
-        joint_velocities={arm: trajectory.joint_velocities[arm][k]},
-    )
 
 
 @pytest.mark.parametrize("step", [0.1, 0.02])
@@ -121,10 +110,10 @@ def test_contact_of_two_surfaces_is_found_again_all_around(sliding):
     run = ma.simulate(system, 2.0, accuracy=1e-8, output_step=0.1)
     assert run.position_drift.max() < 1e-12
     for k in range(len(run)):
-        evaluation = ma.evaluate(system, run.time[k], state_of(system, run, k))
+        evaluation = ma.evaluate(system, run.time[k], state_at(system, run, k))
         force = evaluation.contact_forces["a"]
         np.testing.assert_allclose(force, run.contact_forces["a"][k], atol=1e-6)
-    again = ma.simulate(system, 0.1, state=state_of(system, run, len(run) - 1))
+    again = ma.simulate(system, 0.1, state=state_at(system, run, len(run) - 1))
     assert again.status == "completed"
 
 

@@ -134,6 +134,14 @@ class State:
         moved.position[7:] += displacement[6:]
         return moved
 
+    def displacement_to(self, other: State) -> np.ndarray:
+        """The displacement, as of :meth:`displaced`, that leads to another state, (6 + n,)."""
+        from multiarm.spatial import difference  # with Numba, as above
+
+        shift = other.position - self.position
+        turn = difference(self.position[3:7], other.position[3:7])
+        return np.concatenate([shift[:3], turn, shift[7:]])
+
 
 def require_same_joints(state: State, layout: Layout) -> None:
     """Refuse a state of a system with other arms.

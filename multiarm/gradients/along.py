@@ -23,8 +23,10 @@ at a time; those of all segments as long as they have at most ``MOST_KEPT`` numb
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -37,7 +39,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, nodes
-from multiarm.gradients.segments import SHORTEST, TINY, Segment, divided
+from multiarm.gradients.segments import SHORTEST, TINY, Panel, Segment
 from multiarm.gradients.variation import Parameter, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
@@ -45,8 +47,8 @@ from multiarm.simulation.setup import positive
 from multiarm.simulation.simulate import simulate
 from multiarm.terminal.progress import Report
 
-# Rate at which errors across the joints die out [1/s].
-RETURN = 40.0
+# The rate kappa at which errors across the joints die out [1/s].
+KAPPA = 40.0
 # Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
 # Longest segments that are tried [s].
@@ -105,6 +107,8 @@ class Along:
     ----------
     tolerance, panel_tolerance : float
         Relative error of the derivatives; relative errors of all panels together.
+    start_by_parameters : ndarray, shape (D, P)
+        The derivatives of the start by the parameters.
     trajectory : Trajectory
         The run, sampled at all nodes and bounds.
 
@@ -145,9 +149,13 @@ class Along:
         rough = system.model.breakpoints
         inner = rough[(rough > self.begin) & (rough < self.end)]
         times = np.unique([self.begin, self.end, *inner])
-        self._segments = [(panel, DEGREES[0]) for panel in divided(times, LONGEST)]
+        self._segments = [(panel, DEGREES[0]) for panel in _divided(times)]
+        self.start_by_parameters = self._start_by_parameters()
         self._states: dict[float, State] = {}
         self._values: dict[float, np.ndarray] = {}
+        self._ends: dict[float, Motions] = {}
+        # of segments: the defects of their series, and the errors that they alone may make
+        self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
 
     @property
     def layout(self) -> Layout:
@@ -177,33 +185,32 @@ class Along:
         """A segment with its matrices."""
         panel, degree = self._segments[k]
         values = np.stack([self._value(t) for t in nodes(*panel, degree)])
-        return Segment(panel, values, self.layout.joints)
+        found = Segment(panel, values, self.layout.joints)
+        self._quality[panel, degree] = found.defect, found.error
+        return found
 
-    def closed(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """What joints allow at an end of the run.
+    def admissible(self, t: float) -> np.ndarray:
+        """Projector (D, D) on displacements that keep the joints closed, at an end of the run."""
+        return self._motions(t).admissible()
 
-        Returns
-        -------
-        admissible : ndarray, shape (D, D)
-            Projector on displacements that keep the joints closed.
-        across : ndarray, shape (D, P)
-            Least displacements that follow joints which parameters move.
-        """
-        motions = self._derivatives(t).motions
-        across = np.zeros((self.size, len(self.parameters)))
-        for k, parameter in enumerate(self.parameters):
-            across[:, k] = _across(motions, parameter.at(t, self._states[t])[1])
-        return motions.admissible(), across
-
-    def start_by_parameters(self) -> np.ndarray:
-        """The derivatives of the start by the parameters, shape (D, P)."""
+    def across(self, t: float) -> np.ndarray:
+        """Least displacements (D, P) that follow joints which parameters move, at an end."""
         found = np.zeros((self.size, len(self.parameters)))
-        if self._start is None:
-            for k, parameter in enumerate(self.parameters):
+        for k, parameter in enumerate(self.parameters):
+            found[:, k] = _across(self._motions(t), parameter.at(t, self._states[t])[1])
+        return found
+
+    def _motions(self, t: float) -> Motions:
+        if t not in self._ends:
+            self._ends[t] = self._derivatives(t).motions
+        return self._ends[t]
+
+    def _start_by_parameters(self) -> np.ndarray:
+        found = np.zeros((self.size, len(self.parameters)))
+        for k, parameter in enumerate(self.parameters):
+            if self._start is None:
                 found[:, k] = parameter.of_start()
-            return found
-        for parameter in self.parameters:
-            if np.any(parameter.at(self.begin, self._start)[1]):
+            elif np.any(parameter.at(self.begin, self._start)[1]):
                 raise SolverError(
                     f"the parameter {parameter.path} moves the joints, and the given `state` does "
                     f"not follow; leave it out: the scene's own start does"
@@ -248,7 +255,10 @@ class Along:
         allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
         while True:
             self._sample()
-            errors = np.array([self.segment(k).error for k in range(self.count)])
+            for k, own in enumerate(self._segments):
+                if own not in self._quality:
+                    self.segment(k)
+            errors = np.array([self._quality[own][1] for own in self._segments])
             long = np.array([panel.length > shortest for panel, _ in self._segments])
             coarse = (errors > allowed) & long
             if not coarse.any():
@@ -259,11 +269,11 @@ class Along:
         """Give segments that contribute much to the error more nodes, or divide them."""
         large = min(0.5 * self.tolerance / self.count, shares.max())
         segments = []
-        for k, share in enumerate(shares):
-            panel, degree = self._segments[k]
+        for (panel, degree), share in zip(self._segments, shares, strict=True):
+            defect, _ = self._quality[panel, degree]
             if share < large:
                 segments.append((panel, degree))
-            elif degree < DEGREES[-1] and share * self.segment(k).defect < large:
+            elif degree < DEGREES[-1] and share * defect < large:
                 segments.append((panel, DEGREES[DEGREES.index(degree) + 1]))
             else:
                 segments += [(half, DEGREES[0]) for half in panel.halves]
@@ -288,8 +298,7 @@ class Along:
         if run.status != "completed":
             raise SolverError(f"the run that is differentiated did not end well: {run.message}")
         _refuse_events(run)
-        joints, rates = run.joint_positions, run.joint_velocities
-        names = self.layout.names
+        joints, rates, names = run.joint_positions, run.joint_velocities, self.layout.names
         pose = run.object_position, run.object_quaternion_xyzw
         positions = np.hstack([*pose, *(joints[name] for name in names)])
         velocities = np.hstack([run.object_twist, *(rates[name] for name in names)])
@@ -307,10 +316,10 @@ class Along:
         D = self._derivatives(t)
         found = np.zeros((size + 1, size + n + len(self.parameters) + 1))
         A, found[:size, size : size + n] = variation(D)
-        found[:size, :size] = A - RETURN * (np.eye(size) - D.motions.admissible())
+        found[:size, :size] = A - KAPPA * (np.eye(size) - D.motions.admissible())
         for k, parameter in enumerate(self.parameters):
             rate, gaps = parameter.at(t, state)
-            found[:size, size + n + k] = rate + RETURN * _across(D.motions, gaps)
+            found[:size, size + n + k] = rate + KAPPA * _across(D.motions, gaps)
         if self._integrand is not None:
             found[size, -1], found[:size, -1] = self._integrand(t, state)
         if len(self._values) * found.size < MOST_KEPT:
@@ -359,3 +368,12 @@ def _refuse_events(run: Trajectory) -> None:
             f"depends on when ({first['text']} at t = {first['time']:.6g} s); end the run before, "
             f"or keep the contacts closed"
         )
+
+
+def _divided(times: np.ndarray) -> list[Panel]:
+    """Equal panels between each time and the next, none too long."""
+    panels = []
+    for begin, end in pairwise(times.tolist()):
+        count = max(1, math.ceil((end - begin) / LONGEST * (1.0 - 1e-9)))
+        panels += [Panel(*pair) for pair in pairwise(np.linspace(begin, end, count + 1).tolist())]
+    return panels

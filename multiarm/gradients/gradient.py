@@ -202,14 +202,13 @@ def gradient(
         along = Along(system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand)
 
         def walk(report: Done) -> _Walk:
-            nothing = 0.0, np.zeros(along.size)
-            at_end = nothing
+            at_end = 0.0, np.zeros(along.size)
             if final is not None:
                 at_end = _differentiated(final, along.end, along.state(along.end))
             return _Backward(along, *at_end).walk(report)
 
         found = along.to_accuracy(walk, show)
-    by_parameters = found.integrals[1:] + found.adjoint @ along.start_by_parameters()
+    by_parameters = found.integrals[1:] + found.adjoint @ along.start_by_parameters
     return Gradient(
         value=float(found.integrals[0]),
         start=Sensitivity(found.start, along.layout, state_columns(along.layout)),
@@ -240,12 +239,11 @@ class _Backward:
 
     def __init__(self, along: Along, value: float, slope: np.ndarray) -> None:
         self._along, count = along, 1 + len(along.parameters)
-        admissible, across = along.closed(along.end)
-        self._mu, self._error = admissible @ slope, np.zeros_like(slope)
+        self._mu, self._error = along.admissible(along.end) @ slope, np.zeros_like(slope)
         self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
         self._magnitudes = np.zeros(count)
         self._integrals[0], self._magnitudes[0] = value, abs(value)
-        self._integrals[1:] = (slope - self._mu) @ across
+        self._integrals[1:] = (slope - self._mu) @ along.across(along.end)
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
     def walk(self, report: Done) -> _Walk:
@@ -254,11 +252,11 @@ class _Backward:
         shares = np.zeros(along.count), np.zeros((along.count, self._integrals.size))
         for k in reversed(range(along.count)):
             segment = along.segment(k)
-            for piece in reversed(list(segment.pieces(along.bounds))):
+            for piece in reversed(segment.pieces(along.bounds)):
                 for own, added in zip(shares, self._over(piece), strict=True):
                     own[k] += added
             report(along.count - k)
-        sizes, (admissible, _) = np.maximum(self._magnitudes, TINY), along.closed(along.begin)
+        sizes, admissible = np.maximum(self._magnitudes, TINY), along.admissible(along.begin)
         start = admissible @ self._mu
         of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
         self._pieces.reverse()
@@ -280,12 +278,12 @@ class _Backward:
         Returns what the series' error adds: relative to the adjoint, and to the integrals.
         """
         along, panel, (first, second) = self._along, piece.panel, piece.halves
-        whole = _solved(piece, self._mu, None)
+        start, _, integrand = _adjoint(piece, self._mu)
         late = _solved(second, self._mu, self._error)
         early = _solved(first, late.start, late.start_error)
-        missed = (whole.start - early.start) / RICHARDSON
+        missed = (start - early.start) / RICHARDSON
         integrals = late.integrals + early.integrals
-        missed_integrals = (whole.integrals - integrals) / RICHARDSON
+        missed_integrals = (panel.length * WEIGHTS @ integrand - integrals) / RICHARDSON
         magnitudes = late.magnitudes + early.magnitudes
         part = panel.length / (along.end - along.begin)
         sizes = np.maximum(magnitudes, part * self._magnitudes) + TINY
@@ -306,26 +304,27 @@ class _Backward:
         )
 
 
-def _solved(piece: Piece, end: np.ndarray, error: np.ndarray | None) -> _Solved:
-    """Solve the adjoint equation over one piece, from its value at the end, and for an error."""
-    at, defect, collocation = piece.at, piece.defect, piece.collocation
-    weights = piece.panel.length * WEIGHTS
-    start, stages = collocation.backward(end, at.slope)
-    integrand = _integrand(at, stages)
-    integrand[:, 0] += at.rate
-    magnitudes, none = weights @ np.abs(integrand), np.zeros(0)
-    density = np.einsum("idn,id->in", at.B, stages)
-    if error is None:
-        return _Solved(start, weights @ integrand, magnitudes, density, none, none, 0.0, none)
+def _adjoint(piece: Piece, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve the adjoint equation over one piece, from its value at the end.
+
+    Returns its value at the start (D,), at the stages (s, D), and the integrands (s, 1 + P).
+    """
+    start, stages = piece.collocation.backward(end, piece.at.slope)
+    return start, stages, _integrand(piece.at, stages) + _rate(piece.at)
+
+
+def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
+    """Solve the adjoint equation over one piece, and for its error."""
+    at, defect, weights = piece.at, piece.defect, piece.panel.length * WEIGHTS
+    start, stages, integrand = _adjoint(piece, end)
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
-    start_error, error_stages = collocation.backward(error, wrong)
-    of_series = _integrand(defect, stages)
-    of_series[:, 0] += defect.rate
+    start_error, error_stages = piece.collocation.backward(error, wrong)
+    of_series = _integrand(defect, stages) + _rate(defect)
     return _Solved(
         start,
         weights @ integrand,
-        magnitudes,
-        density,
+        weights @ np.abs(integrand),
+        np.einsum("idn,id->in", at.B, stages),
         start_error,
         weights @ (_integrand(at, error_stages) + of_series),
         float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
@@ -334,10 +333,14 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray | None) -> _Solved:
 
 
 def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
-    """Of the integrals over a panel by the parameters, shape (s, 1 + P)."""
-    found = np.zeros((len(stages), 1 + at.beta.shape[2]))
-    found[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
-    return found
+    """Of the integrals by the parameters, shape (s, 1 + P); the first is left zero."""
+    by_parameters = np.einsum("idp,id->ip", at.beta, stages)
+    return np.pad(by_parameters, ((0, 0), (1, 0)))
+
+
+def _rate(at: Coefficients) -> np.ndarray:
+    """Of the integral of the scalar, shape (s, 1 + P); the others are left zero."""
+    return np.pad(at.rate[:, None], ((0, 0), (0, at.beta.shape[2])))
 
 
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:
@@ -347,12 +350,12 @@ def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np
     if isinstance(found, tuple):
         value, slope = found
         return _number(value), checked_vector("the derivatives of a scalar", slope, size)
-    slope = np.zeros(size)
-    for column in range(size):
-        for sign in (-1.0, 1.0):
-            there = function(t, displaced(state, column, sign * DISPLACEMENT))
-            slope[column] += 0.5 * sign * _number(there) / DISPLACEMENT
-    return _number(found), slope
+    steps = DISPLACEMENT * np.eye(size)
+    changes = [
+        _number(function(t, displaced(state, step))) - _number(function(t, displaced(state, -step)))
+        for step in steps
+    ]
+    return _number(found), np.array(changes) / (2.0 * DISPLACEMENT)
 
 
 def _number(value: object) -> float:

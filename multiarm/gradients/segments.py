@@ -11,8 +11,6 @@ Panels for which that is too much are divided.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -22,8 +20,8 @@ import numpy as np
 from multiarm.gradients.collocation import NODES, ORDER, Collocation
 from multiarm.gradients.interpolation import Series
 
-# Longest panels that are tried [s], and the shortest, as part of the run.
-PANEL, SHORTEST = 0.5, 1e-6
+# Shortest panels and segments that are tried, as part of the run.
+SHORTEST = 1e-6
 RICHARDSON = 2.0**ORDER - 1.0
 # In place of sizes that are zero.
 TINY = 1e-300
@@ -99,18 +97,22 @@ class Segment:
         values, defects = self._series.at(times)
         return self._parts(values), self._parts(defects)
 
-    def pieces(self, bounds: np.ndarray) -> Iterator[Piece]:
-        """Pieces to begin with, which end at the given times among others, in order."""
+    def pieces(self, bounds: np.ndarray) -> list[Piece]:
+        """Pieces to begin with, from one of the given times to the next, in order."""
         inner = bounds[(bounds > self.panel.begin) & (bounds < self.panel.end)]
-        for panel in divided([self.panel.begin, *inner.tolist(), self.panel.end], PANEL):
-            yield Piece(self, panel)
+        times = [self.panel.begin, *inner.tolist(), self.panel.end]
+        return [Piece(self, Panel(*pair)) for pair in pairwise(times)]
 
     def _parts(self, values: np.ndarray) -> Coefficients:
         size, n = values.shape[1] - 1, self._joints
         rows, last = values[:, :-1], values[:, -1]
-        beta = rows[:, :, size + n : -1]
-        return Coefficients(rows[:, :, :size], rows[:, :, size : size + n], beta, last[:, -1],
-                            rows[:, :, -1])  # fmt: skip
+        return Coefficients(
+            A=rows[:, :, :size],
+            B=rows[:, :, size : size + n],
+            beta=rows[:, :, size + n : -1],
+            rate=last[:, -1],
+            slope=rows[:, :, -1],
+        )
 
 
 class Piece:
@@ -134,12 +136,3 @@ class Piece:
         """The piece in two."""
         first, second = self.panel.halves
         return Piece(self._segment, first), Piece(self._segment, second)
-
-
-def divided(times: Iterable[float], longest: float) -> list[Panel]:
-    """Equal panels between each time and the next, at most so long [s]."""
-    panels = []
-    for begin, end in pairwise(float(t) for t in times):
-        count = max(1, math.ceil((end - begin) / longest * (1.0 - 1e-9)))
-        panels += [Panel(*pair) for pair in pairwise(np.linspace(begin, end, count + 1).tolist())]
-    return panels

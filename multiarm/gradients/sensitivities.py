@@ -177,7 +177,7 @@ class _Forward:
 
     def __init__(self, along: Along) -> None:
         self._along = along
-        self._S = np.hstack([along.closed(along.begin)[0], along.start_by_parameters()])
+        self._S = np.hstack([along.admissible(along.begin), along.start_by_parameters])
         self._error, self._worst = np.zeros_like(self._S), np.zeros(self._S.shape[1])
         self._sizes = np.abs(self._S).max(axis=0, initial=TINY)
         self._grown = np.zeros(self._S.shape[1])

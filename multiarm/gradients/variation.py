@@ -30,7 +30,7 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.sensitivity import STATE, Derivatives
+from multiarm.dynamics.sensitivity import STATE, Derivatives, columns_of
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError, SceneError, SolverError
@@ -38,7 +38,7 @@ from multiarm.events.evaluation import evaluate
 from multiarm.scene.changes import changed, parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
-from multiarm.spatial import difference, skew
+from multiarm.spatial import skew
 
 # Displacement of a difference, as part of the size of a number of the scene; numbers below the
 # second may be roundings of zero, and have the size 1.
@@ -63,12 +63,9 @@ class Variation(NamedTuple):
 
 
 def state_columns(layout: Layout) -> dict[str, slice]:
-    """Where the parts of a displacement are."""
-    n, found, end = layout.joints, {}, 0
-    for name, size in zip(STATE, (6, 6, n, n), strict=True):
-        found[name] = slice(end, end + size)
-        end += size
-    return found
+    """Where the parts of a displacement are: first among the columns of derivatives."""
+    columns = columns_of(layout, 0, False)
+    return {name: columns[name] for name in STATE}
 
 
 def variation(derivatives: Derivatives) -> Variation:
@@ -84,29 +81,22 @@ def variation(derivatives: Derivatives) -> Variation:
         ("joint_velocities", "joint_accelerations"),
     ):
         own = derivatives.matrix[rows[acceleration]]
-        B[at[velocity]] = own[:, columns["torques"]]
-        for name, part in at.items():
-            A[at[velocity], part] = own[:, columns[name]]
+        A[at[velocity]], B[at[velocity]] = own[:, :size], own[:, columns["torques"]]
     return Variation(A, B)
 
 
 def displacement(start: State, end: State) -> np.ndarray:
     """The displacement from one state to another nearby, shape (D,)."""
-    turn = difference(start.position[3:7], end.position[3:7])
-    shift, faster = end.position - start.position, end.velocity - start.velocity
-    return np.concatenate([shift[:3], turn, faster[:6], shift[7:], faster[6:]])
+    moved, faster = start.displacement_to(end), end.velocity - start.velocity
+    return np.concatenate([moved[:6], faster[:6], moved[6:], faster[6:]])
 
 
-def displaced(state: State, column: int, amount: float) -> State:
-    """A state displaced along one component."""
+def displaced(state: State, delta: np.ndarray) -> State:
+    """A state with a displacement, shape (D,)."""
     n = state.layout.joints
-    if 6 <= column < 12 or column >= 12 + n:
-        moved = state.copy()
-        moved.velocity[column - 6 if column < 12 else column - 6 - n] += amount
-        return moved
-    move = np.zeros(6 + n)
-    move[column if column < 6 else column - 6] = amount
-    return state.displaced(move)
+    moved = state.displaced(np.r_[delta[:6], delta[12 : 12 + n]])
+    moved.velocity[:] += np.r_[delta[6:12], delta[12 + n :]]
+    return moved
 
 
 class Parameter:

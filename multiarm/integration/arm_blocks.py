@@ -63,6 +63,7 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu
+from multiarm.integration.projection import greatest
 from multiarm.integration.step import Step, load
 from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
@@ -282,8 +283,8 @@ def differentiate_by_state(step, struct, blocks, t):
     """
     _, data, work = open_system(struct)
     n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
-    fast = CHANGE * largest(step.z[6 + n : 12 + 2 * n])
-    strong = CHANGE * largest(step.z[12 + 2 * n : step.tolerance.size])
+    fast = CHANGE * max(1.0, greatest(step.z[6 + n : 12 + 2 * n]))
+    strong = CHANGE * max(1.0, greatest(step.z[12 + 2 * n : step.tolerance.size]))
     central = step.implicit.beta != 0.0
     copy(step.z, step.z_stage)
     for k in range(TIME + own):
@@ -304,15 +305,6 @@ def differentiate_by_state(step, struct, blocks, t):
             add_difference(blocks, 1.0 / (sides * offset), column)
         displace(step, blocks, work, n, column, 0.0)
     return OK
-
-
-@inlined
-def largest(values):
-    """The largest magnitude, or 1."""
-    most = 1.0
-    for k in range(values.size):
-        most = max(most, abs(values[k]))
-    return most
 
 
 @inlined

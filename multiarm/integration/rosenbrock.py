@@ -49,11 +49,11 @@ from multiarm.integration.arm_blocks import (
     acts_locally,
     differentiate_arms,
     is_regular,
-    largest,
     make_arm_blocks,
     write_time_slope,
 )
 from multiarm.integration.arm_stages import factor_stages, solve_arm_stage, turn
+from multiarm.integration.projection import greatest
 from multiarm.integration.step import IMPLICIT_WORK, Step, combine, evaluate_slope, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
@@ -174,7 +174,8 @@ def differentiate_whole(step, work, t, h):
     position_change, relative_change = 2e-6, 1e-6
     z, n, other, below = step.z_stage, work.by_position.shape[1], work.other, work.time_slope
     m, rows = work.matrix.shape[0], work.by_position.shape[0]
-    fast, strong = largest(step.z[n : 2 * n]), largest(step.z[2 * n : n + m])
+    fast = max(1.0, greatest(step.z[n : 2 * n]))
+    strong = max(1.0, greatest(step.z[2 * n : n + m]))
     copy(step.z, z)
     for j in range(n):
         z[j] = step.z[j] - position_change

@@ -39,7 +39,6 @@ from multiarm.linear.coordinates import Coordinates, minimal_coordinates
 from multiarm.linear.modes import Mode, modes_of, stability_of
 from multiarm.public import facts_html, public_names
 from multiarm.scene.faults import unknown
-from multiarm.spatial import difference
 
 __all__ = ["LinearSystem", "linearise"]
 
@@ -135,10 +134,7 @@ class LinearSystem:
             For a state of other arms.
         """
         own, other = self.state, self.system.checked(state)
-        turn = difference(own.position[3:7], other.position[3:7])
-        shift = other.position - own.position
-        moved = np.concatenate([shift[:3], turn, shift[7:]])
-        faster = other.velocity - own.velocity
+        moved, faster = own.displacement_to(other), other.velocity - own.velocity
         positions, velocities = self.coordinates.positions, self.coordinates.velocities
         y = np.zeros(len(self.A))
         y[: len(positions)] = moved[list(positions)]
