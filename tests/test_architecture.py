@@ -57,7 +57,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "arms.arm",
         "arms.backends",
         "scene.mjcf",
-        "arms.derivatives",
         "viewer",
         "studies.pinocchio_peer",
     ),

@@ -28,7 +28,7 @@ from test_dynamics import constrained_forest
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
-from multiarm.dynamics.contact_derivatives import differentiate_joint
+from multiarm.dynamics.equation_derivatives import differentiate_equations
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.ahead import argument_types
 from multiarm.spatial import retract
@@ -375,7 +375,8 @@ def test_a_joint_at_its_stop_stays_there():
 
 def test_the_floor_is_differentiated_by_the_code_that_is_compiled_for_arms():
     ma.derivatives(over_floor(0.0))
-    assert differentiate_joint.whole.signatures == [argument_types(differentiate_joint)]
+    kernel = differentiate_equations
+    assert kernel.whole.signatures == [argument_types(kernel)]
 
 
 def test_sliding_is_refused_with_the_reason():

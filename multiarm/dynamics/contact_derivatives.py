@@ -14,6 +14,18 @@ the pose would need third derivatives of all surfaces; they are central differen
 of single rows, :math:`f' = (8 (f_1 - f_{-1}) - f_2 + f_{-2}) / 12 h`, whose errors are about 1e-11
 of the row: truncation :math:`h^4 f^{(5)} / 30`, roundings :math:`\epsilon f / h`.
 
+*Tips on planes of the object*, of which welds and balls consist, have closed forms.  With the
+plane's normal n, and the tip at d from the link's origin,
+
+.. math::
+    \dot\varphi &= n\cdot(v + \omega\times d), \qquad
+    \ddot\varphi = n\cdot(a + \alpha\times d + \omega\times(\omega\times d)), \qquad
+    \delta d = \theta\times d, \\
+    \delta\dot\varphi &= \theta\cdot(d\times(n\times\omega)) + \ldots, \qquad
+    \delta\ddot\varphi = \theta\cdot\big(d\times(n\times\alpha
+    + (n\times\omega)\times\omega)\big)
+    + \delta\omega\cdot\big((\omega\times d)\times n + d\times(n\times\omega)\big) + \ldots
+
 A displacement of the pose is a twist :math:`u = (\delta, \theta)`: the origin moves by
 :math:`\delta`, and the axes turn by :math:`\exp(\theta)` about it.
 """
@@ -22,6 +34,16 @@ from __future__ import annotations
 
 import math
 
+from multiarm.arms.derivatives import (
+    ANGULAR,
+    ANGULAR_RATE,
+    LINEAR,
+    LINEAR_RATE,
+    MOTION,
+    MOTION_WIDTH,
+    PLACE,
+    TURN,
+)
 from multiarm.contacts.kernel import (
     ACCELERATION,
     AT,
@@ -36,10 +58,9 @@ from multiarm.contacts.kernel import (
     VELOCITY,
     write_row,
 )
-from multiarm.contacts.table import COMBINED, KIND
-from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_data, open_system
-from multiarm.jit.kernels import INT, INTS, NUMBERS, TABLE, TRUTH, clear, kernel, plain
-from multiarm.jit.pointers import call_cfunc
+from multiarm.contacts.table import AXIS, COMBINED, JOINT, KIND, POINT, SURFACE_BODY
+from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
+from multiarm.jit.kernels import clear, inlined, kernel, plain
 from multiarm.jit.vectors import (
     ZERO,
     add,
@@ -55,20 +76,15 @@ from multiarm.jit.vectors import (
     sub,
     vec,
 )
-from multiarm.spatial import retract_into
 
 # Displacement of a difference [m, rad]: a hundredth of the smallest radius that a finger has.
 STEP = 1e-4
 OFFSETS = (-2.0, -1.0, 1.0, 2.0)
-# Parts of a motion and of its displacement.
-PLACE, TURN, LINEAR, ANGULAR, LINEAR_RATE, ANGULAR_RATE, MOTION_WIDTH = range(0, 21, 3)
 # Columns of a row's derivatives: a displacement of the seen motion; the pose again, for gap rates.
 RATE_BY_POSE, SLOPES_WIDTH = MOTION_WIDTH, MOTION_WIDTH + 6
-# A body: rotation (9, row by row), then its motion.
-MOTION, BODY_SIZE = 9, 27
-# Rows of scratch: the link's motion in world axes; displacements of object and link, and of the
-# link as the object sees it; its seen motion, as it is and displaced; the object's, at rest.
-WORLD, OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(8)
+# Rows of scratch: displacements of object and link, and of the link as the object sees it; its seen
+# motion, as it is and displaced; the object's, at rest.
+OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
 
 
 @plain
@@ -78,190 +94,145 @@ def difference_weight(offset):
 
 
 @kernel
-def differentiate_forces(struct: INTS, closed_loop: TRUTH, found: TABLE):
-    """Write derivatives of the right-hand sides, as functions of the state in the data.
+def differentiate_joint(model, data, first, last, n, coordinates, gaps, work):
+    """Write what the equations of an arm take from its joint, rows ``first`` to ``last``.
 
-    Those of ``h_o``, ``h`` and the rates of effects' states, (6 + n + e) columns, by displacements
-    of the object's pose, its twist, joint positions, joint velocities and effects' states, a row
-    each.  Without ``closed_loop`` the control's torques are left out of h.  At the end the data are
-    as they were.  Returns a status.
+    The C ``coordinates`` are pose and twist of the object (6 each, world axes), then positions and
+    velocities of the arm's ``n`` joints, and last, if there are more, six of a displacement of the
+    contacts against the link, in its axes.  Written: ``gaps`` (N_i, C), the derivatives of the
+    second derivatives of the joint's gaps by time, and in ``work``
+    (:class:`multiarm.dynamics.equation_derivatives.EquationWork`) ``rates``, those of the first
+    ones, ``on_object`` and ``on_link``.
     """
-    data = open_data(struct)
-    n = data.angles.size
-    x, y, z, w = data.position[3], data.position[4], data.position[5], data.position[6]
-    for column in range(found.shape[0]):
-        row = found[column]
-        clear(row)
-        values, place = state_entry(data, column)
-        before = values[place]
-        for offset in OFFSETS:
-            if 3 <= column < 6:
-                h = offset * STEP
-                about_x, about_y = h if column == 3 else 0.0, h if column == 4 else 0.0
-                turn = (about_x, about_y, h - about_x - about_y)
-                retract_into((x, y, z, w), turn, data.position[3:7])
-            else:
-                values[place] = before + offset * STEP
-            status = update_forces(struct)
-            if status != OK:
-                return status
-            weight = difference_weight(offset)
-            for k in range(6):
-                row[k] += weight * data.h_o[k]
-            for k in range(n):
-                torque = 0.0 if closed_loop else data.torque[k]
-                row[6 + k] += weight * (data.h[k] - torque)
-            for k in range(data.inner_rate.size):
-                row[6 + n + k] += weight * data.inner_rate[k]
-        values[place] = before
-        data.position[3], data.position[4], data.position[5], data.position[6] = x, y, z, w
-    return update_forces(struct)
-
-
-@kernel
-def state_entry(data, column):
-    """The array and the place in it of a coordinate of the state; of a turn, any place."""
-    n = data.angles.size
-    if column < 6:
-        return data.position, min(column, 2)
-    if column < 12:
-        return data.twist, column - 6
-    if column < 12 + n:
-        return data.angles, column - 12
-    if column < 12 + 2 * n:
-        return data.v, column - 12 - n
-    return data.inner, column - 12 - 2 * n
-
-
-@kernel
-def update_forces(struct):
-    """Kinematics and right-hand sides at the state in the data, not solved; returns a status."""
-    functions = open_data(struct).functions
-    status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
-    return call_cfunc(functions.forces, struct, 0.0, 0.0) if status == OK else status
-
-
-@kernel
-def differentiate_joint(
-    struct: INTS,
-    arm: INT,
-    body: NUMBERS,
-    link: NUMBERS,
-    tables: TABLE,
-    force: NUMBERS,
-    scratch: TABLE,
-    rows: TABLE,
-    parts: TABLE,
-    slopes: TABLE,
-    wrench: TABLE,
-    gaps: TABLE,
-    rates: TABLE,
-    on_object: TABLE,
-    on_link: TABLE,
-):
-    """Write what the equations of an arm take from its joint; returns a status.
-
-    The C coordinates are pose, twist and acceleration of the object (6 each, world axes), then
-    positions, velocities and accelerations of the arm's n joints, and last, if the tables have
-    room for them, six of a displacement of the contacts against the link, in its axes.
-
-    Parameters
-    ----------
-    struct : int64
-        Of the system.
-    arm : int
-    body : (27,)
-        The object's rotation and motion, world axes.
-    link : (27,)
-        The same of the link that carries the tip; its twist and spatial acceleration in its axes.
-    tables : (4 n, 6)
-        A row a joint, link axes: derivatives of the link's twist by the positions, of its spatial
-        acceleration by positions and velocities, and the Jacobian.
-    force : (N,)
-        Contact forces [N] of all rows.
-    scratch, rows, parts, slopes, wrench : (7, 27), (N, 18), (P, 18), (N, 24), (7, 6)
-        Scratch; the last row of the first is that of the identity at rest.
-    gaps, rates : (N_i, C), written
-        Derivatives of the second and of the first time derivatives of the joint's gaps.
-    on_object, on_link : (C + 1, 6), written
-        Derivatives, and in the last row the values, of the contacts' wrench on the object, about
-        its centre of mass in world axes, and of the opposite one on the link, about its origin in
-        its axes.
-    """
-    model, data, work = open_system(struct)
-    first, last = work.rows[arm], work.rows[arm + 1]
-    write_link_motion(link, scratch[WORLD])
-    write_seen_motion(body, link, scratch[WORLD], scratch[SEEN])
-    differentiate_rows(model, data, first, last, force, scratch, rows, parts, slopes, wrench)
-    n, by = tables.shape[0] // 4, scratch[OF_SEEN]
-    coordinates = gaps.shape[1]
+    body, link, scratch, slopes = work.body, work.link, work.scratch, work.slopes
+    seen, wrench = seen_rates(body, link), work.wrench
+    write_seen_motion(body, link, seen, scratch[SEEN])
+    if are_flat(model, first, last):
+        differentiate_flat_rows(model, data, first, last, scratch[SEEN], slopes, wrench)
+    else:
+        differentiate_rows(model, data, first, last, work)
+    of_body, of_link, by = scratch[OF_BODY], scratch[OF_LINK], scratch[OF_SEEN]
     for c in range(coordinates):
-        clear(scratch[OF_BODY])
-        clear(scratch[OF_LINK])
-        if c < 18:
-            scratch[OF_BODY, c] = 1.0
-        elif c < 18 + 3 * n:
-            displace_link(link, scratch[WORLD], tables, n, c - 18, scratch[OF_LINK])
+        clear(of_body)
+        clear(of_link)
+        if c < 12:
+            of_body[c] = 1.0
+        elif c < 12 + 2 * n:
+            for j in range(MOTION_WIDTH):
+                of_link[j] = work.moved[c - 12, j]
         else:
-            displace_contacts(link, scratch[WORLD], c - 18 - 3 * n, scratch[OF_LINK])
-        write_seen_displacement(body, scratch[WORLD], scratch[OF_BODY], scratch[OF_LINK], by)
+            displace_contacts(link, c - 12 - 2 * n, of_link)
+        write_seen_displacement(body, link, seen, of_body, of_link, by)
         for k in range(first, last):
             total = rate = 0.0
-            for j in range(18):
+            for j in range(MOTION_WIDTH):
                 total += slopes[k, j] * by[j]
             for j in range(6):
                 rate += slopes[k, RATE_BY_POSE + j] * by[j]
                 rate += slopes[k, LINEAR_RATE + j] * by[LINEAR + j]
-            gaps[k - first, c], rates[k - first, c] = total, rate
-        turn = vec(scratch[OF_BODY], TURN)
-        moves = 1.0 if c < 18 + 3 * n else 0.0
-        displace_wrenches(body, scratch[SEEN], wrench, turn, by, moves, on_object[c], on_link[c])
-    write_wrenches(body, scratch[SEEN], wrench[6], on_object[coordinates], on_link[coordinates])
-    return CALLBACK_FAILED if data.status.failed else OK
+            gaps[k - first, c], work.rates[k, c] = total, rate
+        moves = 1.0 if c < 12 + 2 * n else 0.0
+        displace_wrenches(
+            body, scratch[SEEN], wrench, vec(of_body, TURN), by, moves, work.on_object[c],
+            work.on_link[c],
+        )  # fmt: skip
+    write_wrenches(
+        body, scratch[SEEN], wrench[6], work.on_object[coordinates], work.on_link[coordinates]
+    )
 
 
 @kernel
-def differentiate_rows(model, data, first, last, force, scratch, rows, parts, slopes, wrench):
-    """Write the derivatives of the rows by the seen motion, and those of their wrench by its pose.
+def are_flat(model, first, last):
+    """Whether all rows are tips on planes of the object, or belong to joints."""
+    for k in range(first, last):
+        kind = model.codes[k, KIND]
+        if kind == PLANE and model.codes[k, SURFACE_BODY] != SURFACE_ON_OBJECT:
+            return False
+        if kind not in (PLANE, JOINT):
+            return False
+    return True
 
-    Of a row, ``slopes`` has those of the gap's second derivative by a displacement, and those of
-    its rate by the pose.  ``wrench`` is in the object's axes; its last row is the value.
-    """
-    motion, moved = scratch[SEEN], scratch[MOVED]
+
+@kernel
+def differentiate_flat_rows(model, data, first, last, motion, slopes, wrench):
+    """The results of :func:`differentiate_rows` for tips on planes of the object."""
+    R, x = rotation(motion, 0), vec(motion, ORIGIN_AT)
+    w, w_rate = vec(motion, SPIN), vec(motion, SPIN_RATE)
     for i in range(7):
         clear(wrench[i])
-    write_rows_at(model, data, first, last, motion, scratch[STILL], rows, parts)
+    for k in range(first, last):
+        clear(slopes[k])
+        if model.codes[k, KIND] == JOINT:
+            continue
+        d, n = rotate(R, vec(model.geometry[k], POINT)), vec(model.geometry[k], AXIS)
+        across = cross(n, w)
+        put(slopes[k], LINEAR_RATE, n)
+        put(slopes[k], ANGULAR_RATE, cross(d, n))
+        put(slopes[k], TURN, cross(d, add_cross(cross(n, w_rate), across, w)))
+        put(slopes[k], ANGULAR, add_cross(cross(cross(w, d), n), d, across))
+        put(slopes[k], RATE_BY_POSE + 3, cross(d, across))
+        force = scale(-data.force[k], n)
+        put(wrench[6], 0, add(vec(wrench[6], 0), force))
+        put(wrench[6], 3, add_cross(vec(wrench[6], 3), add(x, d), force))
+        for axis in range(3):
+            e = unit(axis)
+            put(wrench[axis], 3, add_cross(vec(wrench[axis], 3), e, force))
+            put(wrench[3 + axis], 3, add_cross(vec(wrench[3 + axis], 3), cross(e, d), force))
+
+
+@inlined
+def unit(axis):
+    """Unit vector along an axis."""
+    return (
+        1.0 if axis == 0 else 0.0,
+        1.0 if axis == 1 else 0.0,
+        1.0 if axis == 2 else 0.0,
+    )
+
+
+@kernel
+def differentiate_rows(model, data, first, last, work):
+    """Write the derivatives of the rows by the seen motion, and those of their wrench by its pose.
+
+    Of a row, ``work.slopes`` has those of the gap's second derivative by a displacement, and those
+    of its rate by the pose.  ``work.wrench`` is in the object's axes; its last row is the value.
+    """
+    slopes, wrench, rows = work.slopes, work.wrench, work.rows
+    motion, moved = work.scratch[SEEN], work.scratch[MOVED]
+    for i in range(7):
+        clear(wrench[i])
+    write_rows_at(model, data, first, last, motion, work)
     for k in range(first, last):
         clear(slopes[k])
         e, couple = vec(rows[k], NORMAL), couple_of(model, rows, k)
         turn = add(cross(sub(vec(rows[k], AT), vec(motion, ORIGIN_AT)), e), couple)
         put(slopes[k], LINEAR_RATE, scale(-1.0, e))
         put(slopes[k], ANGULAR_RATE, scale(-1.0, turn))
-    add_wrench(model, rows, first, last, force, 1.0, wrench[6])
+    add_wrench(model, rows, first, last, data.force, 1.0, wrench[6])
     for axis in range(6):
         for offset in OFFSETS:
             displace(motion, axis, offset * STEP, moved)
-            write_rows_at(model, data, first, last, moved, scratch[STILL], rows, parts)
+            write_rows_at(model, data, first, last, moved, work)
             weight = difference_weight(offset)
             for k in range(first, last):
                 slopes[k, PLACE + axis] += weight * rows[k, GAP_BIAS]
                 slopes[k, RATE_BY_POSE + axis] += weight * rows[k, GAP_RATE]
-            add_wrench(model, rows, first, last, force, weight, wrench[axis])
+            add_wrench(model, rows, first, last, data.force, weight, wrench[axis])
         for sign in (-1.0, 1.0):
             displace(motion, axis, 0.0, moved)
             moved[VELOCITY + axis] += sign  # the spin follows the velocity
-            write_rows_at(model, data, first, last, moved, scratch[STILL], rows, parts)
+            write_rows_at(model, data, first, last, moved, work)
             for k in range(first, last):
                 slopes[k, LINEAR + axis] += 0.5 * sign * rows[k, GAP_BIAS]
 
 
 @kernel
-def write_rows_at(model, data, first, last, motion, still, rows, parts):
+def write_rows_at(model, data, first, last, motion, work):
     """Write the rows ``first`` to ``last`` of an arm for a motion seen from the object."""
     for k in range(first, last):
         write_row(
-            k, motion, still, model.codes, model.geometry, model.shapes, data.functions.surface,
-            rows, parts, data.query, data.places, data.located,
+            k, motion, work.scratch[STILL], model.codes, model.geometry, model.shapes,
+            data.functions.surface, work.rows, work.parts, data.query, data.places, data.located,
         )  # fmt: skip
 
 
@@ -300,53 +271,16 @@ def displace(motion, axis, amount, moved):
 
 
 @kernel
-def write_link_motion(link, out):
-    """Write the link's motion in world axes; ``link`` has twist and acceleration in its own."""
-    R, motion = rotation(link, 0), link[MOTION:]
-    u, w = vec(motion, LINEAR), vec(motion, ANGULAR)
-    put(out, PLACE, vec(motion, PLACE))
-    put(out, LINEAR, rotate(R, u))
-    put(out, ANGULAR, rotate(R, w))
-    put(out, LINEAR_RATE, rotate(R, add_cross(vec(motion, LINEAR_RATE), w, u)))
-    put(out, ANGULAR_RATE, rotate(R, vec(motion, ANGULAR_RATE)))
-
-
-@kernel
-def displace_link(link, world, tables, n, c, out):
-    """Write the displacement of the link's motion, world axes, by one of 3 n coordinates."""
-    R, motion = rotation(link, 0), link[MOTION:]
-    u, w = vec(motion, LINEAR), vec(motion, ANGULAR)
-    part, j = c // n, c % n
-    J = tables[3 * n + j]
-    turn, rate, rate_turn = ZERO, ZERO, ZERO
-    if part == 0:  # a position
-        turn = rotate(R, vec(J, 3))
-        put(out, PLACE, rotate(R, vec(J, 0)))
-        put(out, TURN, turn)
-        rate, rate_turn, of_rate = vec(tables[j], 0), vec(tables[j], 3), tables[n + j]
-    elif part == 1:  # a velocity
-        rate, rate_turn, of_rate = vec(J, 0), vec(J, 3), tables[2 * n + j]
-    else:
-        of_rate = J
-    classical = add_cross(add_cross(vec(of_rate, 0), w, rate), rate_turn, u)
-    put(out, LINEAR, add_cross(rotate(R, rate), turn, vec(world, LINEAR)))
-    put(out, ANGULAR, add_cross(rotate(R, rate_turn), turn, vec(world, ANGULAR)))
-    put(out, LINEAR_RATE, add_cross(rotate(R, classical), turn, vec(world, LINEAR_RATE)))
-    angular = rotate(R, vec(of_rate, 3))
-    put(out, ANGULAR_RATE, add_cross(angular, turn, vec(world, ANGULAR_RATE)))
-
-
-@kernel
-def displace_contacts(link, world, c, out):
+def displace_contacts(link, c, out):
     """Write the displacement of contacts that are moved against the link, world axes.
 
     Along or about one of the link's axes; it stays the same in these.
     """
-    axis = rotation(link, 0)[c % 3]
+    axis, motion = rotation(link, 0)[c % 3], link[MOTION:]
     if c >= 3:
         put(out, TURN, axis)
         return
-    w, w_rate = vec(world, ANGULAR), vec(world, ANGULAR_RATE)
+    w, w_rate = vec(motion, ANGULAR), vec(motion, ANGULAR_RATE)
     rate = cross(w, axis)
     put(out, PLACE, axis)
     put(out, LINEAR, rate)
@@ -354,9 +288,9 @@ def displace_contacts(link, world, c, out):
 
 
 @kernel
-def seen_rates(body, world):
+def seen_rates(body, link):
     """``d, V, Omega, A, Omega'`` of the link as the object sees it, in world axes."""
-    motion = body[MOTION:]
+    motion, world = body[MOTION:], link[MOTION:]
     d = sub(vec(world, PLACE), vec(motion, PLACE))
     w, w_rate = vec(motion, ANGULAR), vec(motion, ANGULAR_RATE)
     c = cross(w, d)
@@ -369,10 +303,9 @@ def seen_rates(body, world):
 
 
 @kernel
-def write_seen_motion(body, link, world, out):
+def write_seen_motion(body, link, seen, out):
     """Write the link's motion as the object sees it, in its axes, for the contact rows."""
-    R = rotation(body, 0)
-    d, V, spin, A, spin_rate = seen_rates(body, world)
+    R, (d, V, spin, A, spin_rate) = rotation(body, 0), seen
     x, y, z = rotation(link, 0)
     put_rotation(out, 0, (rotate_back(R, x), rotate_back(R, y), rotate_back(R, z)))
     put(out, ORIGIN_AT, rotate_back(R, d))
@@ -383,10 +316,10 @@ def write_seen_motion(body, link, world, out):
 
 
 @kernel
-def write_seen_displacement(body, world, of_body, of_link, out):
+def write_seen_displacement(body, link, seen, of_body, of_link, out):
     """Write the displacement of the seen motion by displacements of the two in world axes."""
-    R, motion = rotation(body, 0), body[MOTION:]
-    d, V, spin, A, spin_rate = seen_rates(body, world)
+    R, motion, world = rotation(body, 0), body[MOTION:], link[MOTION:]
+    d, V, spin, A, spin_rate = seen
     w, w_rate, turn = vec(motion, ANGULAR), vec(motion, ANGULAR_RATE), vec(of_body, TURN)
     dw, dw_link = vec(of_body, ANGULAR), vec(of_link, ANGULAR)
     dd = sub(vec(of_link, PLACE), vec(of_body, PLACE))

@@ -19,12 +19,15 @@ evaluation itself.  Each arm is solved on its own, and then the object:
 
 The right-hand sides at fixed y come from
 
-* Pinocchio's derivatives of the inverse dynamics of each arm under the wrench of its contacts, and
-  of the motion of the link that carries the tip (:mod:`multiarm.arms.derivatives`);
+* the inverse dynamics of each arm under the wrench of its contacts, and the motion of the link that
+  carries the tip (:mod:`multiarm.arms.derivatives`);
 * the contact rows, as functions of the link's motion seen from the object
-  (:mod:`multiarm.dynamics.contact_derivatives`);
-* differences of order four of effects, and of control that depends on the state, in scenes that
-  have any.
+  (:mod:`multiarm.dynamics.contact_derivatives`).
+
+*Control and effects* add forces :math:`f(x)`: torques on the joints, a wrench on the object.  The
+responses of ``y`` to these are columns of the same solution, so that
+:math:`dy/dx = \partial y/\partial x + (\partial y/\partial f)\,(\partial f/\partial x)`, with
+differences for the last factor (:mod:`multiarm.dynamics.force_derivatives`).
 
 *Parameters.*  A wrench on the object, its mass and its inertia enter :math:`F_o` alone.  Contacts
 that are displaced against the arm's link move like that link for the rows, while their wrench still
@@ -33,31 +36,28 @@ acts on the link where it is.
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from multiarm.arms.derivatives import ArmDerivatives
-from multiarm.contacts.table import KIND, SIDE, TANGENT
-from multiarm.dynamics.arrays import OK, OPEN_LOOP
-from multiarm.dynamics.contact_derivatives import (
-    BODY_SIZE,
-    SCRATCH_ROWS,
-    SLOPES_WIDTH,
-    STILL,
-    differentiate_forces,
-    differentiate_joint,
+from multiarm.arms.derivatives import arm_links
+from multiarm.contacts.table import KIND, TANGENT
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equation_derivatives import (
+    differentiate_equations,
+    equation_struct,
+    make_equation_work,
+    solve_by_arms,
 )
 from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
+from multiarm.dynamics.state import Layout
 from multiarm.errors import SolverError
-from multiarm.spatial import skew
 
-# The world as the link of an arm without joints, see `differentiate_joint`.
-GROUND = np.concatenate([np.eye(3).ravel(), np.zeros(BODY_SIZE - 9)])
 # Part of the right-hand sides that dependent constraints may contradict: roundings and differences.
 CONSISTENT = 1e-7
 
@@ -72,16 +72,30 @@ def differentiate(
     SolverError
         When the accelerations are not differentiable at this state.
     """
-    derivation, layout = _Derivation(data, closed_loop, parameters), data.model.layout
+    layout, states = data.model.layout, data.arrays.inner.size
+    rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
+    equations = _equations(data, parameters)
     independent, message = found.rank == layout.contacts, ""
     on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
-    if independent and not (found.coupled_arms or data.model.constants.dense or on_ground):
-        matrix = derivation.solve()
-    else:
-        matrix = derivation.solve_whole(along_joints=not independent)
+    by_arms = independent and not (found.coupled_arms or data.model.constants.dense or on_ground)
+    solved = equations.solve_by_arms() if by_arms else None
+    if solved is None:
+        solved = equations.solve_whole(along_joints=not independent)
+    motions = equations.motions()
+    matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
+    matrix[: len(solved)] = solved[:, : equations.width]
+    applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
+    if applied is not None:
+        of_state = np.r_[: columns["torques"].start, columns["effect_states"]]
+        matrix[rows["effect_state_rates"], of_state] = applied[6 + layout.joints :]
+        if not independent:
+            admissible = motions().admissible()
+            applied[:, : len(admissible)] = applied[:, : len(admissible)] @ admissible
+        by_force = np.hstack([solved[:, equations.wrench], solved[:, columns["torques"]]])
+        matrix[: len(solved), of_state] += by_force @ applied[: 6 + layout.joints]
     if not independent:
         unique = np.concatenate(list(found.contact_forces_unique.values()))
-        matrix[6 + layout.joints :][~unique] = np.nan
+        matrix[rows["contact_forces"]][~unique] = np.nan
         message = (
             f"{layout.contacts - found.rank} of {layout.contacts} constraints repeat others: "
             "displacements are projected on those that keep the joints closed, and forces that are "
@@ -89,70 +103,39 @@ def differentiate(
         )
         if parameters:
             message += "; placements that would contradict the others have none either"
-    matrix = np.vstack([matrix, derivation.effect_state_rates()])
-    rows = rows_of(layout, data.arrays.inner.size)
-    return Derivatives(found, matrix, rows, derivation.columns, layout, message, derivation.motions)
+    return Derivatives(found, matrix, rows, columns, layout, message, motions)
 
 
-class _ArmEquations(NamedTuple):
-    """The derivatives of one arm's equations, and their matrix."""
+class _Equations:
+    """The derivatives of F at the solution in some data, and the solution for ``dy``.
 
-    dof: int
-    columns: np.ndarray  # of the right-hand sides, among all
-    matrix: np.ndarray  # (n_i + N_i, n_i + N_i): M_i, -W_i; W_i^T, 0
-    of_object: np.ndarray  # (n_i + N_i, 6): 0; W_oi^T
-    dF: np.ndarray  # (n_i + N_i, ...) of F_i and F_phi, by these columns
-    rates: np.ndarray  # (N_i, 12 + 2 n_i) of the gap rates, by pose, twist, q and v
+    Attributes
+    ----------
+    width : int
+        Number of columns.
+    wrench : slice
+        Columns of a wrench on the object, which may follow after these.
+    """
 
-    @property
-    def W_o(self) -> np.ndarray:
-        """(6, N_i)"""
-        return self.of_object[self.dof :].T
+    def __init__(self, data: Data, parameters: bool) -> None:
+        layout, states = data.model.layout, data.arrays.inner.size
+        columns = columns_of(layout, states, parameters)
+        self._data, self._parameters, self._columns = data, parameters, columns
+        self.width = max(own.stop for own in columns.values())
+        self.wrench = columns.get("object_wrench", slice(self.width, self.width + 6))
+        placements = columns["placements"].start if parameters else -1
+        links = arm_links(data.model.arms, data.model.constants.gravity)
+        self._work = make_equation_work(data, max(self.width, self.wrench.stop), placements)
+        self._kept = links  # the struct has its addresses
+        self._struct = equation_struct(links, self._work)
 
-
-class _Derivation:
-    """The derivatives of F at the solution in the data, and the solution for ``dy``."""
-
-    def __init__(self, data: Data, closed_loop: bool, parameters: bool) -> None:
-        b, model, layout = data.arrays, data.model, data.model.layout
-        self.data, self.layout = data, layout
-        self.columns = columns_of(layout, b.inner.size, parameters)
-        self.width = max(columns.stop for columns in self.columns.values())
-        self.state, self.inertia, self.qdd = data.get_state(), b.inertia.copy(), b.qdd.copy()
-        self.gravity, self.force = model.constants.gravity, b.force.copy()
-        R, position, twist = b.body[:9], self.state.object_position, self.state.object_twist
-        self.body = np.concatenate([R, position, np.zeros(3), twist, b.q_o])
-        self._scratch = np.zeros((SCRATCH_ROWS, BODY_SIZE))
-        self._scratch[STILL, :9] = np.eye(3).ravel()
-        self._rows, self._parts = np.zeros_like(b.contacts), np.zeros_like(b.parts)
-        self._slopes, self._wrench = np.zeros((layout.contacts, SLOPES_WIDTH)), np.zeros((7, 6))
-        self._applied = None  # derivatives of h_o and h, where these are more than weight and bias
-        constants = model.constants
-        follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
-        if (closed_loop and follows) or model.effects.kernels:
-            self._applied = self._forces_by_differences(closed_loop)
-            self.gravity = np.zeros(3)  # is in h
-        self.dF_o = self._object_equation()
-        self.arms = [self._arm(i) for i in range(len(layout.dofs) - 1)]
-
-    def solve(self) -> np.ndarray:
-        """``dy``, shape (6 + n + N, columns)."""
-        inertia, right = self.inertia.copy(), -self.dF_o
-        parts = []
-        for own in self.arms:
-            solved = np.linalg.solve(own.matrix, np.hstack([own.dF, own.of_object]))
-            solved, by_object = solved[:, :-6], solved[:, -6:]
-            inertia += own.W_o @ by_object[own.dof :]
-            right[:, own.columns] -= own.W_o @ solved[own.dof :]
-            parts.append((solved, by_object))
-        da_o = np.linalg.solve(inertia, right)
-        joints, forces = [], []
-        for own, (solved, by_object) in zip(self.arms, parts, strict=True):
-            found = -by_object @ da_o
-            found[:, own.columns] -= solved
-            joints.append(found[: own.dof])
-            forces.append(found[own.dof :])
-        return np.vstack([da_o, *joints, *forces])
+    def solve_by_arms(self) -> np.ndarray | None:
+        """``dy``, shape (6 + n + N, columns), arm by arm; None where that is singular."""
+        self._update()
+        layout = self._data.model.layout
+        matrix = np.empty((6 + layout.joints + layout.contacts, self._work.dF_o.shape[1]))
+        status = solve_by_arms(self._data.struct, self._struct, matrix)
+        return matrix if status == OK else None
 
     def solve_whole(self, along_joints: bool) -> np.ndarray:
         """``dy`` with arms that cannot be solved on their own.
@@ -165,19 +148,12 @@ class _Derivation:
         SolverError
             When the rank of the constraints changes with these displacements.
         """
-        layout, size = self.layout, 6 + self.layout.joints
-        whole = size + layout.contacts
-        K, dF = np.zeros((whole, whole)), np.zeros((whole, self.width))
-        K[:6, :6], dF[:6] = self.inertia, self.dF_o
-        for i, own in enumerate(self.arms):
-            joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
-            at = np.r_[6 + joints.start : 6 + joints.stop, size + rows.start : size + rows.stop]
-            K[np.ix_(at, at)], K[at, :6] = own.matrix, own.of_object
-            K[:6, size + rows.start : size + rows.stop] = -own.W_o
-            dF[np.ix_(at, own.columns)] = own.dF
-        states = 12 + 2 * layout.joints
+        self._update()
+        layout, size = self._data.model.layout, 6 + self._data.model.layout.joints
+        K, dF = self._stacked()
+        states = self._columns["torques"].start
         if along_joints:
-            dF[:, :states] = dF[:, :states] @ self.motions.admissible()
+            dF[:, :states] = dF[:, :states] @ self.motions()().admissible()
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
         scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
@@ -186,9 +162,9 @@ class _Derivation:
         right = u.T @ (scale[:, None] * dF)
         left = np.abs(right[rank:]).max(axis=0, initial=0.0)
         contradictory = left > CONSISTENT * np.abs(right).max()
-        if "placements" in self.columns:
-            placements = np.zeros(self.width, dtype=bool)
-            placements[self.columns["placements"]] = True
+        if self._parameters:
+            placements = np.zeros_like(contradictory)
+            placements[self._columns["placements"]] = True
             right[:, contradictory & placements] = np.nan
             contradictory &= ~placements
         if contradictory.any():
@@ -198,141 +174,80 @@ class _Derivation:
             )
         return -scale[:, None] * (vt[:rank].T @ (right[:rank] / singular[:rank, None]))
 
-    def effect_state_rates(self) -> np.ndarray:
-        """Derivatives of the rates of the states of effects, shape (e, columns)."""
-        found = np.zeros((self.data.arrays.inner.size, self.width))
-        if self._applied is not None:
-            found[:, self._applied_columns] = self._applied[6 + self.layout.joints :]
-        return found
+    def motions(self) -> Callable[[], Motions]:
+        """What makes the inertia and the derivatives of the gaps, when they are needed."""
+        b, work = self._data.arrays, self._data.work
+        arrays = (array.copy() for array in (b.inertia, work.L, work.Y, b.Wo, self._work.rates))
+        codes = self._data.model.constants.codes[: len(b.Wo)]
+        return partial(_motions, self._data.model.layout, codes[:, KIND] != TANGENT, *arrays)
 
-    @cached_property
-    def motions(self) -> Motions:
-        """Inertia, and the derivatives of the gaps."""
-        layout, size = self.layout, 6 + self.layout.joints
-        codes = self.data.model.constants.codes
-        inertia, closed = np.zeros((size, size)), codes[:, KIND] != TANGENT
-        rates, by_position = np.zeros((2, layout.contacts, size))
-        inertia[:6, :6] = self.inertia
-        for i, own in enumerate(self.arms):
-            joints, rows, n = _range(layout.dofs, i), _range(layout.rows, i), own.dof
-            at = slice(6 + joints.start, 6 + joints.stop)
-            inertia[at, at] = own.matrix[:n, :n]
-            rates[rows, :6], rates[rows, at] = own.W_o.T, own.matrix[n:, :n]
-            by_position[rows, :6], by_position[rows, at] = (
-                own.rates[:, :6],
-                own.rates[:, 12 : 12 + n],
-            )
-        return Motions(inertia, rates[closed], rates, by_position)
+    def _update(self) -> None:
+        """Derivatives of the equations at the solution in the data."""
+        if differentiate_equations(self._data.struct, self._struct) != OK:
+            self._data.reraise()
+        b, dF_o = self._data.arrays, self._work.dF_o
+        dF_o[:, self.wrench] = -np.eye(6)
+        if not self._parameters:
+            return
+        falling = b.q_o[:3] - self._data.model.constants.gravity
+        dF_o[:3, self._columns["object_mass"].start] = falling
+        R, first = b.body[:9].reshape(3, 3), self._columns["object_inertia"].start
+        spin, turning = b.twist[3:], b.q_o[3:]
+        for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
+            unit = np.zeros((3, 3))
+            unit[i, j] = unit[j, i] = 1.0
+            unit = R @ unit @ R.T
+            dF_o[3:, first + k] = unit @ turning + np.cross(spin, unit @ spin)
 
-    def _object_equation(self) -> np.ndarray:
-        """Derivatives of ``M_o a_o - h_o``; those of the contacts' wrenches come from the arms."""
-        found, I = np.zeros((6, self.width)), self.inertia[3:, 3:]  # noqa: E741
-        omega, alpha = skew(self.state.object_twist[3:]), self.body[-3:]
-        found[3:, 3:6] = I @ skew(alpha) - skew(I @ alpha)  # the inertia turns with the object
-        if self._applied is None:  # h_o is the weight and -omega x I omega
-            gyroscopic = I @ omega - skew(I @ self.state.object_twist[3:])
-            found[3:, 3:6] += omega @ gyroscopic
-            found[3:, 9:12] = omega @ I - skew(I @ self.state.object_twist[3:])
-        else:
-            found[:, self._applied_columns] -= self._applied[:6]
-        if "object_wrench" in self.columns:
-            found[:, self.columns["object_wrench"]] = -np.eye(6)
-            falling = self.body[-6:-3] - self.data.model.constants.gravity
-            found[:3, self.columns["object_mass"].start] = falling
-            R, first = self.body[:9].reshape(3, 3), self.columns["object_inertia"].start
-            for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
-                unit = np.zeros((3, 3))
-                unit[i, j] = unit[j, i] = 1.0
-                unit = R @ unit @ R.T
-                spin = self.state.object_twist[3:]
-                found[3:, first + k] = unit @ self.body[-3:] + np.cross(spin, unit @ spin)
-        return found
+    def _stacked(self) -> tuple[np.ndarray, np.ndarray]:
+        """The matrix and the derivatives of all equations."""
+        layout, b, work = self._data.model.layout, self._data.arrays, self._work
+        n, size = layout.joints, 6 + layout.joints
+        whole = size + layout.contacts
+        K, dF = np.zeros((whole, whole)), np.zeros((whole, work.dF_o.shape[1]))
+        K[:6, :6], dF[:6] = b.inertia, work.dF_o
+        K[:6, size:], K[size:, :6] = -b.Wo.T, b.Wo
+        for i in range(len(layout.dofs) - 1):
+            joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
+            d, m = joints.stop - joints.start, rows.stop - rows.start
+            at = np.r_[6 + joints.start : 6 + joints.stop, size + rows.start : size + rows.stop]
+            K[np.ix_(at, at)] = work.K[i, : d + m, : d + m]
+            columns = np.r_[:12, 12 + np.r_[joints], 12 + n + np.r_[joints]]
+            if self._parameters and i < len(layout.names):
+                first = self._columns["placements"].start + 6 * i
+                columns = np.r_[columns, first : first + 6]
+            columns = np.r_[columns, 12 + 2 * n + np.r_[joints]]
+            dF[np.ix_(at, columns)] = work.dF[i, : d + m, : len(columns)]
+        return K, dF
 
-    def _arm(self, i: int) -> _ArmEquations:
-        """Equations of one arm; its wrench is taken from the object's equation."""
-        layout, joints = self.layout, _range(self.layout.dofs, i)
-        n, m = joints.stop - joints.start, layout.rows[i + 1] - layout.rows[i]
-        at = self.state.position[7:][joints], self.state.velocity[6:][joints], self.qdd[joints]
-        arm = self._arm_derivatives(layout.names[i]) if i < len(layout.names) else None
-        link, tables = GROUND, np.zeros((0, 6))  # the surroundings are an arm without joints
-        if arm is not None:
-            link, tables = arm.link_motion(*at)
-        placed = arm is not None and "placements" in self.columns
-        width = 18 + 3 * n + 6 * placed
-        gaps, rates = np.zeros((2, m, width))
-        on_object, on_link = np.zeros((2, width + 1, 6))
-        status = differentiate_joint(
-            self.data.struct, i, self.body, link, tables, self.force, self._scratch, self._rows,
-            self._parts, self._slopes, self._wrench, gaps, rates, on_object, on_link,
-        )  # fmt: skip
-        if status != OK:
-            self.data.reraise()
-        W = gaps[:, 18 + 2 * n : 18 + 3 * n].T
-        self._add_joint_rows(i, W, rates[:, 18 + n : 18 + 2 * n])
-        by_q, by_v, M = np.zeros((3, n, n))
-        if arm is not None:
-            angles, speeds, qdd = at
-            if self._applied is not None:  # the bias is among the forces
-                speeds = np.zeros(n)
-            by_q, by_v, M = arm.inverse_dynamics(angles, speeds, qdd, on_link[-1])
-        # by pose and twist of the object, q, v and torques of the arm, placement of its contacts
-        of_q, of_v, of_torque = (slice(12 + k * n, 12 + (k + 1) * n) for k in range(3))
-        dF, on_link = np.zeros((n + m, 12 + 3 * n + 6 * placed)), on_link @ tables[3 * n :].T
-        dF[:n, :6] = -on_link[:6].T
-        dF[:n, of_q] = by_q - on_link[18 : 18 + n].T
-        dF[:n, of_torque] = -np.eye(n)
-        dF[n:, :12], dF[n:, 12 : of_v.stop] = gaps[:, :12], gaps[:, 18 : 18 + 2 * n]
-        columns = np.arange(12 + 3 * n)
-        columns[12:] += np.repeat(np.arange(3) * (layout.joints - n) + joints.start, n)
-        if placed:
-            first = self.columns["placements"].start + 6 * i
-            columns = np.r_[columns, first : first + 6]
-            dF[:n, of_torque.stop :] = -on_link[18 + 3 * n : -1].T
-            dF[n:, of_torque.stop :] = gaps[:, 18 + 3 * n :]
-            self.dF_o[:, first : first + 6] -= on_object[18 + 3 * n : -1].T
-        if self._applied is None:
-            dF[:n, of_v] = by_v
-        else:
-            whole = np.zeros((n + m, self.width))
-            whole[:, columns] = dF
-            whole[:n, self._applied_columns] -= self._applied[6:][joints]
-            columns, dF = np.arange(self.width), whole
-        self.dF_o[:, :6] -= on_object[:6].T
-        self.dF_o[:, 12 + joints.start : 12 + joints.stop] -= on_object[18 : 18 + n].T
-        K, of_object = np.zeros((n + m, n + m)), np.zeros((n + m, 6))
-        K[:n, :n], K[:n, n:], K[n:, :n], of_object[n:] = M, -W, W.T, gaps[:, 12:18]
-        by_state = np.hstack([rates[:, :12], rates[:, 18 : 18 + 2 * n]])
-        return _ArmEquations(n, columns, K, of_object, dF, by_state)
 
-    def _arm_derivatives(self, name: str) -> ArmDerivatives:
-        """Those of an arm, kept with the data; without gravity where that is among the forces."""
-        key = ("derivatives", name, tuple(self.gravity.tolist()))
-        if key not in self.data.cache:
-            arm = self.data.model.arms[name]
-            self.data.cache[key] = ArmDerivatives(arm, self.gravity)
-        return self.data.cache[key]
+def _equations(data: Data, parameters: bool) -> _Equations:
+    """Those of the data, which keep them."""
+    key = ("derivatives", parameters)
+    if key not in data.cache:
+        data.cache[key] = _Equations(data, parameters)
+    return data.cache[key]
 
-    def _add_joint_rows(self, i: int, W: np.ndarray, rates_by_v: np.ndarray) -> None:
-        """Columns of ``W`` that belong to joints of the arm, and the rates of their gaps."""
-        layout, constants = self.layout, self.data.model.constants
-        for arm, row, joint in constants.joint_rows:
-            if arm == i:
-                k, j = row - layout.rows[i], joint - layout.dofs[i]
-                W[j, k] = rates_by_v[k, j] = constants.geometry[row, SIDE]
 
-    @property
-    def _applied_columns(self) -> np.ndarray:
-        """Columns of the differences: positions, velocities and states of effects."""
-        states = self.columns["effect_states"]
-        return np.r_[: self.columns["torques"].start, states]
-
-    def _forces_by_differences(self, closed_loop: bool) -> np.ndarray:
-        """Derivatives of ``h_o``, ``h`` and the rates of effects' states, by all but torques."""
-        n, e = self.layout.joints, self.data.arrays.inner.size
-        found = np.zeros((12 + 2 * n + e, 6 + n + e))
-        if differentiate_forces(self.data.struct, closed_loop, found) != OK:
-            self.data.reraise()
-        return found.T
+def _motions(
+    layout: Layout,
+    closed: np.ndarray,
+    inertia_o: np.ndarray,
+    M: np.ndarray,
+    W: np.ndarray,
+    W_o: np.ndarray,
+    of_rates: np.ndarray,
+) -> Motions:
+    size = 6 + layout.joints
+    inertia, (rates, by_position) = np.zeros((size, size)), np.zeros((2, layout.contacts, size))
+    inertia[:6, :6], rates[:, :6], by_position[:, :6] = inertia_o, W_o, of_rates[:, :6]
+    for i in range(len(layout.dofs) - 1):
+        joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
+        n, m = joints.stop - joints.start, rows.stop - rows.start
+        at, lower = slice(6 + joints.start, 6 + joints.stop), np.tril(M[i, :n, :n])
+        inertia[at, at] = lower + np.tril(lower, -1).T
+        rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, 12 : 12 + n]
+    return Motions(inertia, rates[closed], rates, by_position)
 
 
 def _range(bounds: tuple[int, ...], i: int) -> slice:

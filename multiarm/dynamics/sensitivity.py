@@ -6,7 +6,7 @@ Displacements of the object are a shift of its centre of mass and a rotation vec
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -201,8 +201,6 @@ class Derivatives:
     layout : Layout
     message : str
         What does not exist in this form, and why; else empty.
-    motions : Motions
-        Inertia, and which displacements keep the joints closed.
     """
 
     evaluation: Evaluation
@@ -211,7 +209,12 @@ class Derivatives:
     columns: Mapping[str, slice]
     layout: Layout
     message: str
-    motions: Motions
+    _motions: Callable[[], Motions]
+
+    @cached_property
+    def motions(self) -> Motions:
+        """Inertia, and which displacements keep the joints closed."""
+        return self._motions()
 
     @property
     def object_acceleration(self) -> Sensitivity:

@@ -62,7 +62,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.factors import factor_lu
+from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.integration.projection import greatest
 from multiarm.integration.step import Step, load
 from multiarm.jit.kernels import clear, copy, inlined, kernel
@@ -549,32 +549,6 @@ def solve_arms(blocks, work):
         solve_rows(S, 6, blocks.S_pivots, blocks.on_object[i])
     solve_rows(S, 6, blocks.S_pivots, blocks.by_object)
     return True
-
-
-@kernel
-def solve_rows(A, n, pivots, X):
-    """Solve ``A X = B`` with the factors of ``factor_lu``; ``X[:n]`` is ``B`` on entry."""
-    for i in range(n):
-        if pivots[i] != i:
-            row, other = X[i], X[pivots[i]]
-            for c in range(row.size):
-                row[c], other[c] = other[c], row[c]
-    for i in range(n):
-        for k in range(i):
-            subtract(A[i, k], X[k], X[i])
-    for i in range(n - 1, -1, -1):
-        row, inverse = X[i], 1.0 / A[i, i]
-        for k in range(i + 1, n):
-            subtract(A[i, k], X[k], row)
-        for c in range(row.size):
-            row[c] *= inverse
-
-
-@inlined
-def subtract(factor, other, row):
-    """``row -= factor * other``."""
-    for c in range(row.size):
-        row[c] -= factor * other[c]
 
 
 @kernel

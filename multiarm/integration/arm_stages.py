@@ -30,8 +30,8 @@ The rates of the works follow, as powers do not act on the state.
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.solver.factors import factor_lu, solve_lu
-from multiarm.integration.arm_blocks import ACCELERATION, POSE, TWIST, solve_rows
+from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
+from multiarm.integration.arm_blocks import ACCELERATION, POSE, TWIST
 from multiarm.jit.kernels import clear, inlined, kernel
 
 

@@ -185,6 +185,32 @@ def solve_lu_transposed(A, n, pivots, x):
 
 
 @kernel
+def solve_rows(A, n, pivots, X):
+    """Solve ``A X = B`` with the factors of ``factor_lu``; ``X[:n]`` is ``B`` on entry."""
+    for i in range(n):
+        if pivots[i] != i:
+            row, other = X[i], X[pivots[i]]
+            for c in range(row.size):
+                row[c], other[c] = other[c], row[c]
+    for i in range(n):
+        for k in range(i):
+            subtract(A[i, k], X[k], X[i])
+    for i in range(n - 1, -1, -1):
+        row, inverse = X[i], 1.0 / A[i, i]
+        for k in range(i + 1, n):
+            subtract(A[i, k], X[k], row)
+        for c in range(row.size):
+            row[c] *= inverse
+
+
+@inlined
+def subtract(factor, other, row):
+    """``row -= factor * other``."""
+    for c in range(row.size):
+        row[c] -= factor * other[c]
+
+
+@kernel
 def decompose(A, n, m, V, singular):
     r"""Singular values of a matrix of ``n`` columns ``A[k, :m]``.
 

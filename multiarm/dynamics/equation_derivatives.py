@@ -1,0 +1,281 @@
+r"""Derivatives of the equations of motion with respect to the state, in compiled code.
+
+For every arm, and for the surroundings as an arm without joints, with :math:`F_i, F_{\varphi i},
+F_o` of :mod:`multiarm.dynamics.derivatives`,
+
+.. math::
+    K_i = \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}, \qquad
+    \partial \begin{bmatrix} F_i \\ F_{\varphi i} \end{bmatrix}, \qquad \partial F_o .
+
+Each arm has columns of its own, so that the cost is linear in the arms.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.arms.derivatives import (
+    BODY_SIZE,
+    LINEAR,
+    LINEAR_RATE,
+    LINK_SCRATCH,
+    MOTION,
+    MOTION_WIDTH,
+    PLACE,
+    ArmLinks,
+    subtract_torques,
+    write_inverse_dynamics,
+    write_motions,
+)
+from multiarm.contacts.kernel import CONTACT_WIDTH
+from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
+from multiarm.dynamics.contact_derivatives import (
+    SCRATCH_ROWS,
+    SLOPES_WIDTH,
+    STILL,
+    differentiate_joint,
+    unit,
+)
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.jit.kernels import INTS, TABLE, clear, copy, inlined, kernel
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
+from multiarm.jit.vectors import add_cross, cross, put, sub, times, vec
+
+# Result of the solution where a matrix is singular.
+SINGULAR = -10
+
+
+class EquationWork(NamedTuple):
+    """Results and scratch for ``n`` arms; ``d`` joints and ``m`` contacts of the largest.
+
+    An arm's own columns are C coordinates, see
+    :func:`multiarm.dynamics.contact_derivatives.differentiate_joint`, the torques of its joints and
+    the object's acceleration.
+    """
+
+    placements: Int  # first of their columns among all; -1 without
+    K: Floats3  # (n, d + m, d + m)
+    dF: Floats3  # (n, d + m, C + d + 6) derivatives of F_i and F_phi
+    dF_o: Floats2  # (6, columns) of F_o
+    rates: Floats2  # (N, C) of the gaps' rates
+    # (C + 1, 6) derivatives, and in the last used row the values, of the contacts' wrench on the
+    # object, about its centre of mass in world axes, and of the opposite one on the link, about its
+    # origin in its axes
+    on_object: Floats2
+    on_link: Floats2
+    # scratch of one arm
+    body: Floats1
+    link: Floats1
+    links: Floats2
+    moved: Floats2
+    scratch: Floats2
+    rows: Floats2
+    parts: Floats2
+    slopes: Floats2
+    wrench: Floats2
+    by_q: Floats2
+    by_v: Floats2
+    S: Floats2
+    pivots: Ints1
+
+
+_open_links = view(ArmLinks)
+_open_work = view(EquationWork, len(ArmLinks._fields))
+
+
+def make_equation_work(data: Data, columns: int, placements: int) -> EquationWork:
+    """Allocate for derivatives with a number of columns; see :class:`EquationWork`."""
+    layout, parts = data.model.layout, data.arrays.parts
+    n, N = len(layout.dofs) - 1, layout.contacts
+    d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
+    C = 12 + 2 * d + (6 if placements >= 0 else 0)
+    work = EquationWork(
+        placements=placements,
+        K=np.zeros((n, d + m, d + m)),
+        dF=np.zeros((n, d + m, C + d + 6)),
+        dF_o=np.zeros((6, columns)),
+        rates=np.zeros((N, C)),
+        body=np.zeros(BODY_SIZE),
+        link=np.zeros(BODY_SIZE),
+        links=np.zeros((d, LINK_SCRATCH)),
+        moved=np.zeros((2 * d, MOTION_WIDTH)),
+        scratch=np.zeros((SCRATCH_ROWS, BODY_SIZE)),
+        rows=np.zeros((N, CONTACT_WIDTH)),
+        parts=np.zeros_like(parts),
+        slopes=np.zeros((N, SLOPES_WIDTH)),
+        wrench=np.zeros((7, 6)),
+        on_object=np.zeros((C + 1, 6)),
+        on_link=np.zeros((C + 1, 6)),
+        by_q=np.zeros((d, d)),
+        by_v=np.zeros((d, d)),
+        S=np.zeros((6, 6)),
+        pivots=np.zeros(max(6, d + m), dtype=np.int64),
+    )
+    work.scratch[STILL, :9] = np.eye(3).ravel()
+    return work
+
+
+def equation_struct(links: ArmLinks, work: EquationWork) -> np.ndarray:
+    """The struct ``own`` of the kernels; both must live as long as it is used."""
+    return struct_of(links, work)
+
+
+@kernel
+def differentiate_equations(struct: INTS, own: INTS):
+    """Write the derivatives of all equations at the solution in the data; returns a status.
+
+    ``own`` is the struct of :func:`equation_struct`.  The matrices in the data must not be
+    factored.
+    """
+    model, data, system = open_system(struct)
+    links, work = _open_links(own), _open_work(own)
+    write_object_equation(data, work)
+    for i in range(system.dofs.size - 1):
+        differentiate_arm(i, model, data, system, links, work)
+    return CALLBACK_FAILED if data.status.failed else OK
+
+
+@inlined
+def write_object_equation(data, work):
+    """Motion of the object, and derivatives of ``M_o a_o - h_o`` without control and effects.
+
+    The inertia turns with the object; ``h_o`` is its weight and the gyroscopic moment.
+    """
+    body, A, w, alpha = work.body, data.inertia, vec(data.twist, 3), vec(data.q_o, 3)
+    for k in range(9):
+        body[k] = data.body[k]
+    motion = body[MOTION:]
+    put(motion, PLACE, vec(data.position, 0))
+    for k in range(6):
+        motion[LINEAR + k], motion[LINEAR_RATE + k] = data.twist[k], data.q_o[k]
+    I = (A[3, 3], A[3, 4], A[3, 5], A[4, 4], A[4, 5], A[5, 5])  # noqa: E741
+    spin, torque = times(I, w), times(I, alpha)
+    for l in range(6):  # noqa: E741
+        clear(work.dF_o[l])
+    for axis in range(3):
+        e = unit(axis)
+        gyroscopic = sub(times(I, cross(w, e)), cross(spin, e))
+        by_turn = add_cross(sub(times(I, cross(alpha, e)), cross(torque, e)), w, gyroscopic)
+        by_spin = add_cross(cross(w, times(I, e)), e, spin)
+        for k in range(3):
+            work.dF_o[3 + k, 3 + axis] = by_turn[k]
+            work.dF_o[3 + k, 9 + axis] = by_spin[k]
+
+
+@kernel
+def differentiate_arm(i, model, data, system, links, work):
+    """Write ``K_i`` and the derivatives of one arm's equations, and add those of its wrench."""
+    d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+    first, last = system.rows[i], system.rows[i + 1]
+    is_arm, dF, link = i < links.tips.size, work.dF[i], work.link
+    C = coordinates_of(i, n, links, work)
+    for k in range(n + last - first):
+        clear(dF[k])
+    if is_arm:
+        write_motions(links, i, data.angles, data.v, data.qdd, work.links, link, work.moved)
+    else:  # the surroundings are at rest
+        clear(link)
+        link[0] = link[4] = link[8] = 1.0
+    differentiate_joint(model, data, first, last, n, C, dF[n:], work)
+    if is_arm:
+        write_inverse_dynamics(links, i, work.on_link[C], work.links, work.by_q, work.by_v)
+    for j in range(n):
+        for k in range(n):
+            dF[j, 12 + k], dF[j, 12 + n + k] = work.by_q[j, k], work.by_v[j, k]
+        dF[j, C + j] = -1.0
+    for k in range(first, last):
+        for l in range(6):  # noqa: E741
+            dF[n + k - first, C + n + l] = data.Wo[k, l]
+    for c in range(C):
+        if 6 <= c < 12 or 12 + n <= c < 12 + 2 * n:
+            continue  # wrenches of contacts do not depend on velocities
+        if is_arm:
+            subtract_torques(links, i, work.on_link[c], work.links, dF, c)
+        at = c if c < 12 else c + d0
+        if c >= 12 + 2 * n:
+            at = work.placements + 6 * i + c - 12 - 2 * n
+        for l in range(6):  # noqa: E741
+            work.dF_o[l, at] -= work.on_object[c, l]
+    write_matrix_of_arm(i, first, last - first, n, data, system, work)
+
+
+@inlined
+def coordinates_of(i, n, links, work):
+    """Number of the first columns of an arm: its state, and the placement of its contacts."""
+    return 12 + 2 * n + (6 if i < links.tips.size and work.placements >= 0 else 0)
+
+
+@inlined
+def write_matrix_of_arm(i, first, m, n, data, system, work):
+    """Write ``K_i``."""
+    K, M, W = work.K[i], system.L[i], system.Y[i]
+    for a in range(n):
+        for b in range(n):
+            K[a, b] = M[max(a, b), min(a, b)]
+        for k in range(m):
+            K[a, n + k], K[n + k, a] = -W[a, k], W[a, k]
+    for k in range(m):
+        for b in range(m):
+            K[n + k, n + b] = 0.0
+
+
+@kernel
+def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
+    """Solve for ``dy``, each arm on its own and then the object; returns a status.
+
+    ``matrix`` (6 + n + N, columns) is written; matrices and derivatives in the work are used up.
+    The result is ``SINGULAR`` where an arm, or the object, cannot be solved so.
+    """
+    _, data, system = open_system(struct)
+    links, work, S, joints = _open_links(own), _open_work(own), _open_work(own).S, data.angles.size
+    for l in range(6):  # noqa: E741
+        copy(data.inertia[l], S[l])
+        row, dF_o = matrix[l], work.dF_o[l]
+        for c in range(row.size):
+            row[c] = -dF_o[c]
+    for i in range(system.dofs.size - 1):
+        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+        first, last, X = system.rows[i], system.rows[i + 1], work.dF[i]
+        if not factor_lu(work.K[i], n + last - first, work.pivots) > 0.0:
+            return SINGULAR
+        solve_rows(work.K[i], n + last - first, work.pivots, X)
+        C = coordinates_of(i, n, links, work)
+        for k in range(first, last):
+            forces = X[n + k - first]
+            for l in range(6):  # noqa: E741
+                subtract_own(data.Wo[k, l], forces, i, d0, n, C, joints, work, matrix[l])
+                for c in range(6):
+                    S[l, c] += data.Wo[k, l] * forces[C + n + c]
+    if not factor_lu(S, 6, work.pivots) > 0.0:
+        return SINGULAR
+    solve_rows(S, 6, work.pivots, matrix)
+    for i in range(system.dofs.size - 1):
+        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+        m, C = system.rows[i + 1] - system.rows[i], coordinates_of(i, n, links, work)
+        for k in range(n + m):
+            X = work.dF[i, k]
+            row = matrix[6 + d0 + k if k < n else 6 + joints + system.rows[i] + k - n]
+            clear(row)
+            for l in range(6):  # noqa: E741
+                weight, of_object = X[C + n + l], matrix[l]
+                for c in range(row.size):
+                    row[c] -= weight * of_object[c]
+            subtract_own(1.0, X, i, d0, n, C, joints, work, row)
+    return OK
+
+
+@inlined
+def subtract_own(weight, values, i, d0, n, C, joints, work, row):
+    """Subtract an arm's own columns, times a weight, from a row of all columns."""
+    for c in range(12):
+        row[c] -= weight * values[c]
+    positions, velocities, torques = 12 + d0, 12 + joints + d0, 12 + 2 * joints + d0
+    for k in range(n):
+        row[positions + k] -= weight * values[12 + k]
+        row[velocities + k] -= weight * values[12 + n + k]
+        row[torques + k] -= weight * values[C + k]
+    for k in range(C - 12 - 2 * n):
+        row[work.placements + 6 * i + k] -= weight * values[12 + 2 * n + k]
