@@ -81,7 +81,7 @@ def differentiate(
     solved = equations.solve_by_arms() if by_arms else None
     if solved is None:
         solved = equations.solve_whole(along_joints=not independent)
-    motions = equations.motions()
+    motions = equations.motions(independent)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     matrix[: len(solved)] = solved[:, : equations.width]
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
@@ -153,7 +153,7 @@ class _Equations:
         K, dF = self._stacked()
         states = self._columns["torques"].start
         if along_joints:
-            dF[:, :states] = dF[:, :states] @ self.motions()().admissible()
+            dF[:, :states] = dF[:, :states] @ self.motions(False)().admissible()
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
         scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
@@ -174,12 +174,13 @@ class _Equations:
             )
         return -scale[:, None] * (vt[:rank].T @ (right[:rank] / singular[:rank, None]))
 
-    def motions(self) -> Callable[[], Motions]:
+    def motions(self, independent: bool) -> Callable[[], Motions]:
         """What makes the inertia and the derivatives of the gaps, when they are needed."""
         b, work = self._data.arrays, self._data.work
         arrays = (array.copy() for array in (b.inertia, work.L, work.Y, b.Wo, self._work.rates))
         codes = self._data.model.constants.codes[: len(b.Wo)]
-        return partial(_motions, self._data.model.layout, codes[:, KIND] != TANGENT, *arrays)
+        closed, layout = codes[:, KIND] != TANGENT, self._data.model.layout
+        return partial(_motions, layout, closed, independent, *arrays)
 
     def _update(self) -> None:
         """Derivatives of the equations at the solution in the data."""
@@ -232,6 +233,7 @@ def _equations(data: Data, parameters: bool) -> _Equations:
 def _motions(
     layout: Layout,
     closed: np.ndarray,
+    independent: bool,
     inertia_o: np.ndarray,
     M: np.ndarray,
     W: np.ndarray,
@@ -244,10 +246,11 @@ def _motions(
     for i in range(len(layout.dofs) - 1):
         joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
         n, m = joints.stop - joints.start, rows.stop - rows.start
-        at, lower = slice(6 + joints.start, 6 + joints.stop), np.tril(M[i, :n, :n])
-        inertia[at, at] = lower + np.tril(lower, -1).T
+        at = slice(6 + joints.start, 6 + joints.stop)
+        lower = M[i, :n, :n]
+        inertia[at, at] = np.where(np.tri(n, dtype=bool), lower, lower.T)
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, 12 : 12 + n]
-    return Motions(inertia, rates[closed], rates, by_position)
+    return Motions(inertia, closed, rates, by_position, independent)
 
 
 def _range(bounds: tuple[int, ...], i: int) -> slice:

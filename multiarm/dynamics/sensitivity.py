@@ -146,18 +146,26 @@ class Motions(NamedTuple):
     ----------
     inertia : ndarray, shape (6 + n, 6 + n)
         Kinetic energy is half its square form of the velocities.
-    gaps : ndarray, shape (K, 6 + n)
-        Of the K gaps that joints keep closed, by a displacement; rolling rows have no gap.
+    closed : bool ndarray, shape (N,)
+        Rows whose gaps joints keep closed; rolling rows have no gap.
     rates : ndarray, shape (N, 6 + n)
-        Of the rates of all N rows, by the velocities.
+        Of the rates of all N rows, by the velocities; of their gaps, by a displacement.
     rates_by_position : ndarray, shape (N, 6 + n)
         Of these rates, by a displacement.
+    independent : bool
+        Whether no row repeats others.
     """
 
     inertia: np.ndarray
-    gaps: np.ndarray
+    closed: np.ndarray
     rates: np.ndarray
     rates_by_position: np.ndarray
+    independent: bool
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Derivatives of the K gaps that joints keep closed, by a displacement, (K, 6 + n)."""
+        return self.rates[self.closed]
 
     @property
     def constraint(self) -> np.ndarray:
@@ -165,10 +173,12 @@ class Motions(NamedTuple):
 
         In the order of the columns of :class:`Derivatives`.
         """
-        of_gaps = np.hstack([self.gaps, np.zeros_like(self.gaps)])
-        constraint = np.vstack([of_gaps, np.hstack([self.rates_by_position, self.rates])])
-        n = self.inertia.shape[0] - 6
-        return constraint[:, np.r_[0:6, 6 + n : 12 + n, 6 : 6 + n, 12 + n : 12 + 2 * n]]
+        gaps, n = self.gaps, self.inertia.shape[0] - 6
+        found, K = np.zeros((len(gaps) + len(self.rates), 12 + 2 * n)), len(gaps)
+        for columns, own in ((slice(6), slice(6)), (slice(12, 12 + n), slice(6, None))):
+            found[:K, columns], found[K:, columns] = gaps[:, own], self.rates_by_position[:, own]
+        found[K:, 6:12], found[K:, 12 + n :] = self.rates[:, :6], self.rates[:, 6:]
+        return found
 
     def admissible(self) -> np.ndarray:
         """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
@@ -177,6 +187,9 @@ class Motions(NamedTuple):
         """
         constraint = self.constraint
         lengths = np.linalg.norm(constraint, axis=1)
+        if self.independent:
+            across = np.linalg.qr((constraint / lengths[:, None]).T).Q
+            return np.eye(len(across)) - across @ across.T
         basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
         return basis @ basis.T
 

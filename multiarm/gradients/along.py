@@ -25,12 +25,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from typing import Protocol, TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
@@ -38,7 +38,7 @@ from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
-from multiarm.gradients.interpolation import DEGREES, nodes
+from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.segments import SHORTEST, TINY, Panel, Segment
 from multiarm.gradients.variation import Parameter, variation
 from multiarm.results.trajectory import Trajectory
@@ -59,6 +59,9 @@ MOST_WALKS = 12
 # Walks over shorter segments go on while they lessen the error at least so; derivatives with a
 # larger relative error than the second are of no use.
 LESSENED, USELESS = 0.5, 1e-2
+# Degree of the series of velocities from which segments are planned, and how much less of a
+# velocity than of the matrices their last terms are.
+FINE, ROUGHER = 64, 100.0
 # Series that alone may make an error of so many times the tolerance are refined at once.
 COARSE = 10.0
 
@@ -146,10 +149,7 @@ class Along:
             raise SceneError(f"parameters: expected a list of paths, such as [{parameters!r}]")
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
         self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
-        rough = system.model.breakpoints
-        inner = rough[(rough > self.begin) & (rough < self.end)]
-        times = np.unique([self.begin, self.end, *inner])
-        self._segments = [(panel, DEGREES[0]) for panel in _divided(times)]
+        self._segments: list[tuple[Panel, int]] = []
         self.start_by_parameters = self._start_by_parameters()
         self._states: dict[float, State] = {}
         self._values: dict[float, np.ndarray] = {}
@@ -225,7 +225,8 @@ class Along:
         SolverError
             When its error is too large even so.
         """
-        with threadpool_limits(1):  # the matrices are too small for several threads
+        with _thread_pools().limit(limits=1):  # the matrices are too small for several
+            self._plan()
             self._resolve()
             best: AnyWalk | None = None
             for number in range(1, MOST_WALKS + 1):
@@ -250,6 +251,22 @@ class Along:
             )
         return best
 
+    def _plan(self) -> None:
+        """Choose segments over which the velocities of the run are series."""
+        rough = self.system.model.breakpoints
+        inner = rough[(rough > self.begin) & (rough < self.end)]
+        whole = _divided(np.unique([self.begin, self.end, *inner]))
+        self._segments = [(panel, FINE) for panel in whole]
+        self._sample()
+        segments = []
+        for panel in whole:
+            states = [self._states[t] for t in nodes(*panel, FINE)]
+            velocities = np.array([state.velocity for state in states])
+            size = max(1.0, np.abs(velocities).max())
+            series = Series(*panel, velocities / size)
+            segments += _planned(panel, series, self.tolerance / ROUGHER)
+        self._segments = segments
+
     def _resolve(self) -> None:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
         allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
@@ -273,8 +290,8 @@ class Along:
             defect, _ = self._quality[panel, degree]
             if share < large:
                 segments.append((panel, degree))
-            elif degree < DEGREES[-1] and share * defect < large:
-                segments.append((panel, DEGREES[DEGREES.index(degree) + 1]))
+            elif finer := [k for k in DEGREES if share * defect ** (k / degree - 1.0) < large]:
+                segments.append((panel, finer[0]))
             else:
                 segments += [(half, DEGREES[0]) for half in panel.halves]
         self._segments = segments
@@ -333,6 +350,11 @@ class Along:
             raise SolverError(f"at t = {t:.9g} s: {error}") from None
 
 
+@cache
+def _thread_pools() -> ThreadpoolController:
+    return ThreadpoolController()  # looking for them takes as long as a short run
+
+
 def _show(show: Report, total: int, words: str, done: int) -> None:
     show(done, total, words)
 
@@ -368,6 +390,21 @@ def _refuse_events(run: Trajectory) -> None:
             f"depends on when ({first['text']} at t = {first['time']:.6g} s); end the run before, "
             f"or keep the contacts closed"
         )
+
+
+def _planned(
+    panel: Panel, series: Series, allowed: float, before: float = math.inf
+) -> list[tuple[Panel, int]]:
+    """Segments of a panel over which a series is one of lower degree."""
+    for degree in DEGREES:
+        values, _ = series.at(nodes(*panel, degree))
+        defect = Series(*panel, values).defect.max(initial=0.0)
+        if defect <= allowed:
+            return [(panel, degree)]
+    if defect > LESSENED * before or panel.length < SHORTEST:  # noise of the run, or a kink
+        return [(panel, DEGREES[-1])]
+    first, second = (_planned(half, series, allowed, defect) for half in panel.halves)
+    return first + second
 
 
 def _divided(times: np.ndarray) -> list[Panel]:

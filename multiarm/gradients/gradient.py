@@ -261,9 +261,11 @@ class _Backward:
         of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
         self._pieces.reverse()
         weights = [panel.length * WEIGHTS for panel, _ in self._pieces]
+        of_series = np.maximum(shares[0], (shares[1] / sizes).max(axis=1))
+        of_integrals = (np.abs(self._integral_errors) / sizes).max()
         return _Walk(
-            error=float(max(of_start, (np.abs(self._integral_errors) / sizes).max())),
-            shares=np.maximum(shares[0], (shares[1] / sizes).max(axis=1)),
+            error=float(max(of_start, of_integrals, of_series.sum())),
+            shares=of_series,
             adjoint=self._mu,
             start=start,
             integrals=self._integrals,

@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 
 # Degrees that are tried for a segment before it is divided.
-DEGREES = (8, 16)
+DEGREES = (8, 12, 16, 24, 32)
 # How far inside the ends the outer nodes lie, as part of the length.
 INSIDE = 1e-11
 

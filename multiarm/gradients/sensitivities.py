@@ -197,8 +197,9 @@ class _Forward:
                 self._over(piece, shares[k])
                 self._at[piece.panel.end] = self._S
             report(k + 1)
-        error = (self._worst / self._sizes).max()
-        return _Walk(float(error), (shares / self._sizes).max(axis=1), self._at)
+        of_series = (shares / self._sizes).max(axis=1)
+        error = max((self._worst / self._sizes).max(), of_series.sum())
+        return _Walk(float(error), of_series, self._at)
 
     def _over(self, piece: Piece, share: np.ndarray) -> None:
         """Solve over one piece, or over parts of it; adds the errors of the series, (C,)."""
