@@ -28,7 +28,7 @@ from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.segments import Panel, Piece, Segment
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
-from multiarm.gradients.variation import displaced, displacement
+from multiarm.gradients.variation import Variation, displaced, displacement
 from multiarm.scene.changes import changed, value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]
@@ -147,16 +147,14 @@ def test_a_series_is_its_function_to_within_its_defect(degree):
 
 def test_the_error_of_a_series_is_solved_for_with_the_solution():
     """To first order, what a solution changes by when the series loses its highest degrees."""
-    panel, degree, size = Panel(0.0, 0.2), DEGREES[0], 2
+    panel, degree = Panel(0.0, 0.2), DEGREES[0]
 
-    def values(t):
-        found = np.zeros((size + 1, size + 2))
-        found[:2, :2] = [[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]]
-        found[:2, 2], found[:2, 3] = [0.0, np.sin(25.0 * t)], [np.cos(20.0 * t), 0.0]
-        return found
+    def variation(t):
+        A = np.array([[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]])
+        beta, slope = np.array([[0.0], [np.sin(25.0 * t)]]), np.array([np.cos(20.0 * t), 0.0])
+        return Variation(A, np.zeros((2, 0)), beta, np.eye(2), np.zeros((2, 1)), slope)
 
-    whole = Segment(panel, np.stack([values(t) for t in nodes(*panel, degree)]), 0)
-    less = Segment(panel, np.stack([values(t) for t in nodes(*panel, degree)]), 0)
+    whole, less = (Segment(panel, [variation(t) for t in nodes(*panel, degree)]) for _ in range(2))
     less._series._coefficients[-2:] = 0.0
     end, nothing = np.array([0.3, -1.0]), np.zeros(2)
     full, short = (_backward(Piece(own, panel), end, nothing) for own in (whole, less))

@@ -176,8 +176,8 @@ class _Equations:
 
     def motions(self, independent: bool) -> Callable[[], Motions]:
         """What makes the inertia and the derivatives of the gaps, when they are needed."""
-        b, work = self._data.arrays, self._data.work
-        arrays = (array.copy() for array in (b.inertia, work.L, work.Y, b.Wo, self._work.rates))
+        b, own = self._data.arrays, self._work
+        arrays = (part.copy() for part in (b.inertia, own.M, self._data.work.Y, b.Wo, own.rates))
         codes = self._data.model.constants.codes[: len(b.Wo)]
         closed, layout = codes[:, KIND] != TANGENT, self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)
@@ -247,8 +247,7 @@ def _motions(
         joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
         n, m = joints.stop - joints.start, rows.stop - rows.start
         at = slice(6 + joints.start, 6 + joints.stop)
-        lower = M[i, :n, :n]
-        inertia[at, at] = np.where(np.tri(n, dtype=bool), lower, lower.T)
+        inertia[at, at] = M[i, :n, :n]
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, 12 : 12 + n]
     return Motions(inertia, closed, rates, by_position, independent)
 

@@ -58,6 +58,7 @@ class EquationWork(NamedTuple):
 
     placements: Int  # first of their columns among all; -1 without
     K: Floats3  # (n, d + m, d + m)
+    M: Floats3  # (n, d, d)
     dF: Floats3  # (n, d + m, C + d + 6) derivatives of F_i and F_phi
     dF_o: Floats2  # (6, columns) of F_o
     rates: Floats2  # (N, C) of the gaps' rates
@@ -95,6 +96,7 @@ def make_equation_work(data: Data, columns: int, placements: int) -> EquationWor
     work = EquationWork(
         placements=placements,
         K=np.zeros((n, d + m, d + m)),
+        M=np.zeros((n, d, d)),
         dF=np.zeros((n, d + m, C + d + 6)),
         dF_o=np.zeros((6, columns)),
         rates=np.zeros((N, C)),
@@ -210,11 +212,11 @@ def coordinates_of(i, n, links, work):
 
 @inlined
 def write_matrix_of_arm(i, first, m, n, data, system, work):
-    """Write ``K_i``."""
+    """Write ``K_i`` and ``M_i``."""
     K, M, W = work.K[i], system.L[i], system.Y[i]
     for a in range(n):
         for b in range(n):
-            K[a, b] = M[max(a, b), min(a, b)]
+            work.M[i, a, b] = K[a, b] = M[max(a, b), min(a, b)]
         for k in range(m):
             K[a, n + k], K[n + k, a] = -W[a, k], W[a, k]
     for k in range(m):

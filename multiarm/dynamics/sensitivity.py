@@ -180,17 +180,21 @@ class Motions(NamedTuple):
         found[K:, 6:12], found[K:, 12 + n :] = self.rates[:, :6], self.rates[:, 6:]
         return found
 
-    def admissible(self) -> np.ndarray:
-        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
+    def basis(self) -> np.ndarray:
+        """Orthonormal displacements and velocities that keep gaps and gap rates, (12 + 2 n, d).
 
         In the order of the columns of :class:`Derivatives`.
         """
         constraint = self.constraint
         lengths = np.linalg.norm(constraint, axis=1)
         if self.independent:
-            across = np.linalg.qr((constraint / lengths[:, None]).T).Q
-            return np.eye(len(across)) - across @ across.T
-        basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
+            whole = np.linalg.qr((constraint / lengths[:, None]).T, mode="complete").Q
+            return whole[:, len(constraint) :]
+        return null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
+
+    def admissible(self) -> np.ndarray:
+        """Projector on what :meth:`basis` spans, (12 + 2 n, 12 + 2 n)."""
+        basis = self.basis()
         return basis @ basis.T
 
 

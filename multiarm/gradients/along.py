@@ -9,14 +9,6 @@ posture changes, and not on how fast motions die out.  The equation itself is so
 the segments (:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the
 result.  Segments that contribute too much get more nodes, or are divided.
 
-*Stabilisation.*  With the projector P on displacements that keep the joints closed, and the least
-displacement n that follows joints which a parameter moves, the equation is
-
-.. math:: \dot\delta = A\delta + \beta\,\delta p - \kappa\,\big((1 - P)\,\delta - n\,\delta p\big) .
-
-Its solutions are the same; errors across the joints, which would stay where damping makes all else
-small, die out.
-
 *Memory.*  Kept are the states at the nodes, 13 + 2 n numbers each, and the matrices of one segment
 at a time; those of all segments as long as they have at most ``MOST_KEPT`` numbers.
 """
@@ -25,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import Protocol, TypeVar
 
@@ -40,15 +32,13 @@ from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.segments import SHORTEST, TINY, Panel, Segment
-from multiarm.gradients.variation import Parameter, variation
+from multiarm.gradients.variation import Parameter, Variation, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
 from multiarm.simulation.simulate import simulate
 from multiarm.terminal.progress import Report
 
-# The rate kappa at which errors across the joints die out [1/s].
-KAPPA = 40.0
 # Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
 # Longest segments that are tried [s].
@@ -152,8 +142,7 @@ class Along:
         self._segments: list[tuple[Panel, int]] = []
         self.start_by_parameters = self._start_by_parameters()
         self._states: dict[float, State] = {}
-        self._values: dict[float, np.ndarray] = {}
-        self._ends: dict[float, Motions] = {}
+        self._values: dict[float, Variation] = {}
         # of segments: the defects of their series, and the errors that they alone may make
         self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
 
@@ -184,26 +173,14 @@ class Along:
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
         panel, degree = self._segments[k]
-        values = np.stack([self._value(t) for t in nodes(*panel, degree)])
-        found = Segment(panel, values, self.layout.joints)
+        found = Segment(panel, [self._value(t) for t in nodes(*panel, degree)])
         self._quality[panel, degree] = found.defect, found.error
         return found
 
-    def admissible(self, t: float) -> np.ndarray:
-        """Projector (D, D) on displacements that keep the joints closed, at an end of the run."""
-        return self._motions(t).admissible()
-
-    def across(self, t: float) -> np.ndarray:
-        """Least displacements (D, P) that follow joints which parameters move, at an end."""
-        found = np.zeros((self.size, len(self.parameters)))
-        for k, parameter in enumerate(self.parameters):
-            found[:, k] = _across(self._motions(t), parameter.at(t, self._states[t])[1])
-        return found
-
-    def _motions(self, t: float) -> Motions:
-        if t not in self._ends:
-            self._ends[t] = self._derivatives(t).motions
-        return self._ends[t]
+    @cached_property
+    def admissible(self) -> np.ndarray:
+        """Projector (D, D) on displacements of the start that keep the joints closed."""
+        return self._derivatives(self.begin).motions.admissible()
 
     def _start_by_parameters(self) -> np.ndarray:
         found = np.zeros((self.size, len(self.parameters)))
@@ -324,22 +301,21 @@ class Along:
             for t, position, velocity in zip(sorted(wanted), positions, velocities, strict=True)
         }
 
-    def _value(self, t: float) -> np.ndarray:
-        """All coefficients at a node, in one matrix (D + 1, D + n + P + 1)."""
+    def _value(self, t: float) -> Variation:
+        """The equation at a node."""
         found = self._values.get(t)
         if found is not None:
             return found
-        state, n, size = self._states[t], self.layout.joints, self.size
-        D = self._derivatives(t)
-        found = np.zeros((size + 1, size + n + len(self.parameters) + 1))
-        A, found[:size, size : size + n] = variation(D)
-        found[:size, :size] = A - KAPPA * (np.eye(size) - D.motions.admissible())
+        state, count, D = self._states[t], len(self.parameters), self._derivatives(t)
+        beta, offset = np.zeros((2, self.size, count))
         for k, parameter in enumerate(self.parameters):
-            rate, gaps = parameter.at(t, state)
-            found[:size, size + n + k] = rate + KAPPA * _across(D.motions, gaps)
+            beta[:, k], gaps = parameter.at(t, state)
+            offset[:, k] = _following(D.motions, gaps)
+        rate, slope = 0.0, np.zeros(self.size)
         if self._integrand is not None:
-            found[size, -1], found[:size, -1] = self._integrand(t, state)
-        if len(self._values) * found.size < MOST_KEPT:
+            rate, slope = self._integrand(t, state)
+        found = Variation(*variation(D), beta, D.motions.basis(), offset, slope, rate)
+        if len(self._values) * found.numbers < MOST_KEPT:
             self._values[t] = found
         return found
 
@@ -359,7 +335,7 @@ def _show(show: Report, total: int, words: str, done: int) -> None:
     show(done, total, words)
 
 
-def _across(motions: Motions, gaps: np.ndarray) -> np.ndarray:
+def _following(motions: Motions, gaps: np.ndarray) -> np.ndarray:
     """The least displacement (D,) that closes gaps and gap rates again, by their derivatives."""
     C = motions.constraint
     if not np.any(gaps):

@@ -29,7 +29,15 @@ from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError
 from multiarm.gradients.along import Along, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
-from multiarm.gradients.segments import RICHARDSON, SHORTEST, TINY, Coefficients, Panel, Piece
+from multiarm.gradients.segments import (
+    RICHARDSON,
+    SHORTEST,
+    TINY,
+    Coefficients,
+    Panel,
+    Piece,
+    Segment,
+)
 from multiarm.gradients.variation import displaced, state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -224,11 +232,11 @@ def gradient(
 class _Solved(NamedTuple):
     """The adjoint over one panel, and its error that is solved for with it."""
 
-    start: np.ndarray  # (D,), the adjoint
+    start: np.ndarray  # (d,), the adjoint
     integrals: np.ndarray  # (1 + P,)
     magnitudes: np.ndarray  # (1 + P,), of the integrands
     torque_density: np.ndarray  # (s, n)
-    start_error: np.ndarray  # (D,)
+    start_error: np.ndarray  # (d,)
     integral_errors: np.ndarray  # (1 + P,)
     series_error: float  # the part that begins here, relative to the adjoint
     series_integrals: np.ndarray  # (1 + P,), the same of the integrals
@@ -239,11 +247,10 @@ class _Backward:
 
     def __init__(self, along: Along, value: float, slope: np.ndarray) -> None:
         self._along, count = along, 1 + len(along.parameters)
-        self._mu, self._error = along.admissible(along.end) @ slope, np.zeros_like(slope)
+        self._mu, self._error = slope, np.zeros_like(slope)
         self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
         self._magnitudes = np.zeros(count)
         self._integrals[0], self._magnitudes[0] = value, abs(value)
-        self._integrals[1:] = (slope - self._mu) @ along.across(along.end)
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
     def walk(self, report: Done) -> _Walk:
@@ -252,11 +259,13 @@ class _Backward:
         shares = np.zeros(along.count), np.zeros((along.count, self._integrals.size))
         for k in reversed(range(along.count)):
             segment = along.segment(k)
+            self._enter(segment)
             for piece in reversed(segment.pieces(along.bounds)):
                 for own, added in zip(shares, self._over(piece), strict=True):
                     own[k] += added
+            self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(along.count - k)
-        sizes, admissible = np.maximum(self._magnitudes, TINY), along.admissible(along.begin)
+        sizes, admissible = np.maximum(self._magnitudes, TINY), along.admissible
         start = admissible @ self._mu
         of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
         self._pieces.reverse()
@@ -273,6 +282,14 @@ class _Backward:
             weights=np.concatenate(weights),
             torque_density=np.concatenate([density for _, density in self._pieces]),
         )
+
+    def _enter(self, segment: Segment) -> None:
+        """From displacements at the end of a segment to its coordinates."""
+        E, n = segment.lift(segment.panel.end)
+        self._integrals[1:] += self._mu @ n
+        self._magnitudes[1:] += np.abs(self._mu @ n)
+        self._integral_errors[1:] += self._error @ n
+        self._mu, self._error = self._mu @ E, self._error @ E
 
     def _over(self, piece: Piece) -> tuple[float, np.ndarray]:
         """Solve over one piece, or over parts of it.
@@ -309,10 +326,10 @@ class _Backward:
 def _adjoint(piece: Piece, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the adjoint equation over one piece, from its value at the end.
 
-    Returns its value at the start (D,), at the stages (s, D), and the integrands (s, 1 + P).
+    Returns its value at the start (d,), at the stages (s, d), and the integrands (s, 1 + P).
     """
     start, stages = piece.collocation.backward(end, piece.at.slope)
-    return start, stages, _integrand(piece.at, stages) + _rate(piece.at)
+    return start, stages, _integrand(piece.at, stages) + piece.at.rates
 
 
 def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
@@ -321,7 +338,7 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
     start, stages, integrand = _adjoint(piece, end)
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
     start_error, error_stages = piece.collocation.backward(error, wrong)
-    of_series = _integrand(defect, stages) + _rate(defect)
+    of_series = _integrand(defect, stages) + defect.rates
     return _Solved(
         start,
         weights @ integrand,
@@ -336,13 +353,9 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
 
 def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
     """Of the integrals by the parameters, shape (s, 1 + P); the first is left zero."""
-    by_parameters = np.einsum("idp,id->ip", at.beta, stages)
-    return np.pad(by_parameters, ((0, 0), (1, 0)))
-
-
-def _rate(at: Coefficients) -> np.ndarray:
-    """Of the integral of the scalar, shape (s, 1 + P); the others are left zero."""
-    return np.pad(at.rate[:, None], ((0, 0), (0, at.beta.shape[2])))
+    found = np.zeros((len(stages), 1 + at.beta.shape[2]))
+    found[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
+    return found
 
 
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:

@@ -1,28 +1,46 @@
 r"""Segments of a run, and panels over which its variational equation is solved.
 
-Over a segment the matrices are series (:mod:`multiarm.gradients.interpolation`).  A panel of it is
-solved as a whole (:mod:`multiarm.gradients.collocation`), and again in two halves; for a method of
-order p, the result of the halves is wrong by
+*Coordinates.*  Displacements that keep the joints closed are a space with a basis N(t).  Over a
+segment they have the coordinates :math:`\eta = R^T\delta` in the basis R of its middle,
+
+.. math::
+    \delta = E\,\eta + n\,\delta p, \qquad E = N (R^T N)^{-1}, \qquad R^T n = 0,
+
+with n for joints that parameters move.  As R is constant, :math:`\dot\eta = R^T\dot\delta`:
+
+.. math::
+    \dot\eta = R^T A E\,\eta + R^T B\,\delta\tau + R^T (\beta + A n)\,\delta p .
+
+Two welded arms have 12 coordinates in place of 36, and more arms no more.  At the ends of segments
+the coordinates change by way of :math:`\delta`, which stays on the joints thereby.
+
+Over a segment these matrices are series (:mod:`multiarm.gradients.interpolation`).  A panel of it
+is solved as a whole (:mod:`multiarm.gradients.collocation`), and again in two halves; for a method
+of order p, the result of the halves is wrong by
 
 .. math:: \frac{y_{\text{whole}} - y_{\text{halves}}}{2^p - 1} .
 
+Counted on is the order of the stages, p = 5, which long panels and strong damping leave of nine.
 Panels for which that is too much are divided.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.gradients.collocation import NODES, ORDER, Collocation
+from multiarm.errors import SolverError
+from multiarm.gradients.collocation import COUNT, NODES, Collocation
 from multiarm.gradients.interpolation import Series
+from multiarm.gradients.variation import Variation
 
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
-RICHARDSON = 2.0**ORDER - 1.0
+RICHARDSON = 2.0**COUNT - 1.0
 # In place of sizes that are zero.
 TINY = 1e-300
 
@@ -51,51 +69,85 @@ class Panel(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """The variational equation at some times, or an error of it.
+    """The variational equation at some times, or an error of it, in d coordinates.
 
     Attributes
     ----------
-    A : ndarray, shape (k, D, D)
+    A : ndarray, shape (k, d, d)
         By the state.
-    B : ndarray, shape (k, D, n)
+    B : ndarray, shape (k, d, n)
         By torques that are added to the joints.
-    beta : ndarray, shape (k, D, P)
+    beta : ndarray, shape (k, d, P)
         By the parameters.
-    rate, slope : ndarray, shapes (k,), (k, D)
-        An integrand and its derivatives; zero without one.
+    slope : ndarray, shape (k, d)
+        Derivatives of an integrand; zero without one.
+    rates : ndarray, shape (k, 1 + P)
+        The integrand, and what parameters change of it as they move the joints.
     """
 
     A: np.ndarray
     B: np.ndarray
     beta: np.ndarray
-    rate: np.ndarray
     slope: np.ndarray
+    rates: np.ndarray
 
 
 class Segment:
-    """A piece of time over which the matrices are a series.
+    """A piece of time over which the equation is a series.
+
+    Parameters
+    ----------
+    panel : Panel
+    values : sequence of Variation
+        At the nodes of a series of even degree.
 
     Attributes
     ----------
     panel : Panel
         The whole of it.
+    basis : ndarray, shape (D, d)
+        R.
     defect, error : float
         Of the series, relative to its largest value; the error that it alone may make, relative to
         a displacement.  Twice the degree about squares the first.
+
+    Raises
+    ------
+    SolverError
+        When the number of displacements that keep the joints closed changes.
     """
 
-    def __init__(self, panel: Panel, values: np.ndarray, joints: int) -> None:
-        self.panel, self._joints = panel, joints
-        self._series = Series(panel.begin, panel.end, values)
-        size = values.shape[1] - 1
-        wrong = self._series.defect[:size, :size].max()
-        self.defect = float(wrong / np.abs(values[:, :size, :size]).max())
+    def __init__(self, panel: Panel, values: Sequence[Variation]) -> None:
+        if len({own.basis.shape for own in values}) > 1:
+            raise SolverError(
+                f"the rank of the constraints changes between {panel.begin:.6g} s and "
+                f"{panel.end:.6g} s, where the run has no derivatives"
+            )
+        A, B, beta, N, offset, slope, rate = (np.stack(part) for part in zip(*values, strict=True))
+        self.panel, self.basis = panel, values[len(values) // 2].basis
+        to, self._joints, (_, d) = self.basis.T, B.shape[2], self.basis.shape
+        E = N @ np.linalg.inv(to @ N)
+        n = offset - E @ (to @ offset)
+        own = np.zeros((len(values), d + 1, d + self._joints + beta.shape[2] + 1))
+        by_slope = np.einsum("kd,kde->ke", slope, np.dstack([E, n]))
+        own[:, :d, :-1] = np.dstack([to @ (A @ E), to @ B, to @ (beta + A @ n)])
+        own[:, :d, -1], own[:, d, d + self._joints : -1] = by_slope[:, :d], by_slope[:, d:]
+        own[:, d, -1] = rate
+        self._series = Series(*panel, own)
+        self._lift = Series(*panel, np.dstack([E, n]))
+        wrong = self._series.defect[:d, :d].max()
+        self.defect = float(wrong / np.abs(own[:, :d, :d]).max(initial=TINY))
         self.error = float(panel.length * wrong)
 
     def at(self, times: list[float]) -> tuple[Coefficients, Coefficients]:
         """Coefficients at some times, and their defects."""
         values, defects = self._series.at(times)
         return self._parts(values), self._parts(defects)
+
+    def lift(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """``E`` and ``n`` at a time, shapes (D, d) and (D, P)."""
+        both = self._lift.at([t])[0][0]
+        return both[:, : self.basis.shape[1]], both[:, self.basis.shape[1] :]
 
     def pieces(self, bounds: np.ndarray) -> list[Piece]:
         """Pieces to begin with, from one of the given times to the next, in order."""
@@ -110,8 +162,8 @@ class Segment:
             A=rows[:, :, :size],
             B=rows[:, :, size : size + n],
             beta=rows[:, :, size + n : -1],
-            rate=last[:, -1],
             slope=rows[:, :, -1],
+            rates=np.roll(last[:, size + n :], 1, axis=1),
         )
 
 

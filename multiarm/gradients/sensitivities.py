@@ -177,7 +177,7 @@ class _Forward:
 
     def __init__(self, along: Along) -> None:
         self._along = along
-        self._S = np.hstack([along.admissible(along.begin), along.start_by_parameters])
+        self._S = np.hstack([along.admissible, along.start_by_parameters])
         self._error, self._worst = np.zeros_like(self._S), np.zeros(self._S.shape[1])
         self._sizes = np.abs(self._S).max(axis=0, initial=TINY)
         self._grown = np.zeros(self._S.shape[1])
@@ -193,9 +193,14 @@ class _Forward:
                 at, _ = segment.at([segment.panel.nodes[1]])
                 grown = (along.end - along.begin) * np.abs(at.beta).max(axis=(0, 1))
                 self._grown[along.size :] = grown
+            to = segment.basis.T
+            self._S, self._error = to @ self._S, to @ self._error
             for piece in segment.pieces(along.bounds):
                 self._over(piece, shares[k])
-                self._at[piece.panel.end] = self._S
+                E, n = segment.lift(piece.panel.end)
+                self._at[piece.panel.end] = E @ self._S
+                self._at[piece.panel.end][:, along.size :] += n
+            self._S, self._error = self._at[segment.panel.end], E @ self._error
             report(k + 1)
         of_series = (shares / self._sizes).max(axis=1)
         error = max((self._worst / self._sizes).max(), of_series.sum())
@@ -227,7 +232,7 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the variational equation over one piece, and for its error.
 
-    Returns both at the end, (D, C) each, and the part of the error that begins here, (C,).
+    Returns both at the end, (d, C) each, and the part of the error that begins here, (C,).
     """
     at, defect, collocation = piece.at, piece.defect, piece.collocation
     end, stages = collocation.forward(S, _by_column(at, S))

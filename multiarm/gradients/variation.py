@@ -12,7 +12,9 @@ joints and of their rates.  With the derivatives of the accelerations
         + \frac{\partial\dot\nu}{\partial\tau}\,\delta\tau
         + \frac{\partial\dot\nu}{\partial p}\,\delta p .
 
-Displacements that keep the gaps and their rates closed, :math:`C\delta = 0`, go on doing so.
+Displacements that keep the gaps and their rates closed, :math:`C\delta = 0`, go on doing so.  How
+many they are does not depend on the number of arms; they have coordinates of their own
+(:mod:`multiarm.gradients.segments`).
 
 *Parameters* p are numbers of the scene.  What they change of the accelerations at a state, of its
 gaps, and of the start, are differences of order four between systems that are compiled with other
@@ -49,17 +51,38 @@ OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
 
 class Variation(NamedTuple):
-    """Matrices of the variational equation at one state, D = 12 + 2 n.
+    """The variational equation at one state, D = 12 + 2 n.
 
     Attributes
     ----------
-    state : ndarray, shape (D, D)
-    torques : ndarray, shape (D, n)
+    A : ndarray, shape (D, D)
+        By the state.
+    B : ndarray, shape (D, n)
         By torques that are added to the joints.
+    beta : ndarray, shape (D, P)
+        By the parameters.
+    basis : ndarray, shape (D, d)
+        Of the displacements that keep the joints closed.
+    offset : ndarray, shape (D, P)
+        Displacements that follow joints which parameters move.
+    slope : ndarray, shape (D,)
+        Derivatives of an integrand; zero without one.
+    rate : float
+        The integrand.
     """
 
-    state: np.ndarray
-    torques: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    beta: np.ndarray
+    basis: np.ndarray
+    offset: np.ndarray
+    slope: np.ndarray
+    rate: float = 0.0
+
+    @property
+    def numbers(self) -> int:
+        """How many there are."""
+        return sum(part.size for part in self[:-1])
 
 
 def state_columns(layout: Layout) -> dict[str, slice]:
@@ -68,8 +91,8 @@ def state_columns(layout: Layout) -> dict[str, slice]:
     return {name: columns[name] for name in STATE}
 
 
-def variation(derivatives: Derivatives) -> Variation:
-    """The matrices from the derivatives of the accelerations."""
+def variation(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
+    """``A`` and ``B`` from the derivatives of the accelerations."""
     layout, rows, columns = derivatives.layout, derivatives.rows, derivatives.columns
     at, size = state_columns(layout), 12 + 2 * layout.joints
     A, B = np.zeros((size, size)), np.zeros((size, layout.joints))
@@ -82,7 +105,7 @@ def variation(derivatives: Derivatives) -> Variation:
     ):
         own = derivatives.matrix[rows[acceleration]]
         A[at[velocity]], B[at[velocity]] = own[:, :size], own[:, columns["torques"]]
-    return Variation(A, B)
+    return A, B
 
 
 def displacement(start: State, end: State) -> np.ndarray:
