@@ -16,9 +16,11 @@ import pytest
 from mechanics import (
     SCENES,
     UR5_POSTURE,
+    chain_urdf,
     planar_pair,
     random_state,
     scene_of,
+    single_arm,
     two_arm_block,
     ur5_pair,
 )
@@ -28,7 +30,10 @@ from test_dynamics import constrained_forest
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
+from multiarm.dynamics import evaluation
+from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equation_derivatives import differentiate_equations
+from multiarm.dynamics.force_derivatives import differentiate_forces
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.ahead import argument_types
 from multiarm.spatial import retract
@@ -65,6 +70,13 @@ def difference(function, step=STEP):
     """Derivative at 0 to order four."""
     values = {k: function(k * step) for k in (-2, -1, 1, 2)}
     return (8.0 * (values[1] - values[-1]) - values[2] + values[-2]) / (12.0 * step)
+
+
+def by_differences(system, state):
+    """Derivatives of the answers by the state."""
+    columns = range(12 + 2 * state.layout.joints)
+    found = [difference(lambda h, c=c: answers(system, moved(state, c, h))) for c in columns]
+    return np.array(found).T
 
 
 def assert_equal(found, expected, tolerance=1e-8):
@@ -116,9 +128,84 @@ def test_derivatives_are_those_of_differences(name, rng):
     state = random_state(system, rng, turn=0.1, speed=0.5)
     found = ma.derivatives(system, 0.3, state)
     assert found.message == ""
-    columns = range(12 + 2 * state.layout.joints)
-    expected = [difference(lambda h, c=c: answers(system, moved(state, c, h))) for c in columns]
-    assert_equal(found.matrix[:, : len(columns)], np.array(expected).T)
+    expected = by_differences(system, state)
+    assert_equal(found.matrix[:, : expected.shape[1]], expected)
+
+
+def test_joints_may_slide_and_be_more_than_six(tmp_path, rng):
+    described, joints = {}, []
+    for k, (name, kinds) in enumerate({"a": "xuZywzy", "b": "zyxzvyxz"}.items()):
+        file = tmp_path / f"{name}.urdf"
+        file.write_text(chain_urdf(kinds))
+        base = {"xyz": [1.5 * k, 0.3 * k, 0.2], "rpy": [0.1, 0, 2.5 * k]}
+        posture = rng.uniform(-0.6, 0.6, len(kinds)).round(2).tolist()
+        described[name] = {"urdf": str(file), "tip": "tip", "posture": posture, "base": base}
+        joints.append({"arm": name, "kind": "weld"})
+    body = {"shape": {"box": [0.2, 0.3, 0.1]}, "mass": 4.0, "pose": {"xyz": [0.7, 0.2, 1.2]}}
+    system = ma.compile_system(scene_of(described, joints, object=body, gravity=[1, 2, -9]))
+    state = random_state(system, rng, turn=0.1, speed=0.5)
+    found = ma.derivatives(system, 0.3, state)
+    expected = by_differences(system, state)
+    assert_equal(found.matrix[:, : expected.shape[1]], expected)
+
+
+HOLDING = {
+    "gravity": lambda: ur5_pair(
+        {"kind": "revolute"}, BALL, control={"kind": "gravity_compensation"}
+    ),
+    "points": lambda: ur5_pair({"kind": "weld"}, {"kind": "point_on_sphere", "radius": 0.3}),
+    "fingertips": lambda: two_arm_block(),
+    "an ellipsoid": lambda: ur5_pair(CURVED, {"kind": "weld"}),
+    "without gravity": lambda: ur5_pair({"kind": "weld"}, BALL),
+}
+
+
+@pytest.mark.parametrize("name", HOLDING)
+def test_control_in_closed_form_has_the_derivatives_of_differences(name, rng):
+    scene = HOLDING[name]()
+    if name not in ("gravity", "without gravity"):
+        scene = scene.replace(gravity=[1, 2, -9])
+    if scene.control is None or scene.control.kind != "gravity_compensation":
+        gains = {"stiffness": [90, 80, 70, 60, 50, 40], "damping": 10}
+        scene = scene.replace(control={"kind": "joint_pd", **gains})
+    system = ma.compile_system(scene)
+    state = random_state(system, rng, turn=0.2)
+    with system.borrow() as data:
+        evaluation.evaluate(data, 0.3, state)
+        found = data.model.control_derivative(data)
+        expected = np.zeros((found.shape[1], 6 + len(found)))
+        assert differentiate_forces(data.struct, True, expected) == OK
+    assert_equal(found, expected[:, 6:].T, 1e-9)
+    assert np.abs(found).max() > 1.0
+
+
+def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 10}
+    system = ma.compile_system(
+        single_arm("ur5", "tool0", UR5_POSTURE, BALL, control=control, gravity=[0, 0, -9.81])
+    )
+    state = random_state(system, rng, turn=0.1)
+    with system.borrow() as data:
+        evaluation.evaluate(data, 0.3, state)
+        assert data.model.control_derivative(data) is None
+    found, expected = ma.derivatives(system, 0.3, state), by_differences(system, state)
+    assert_equal(found.matrix[:, : expected.shape[1]], expected)
+
+
+@pytest.mark.parametrize("effect", [{"actuator_lag": 0.1}, {"torque_limits": 2.0}])
+def test_drives_that_delay_or_limit_torques_leave_differences(effect, rng):
+    """Closed forms are those of commanded torques."""
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 10, "gravity_compensation": False}
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, BALL, control=control, effects=effect))
+    state = random_state(system, rng, turn=0.1)
+    found = ma.derivatives(system, 0.3, state)
+    if "actuator_lag" in effect:  # torques do not follow the state at once
+        held = ma.derivatives(system, 0.3, state, closed_loop=False)
+        one, other = (own.object_acceleration.matrix[:, :36] for own in (found, held))
+        np.testing.assert_allclose(one, other, atol=1e-8 * np.abs(other).max())
+    else:
+        expected = by_differences(system, state)
+        assert_equal(found.matrix[:, : expected.shape[1]], expected)
 
 
 def test_torques_move_every_arm():

@@ -195,11 +195,6 @@ class Arm:
         )
         return np.array(torque)
 
-    @property
-    def joint_motions(self) -> np.ndarray:
-        """Velocities of the joints' frames for unit rates, linear and angular, own axes, (n, 6)."""
-        return np.array([_motion(joint) for joint in self.model.joints[1:]])
-
     def structure(self) -> ArmStructure:
         """Geometry and masses of the arm, as copies.
 
@@ -209,7 +204,7 @@ class Arm:
             When it is not a chain of revolute and prismatic joints that ends at the tip.
         """
         model = self.model
-        links, moves = range(1, model.njoints), self.joint_motions
+        links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
         turns, slides = (np.any(moves[:, part] != 0.0, axis=1) for part in (slice(3, 6), slice(3)))
         if np.any(turns & slides):
             names = ", ".join(np.array(self.joint_names)[turns & slides])
@@ -261,6 +256,7 @@ class Arm:
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
+    """Velocity of a joint's frame for a unit rate, linear and angular, in its own axes."""
     data = joint.createData()
     joint.calc(data, np.concatenate([np.zeros(joint.idx_q), [1.0, 0.0][: joint.nq]]))
     return np.array(data.S).ravel()

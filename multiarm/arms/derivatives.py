@@ -1,7 +1,7 @@
 r"""Derivatives of arms: of the motion of the link that carries the tip, of the inverse dynamics.
 
-Arms are trees of joints that turn or slide.  Twists :math:`(v, \omega)`, accelerations and wrenches
-are in world axes and about the arm's base; :math:`\times` is the product of two twists,
+An arm is a chain of joints that turn or slide.  Twists :math:`(v, \omega)`, accelerations and
+wrenches are in world axes and about the arm's base; :math:`\times` is the product of two twists,
 :math:`\times^*` that of a twist and a wrench.  Outwards, with the column :math:`S_j` of a joint,
 and with the base accelerated by minus gravity,
 
@@ -43,12 +43,12 @@ here for joints with one degree of freedom.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
+from multiarm.arms.terms import ArmStructure
 from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1
 from multiarm.jit.vectors import (
@@ -93,52 +93,39 @@ _MASS, _CENTRE, _INERTIA, _BODY_WIDTH = 0, 1, 4, 10
 
 
 class ArmLinks(NamedTuple):
-    """Joints and links of all arms.
+    """Joints and links of all arms, chains of joints that turn or slide.
 
     Attributes
     ----------
     first : int64 ndarray, shape (n + 1,)
         First joint of each arm.
-    tips : int64 ndarray, shape (n,)
-        Joint that moves the link which carries the tip, among all.
-    parents : int64 ndarray, shape (joints,)
-        Joint before each one, among all; -1 for those on the base.
     frames : ndarray, shape (joints, 18)
         At zero, in the frame of the joint before or in the world: rotation and origin; the joint's
         slide and turn for a unit of its coordinate, own axes.
     bodies : ndarray, shape (joints, 10)
         Mass, centre, inertia about it (xx, xy, xz, yy, yz, zz), own axes.
+    gravity : ndarray, shape (3,)
     """
 
     first: Ints1
-    tips: Ints1
-    parents: Ints1
     frames: Floats2
     bodies: Floats2
     gravity: Floats1
 
 
-def arm_links(arms: Mapping[str, Arm], gravity: np.ndarray) -> ArmLinks:
+def arm_links(arms: Sequence[ArmStructure], gravity: np.ndarray) -> ArmLinks:
     """The joints and links of some arms."""
-    first = np.cumsum([0, *(arm.dof for arm in arms.values())])
-    frames, bodies = np.zeros((first[-1], _FRAME_WIDTH)), np.zeros((first[-1], _BODY_WIDTH))
-    parents, tips = np.full(first[-1], -1), []
-    for start, arm in zip(first[:-1], arms.values(), strict=True):
-        model, motions = arm.model, arm.joint_motions
-        tips.append(start + arm.tip_joint - 1)
-        for k in range(1, model.njoints):
-            at, placed, body = start + k - 1, model.jointPlacements[k], model.inertias[k]
-            if model.parents[k] > 0:
-                parents[at] = start + model.parents[k] - 1
-            motion = motions[k - 1]
-            frames[at] = *placed.rotation.ravel(), *placed.translation, *motion
-            bodies[at] = body.mass, *body.lever, *body.inertia[np.triu_indices(3)]
+    frames, bodies = [], []
+    for arm in arms:
+        for k, slides in enumerate(arm.slides):
+            slide, axis = (arm.axes[k] * part for part in (slides, not slides))
+            frames.append([*arm.rotations[k].ravel(), *arm.translations[k], *slide, *axis])
+            inertia = arm.inertias[k][np.triu_indices(3)]
+            bodies.append([arm.masses[k], *arm.centres[k], *inertia])
     return ArmLinks(
-        first.astype(np.int64),
-        np.array(tips, dtype=np.int64),
-        parents.astype(np.int64),
-        frames,
-        bodies,
+        np.cumsum([0, *(arm.slides.size for arm in arms)]).astype(np.int64),
+        np.array(frames),
+        np.array(bodies),
         np.array(gravity, dtype=float),
     )
 
@@ -163,13 +150,12 @@ def write_motions(links, i, angles, rates, accelerations, scratch, link, moved):
     d0, n = links.first[i], links.first[i + 1] - links.first[i]
     base, gravity = vec(links.frames[d0], _ORIGIN), vec(links.gravity, 0)
     for k in range(n):
-        j, parent = d0 + k, links.parents[d0 + k] - d0
-        _place_joint(links.frames[j], angles[j], parent, base, scratch, k)
+        j = d0 + k
+        _place_joint(links.frames[j], angles[j], base, scratch, k)
         s = scratch[k]
         v, w, a, alpha = ZERO, ZERO, scale(-1.0, gravity), ZERO
-        if parent >= 0:
-            v, w = vec(scratch[parent], _V), vec(scratch[parent], _V + 3)
-            a, alpha = vec(scratch[parent], _A), vec(scratch[parent], _A + 3)
+        if k > 0:
+            (v, w), (a, alpha) = _pair(scratch[k - 1], _V), _pair(scratch[k - 1], _A)
         S = vec(s, _S), vec(s, _S + 3)
         v, w = add_scaled(v, rates[j], S[0]), add_scaled(w, rates[j], S[1])
         rate = twist_product((v, w), S)
@@ -180,16 +166,16 @@ def write_motions(links, i, angles, rates, accelerations, scratch, link, moved):
         _put_pair(s, _A, (a, alpha))
         _put_pair(s, _PSI, rate)
         _put_pair(s, _PSI_RATE, (add(first[0], second[0]), add(first[1], second[1])))
-    _write_link(links, i, base, gravity, scratch, link, moved)
+    _write_link(n, base, gravity, scratch, link, moved)
 
 
 @inlined
-def _place_joint(frame, q, parent, base, scratch, k):
+def _place_joint(frame, q, base, scratch, k):
     """Write the rotation and origin of a joint's frame, and its column."""
     R, p = rotation(frame, _AXES), vec(frame, _ORIGIN)
-    if parent >= 0:
-        before = rotation(scratch[parent], _R)
-        p = add_rotated(vec(scratch[parent], _P), before, p)
+    if k > 0:
+        before = rotation(scratch[k - 1], _R)
+        p = add_rotated(vec(scratch[k - 1], _P), before, p)
         R = compose(before, R)
     else:
         p = sub(p, base)
@@ -210,10 +196,9 @@ def _turned(a, axis, c, s):
 
 
 @inlined
-def _write_link(links, i, base, gravity, scratch, link, moved):
-    """Write the motion of the link that carries the tip, and its displacements."""
-    d0, n = links.first[i], links.first[i + 1] - links.first[i]
-    tip = scratch[links.tips[i] - d0]
+def _write_link(n, base, gravity, scratch, link, moved):
+    """Write the motion of the last link, which carries the tip, and its displacements."""
+    tip = scratch[n - 1]
     r, v, w = vec(tip, _P), vec(tip, _V), vec(tip, _V + 3)
     a, alpha = vec(tip, _A), vec(tip, _A + 3)
     u = add_cross(v, w, r)  # velocity of the link's origin
@@ -225,11 +210,8 @@ def _write_link(links, i, base, gravity, scratch, link, moved):
     put(motion, ANGULAR, w)
     put(motion, LINEAR_RATE, add_cross(add_cross(add(a, gravity), alpha, r), w, u))
     put(motion, ANGULAR_RATE, alpha)
-    for k in range(n):
-        clear(moved[k])
-        clear(moved[n + k])
-    j = links.tips[i] - d0
-    while j >= 0:
+    for j in range(n):
+        clear(moved[n + j])
         s = scratch[j]
         S, rate, second = _pair(s, _S), _pair(s, _PSI), _pair(s, _PSI_RATE)
         shift, along = add_cross(S[0], S[1], r), twist_product(S, (v, w))
@@ -257,7 +239,6 @@ def _write_link(links, i, base, gravity, scratch, link, moved):
         put(out, ANGULAR, S[1])
         put(out, LINEAR_RATE, add_cross(rate_of_u, w, shift))
         put(out, ANGULAR_RATE, of_a[1])
-        j = links.parents[d0 + j] - d0
 
 
 @kernel
@@ -271,9 +252,7 @@ def write_inverse_dynamics(links, i, load, scratch, by_q, by_v):
     d0, n = links.first[i], links.first[i + 1] - links.first[i]
     for k in range(n):
         _write_body(links.bodies[d0 + k], scratch[k])
-        clear(by_q[k])
-        clear(by_v[k])
-    tip = scratch[links.tips[i] - d0]
+    tip = scratch[n - 1]
     force, couple = _about_base(tip, load)
     _put_pair(tip, _F, (sub(vec(tip, _F), force), sub(vec(tip, _F + 3), couple)))
     for k in range(n - 1, -1, -1):
@@ -298,33 +277,27 @@ def write_inverse_dynamics(links, i, load, scratch, by_q, by_v):
             (dot(G[0], S[1]), dot(G[1], S[1]), dot(G[2], S[1])), 2.0, cross(P, S[0])
         )
         by_q[k, k], by_v[k, k] = _power(S, of_q), _power(S, of_v)
-        j = links.parents[d0 + k] - d0
-        while j >= 0:
+        for j in range(k):
             other = scratch[j]
             S_j, rate_j = _pair(other, _S), _pair(other, _PSI)
             by_q[j, k], by_v[j, k] = _power(S_j, of_q), _power(S_j, of_v)
             by_q[k, j] = _power(_pair(other, _PSI_RATE), momentum) + dot(rate_j[1], turning)
             by_v[k, j] = 2.0 * _power(rate_j, momentum) + dot(S_j[1], turning)
-            j = links.parents[d0 + j] - d0
-        parent = links.parents[d0 + k] - d0
-        if parent >= 0:
-            before = scratch[parent]
+        if k > 0:
+            before = scratch[k - 1]
             for c in range(_M, LINK_SCRATCH):
                 before[c] += s[c]
 
 
 @kernel
-def subtract_torques(links, i, wrench, scratch, table, column):
+def subtract_torques(n, wrench, scratch, table, column):
     """Subtract the torques of a wrench (6,) on the link that carries the tip from a column.
 
     The wrench is about the link's origin in its axes.
     """
-    d0 = links.first[i]
-    j = links.tips[i] - d0
-    force, couple = _about_base(scratch[j], wrench)
-    while j >= 0:
+    force, couple = _about_base(scratch[n - 1], wrench)
+    for j in range(n):
         table[j, column] -= _power(_pair(scratch[j], _S), (force, couple))
-        j = links.parents[d0 + j] - d0
 
 
 @inlined

@@ -483,13 +483,14 @@ def finished_model(
         free_bounds=np.array(_bounds([len(frame.free) for frame in frames.values()])),
         free=np.array(free, dtype=np.int64).reshape(-1, 2),
     )
-    breakpoints, sampling, span = draft.breakpoints, None, None
+    breakpoints, sampling, span, derivative = draft.breakpoints, None, None, None
     if law is not None:
         constants = constants._replace(
             control=law.addresses, parameters=law.parameters, control_reach=law.reach
         )
         breakpoints = np.union1d(breakpoints, law.breakpoints)
         sampling, span = law.sampling, law.span
+        derivative = law.derivative if sampling is None else None
     if law is not None and sampling is not None:
         constants = with_held_control(constants, law.addresses, sampling.delay)
     model = replace(
@@ -499,6 +500,7 @@ def finished_model(
         breakpoints=breakpoints,
         sampling=sampling,
         control_span=span,
+        control_derivative=derivative,
         pair_places=data.model.pair_places,
     )
     python = None if law is None else law.python

@@ -20,11 +20,13 @@ Any of them but constant torques can be sampled, see :mod:`multiarm.dynamics.hel
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from functools import singledispatch
+from functools import partial, singledispatch
 
 import numpy as np
 
+from multiarm.control.derivatives import torque_derivatives
 from multiarm.control.force_distribution import static_forces
 from multiarm.control.object_control import (
     computed_torque,
@@ -127,7 +129,7 @@ def _(control: ConstantControl, context: ControlContext) -> ControlProgram:
 
 @program_of.register
 def _(_control: GravityCompensationControl, context: ControlContext) -> ControlProgram:
-    return ControlProgram(_carrying(context))
+    return ControlProgram(_carrying(context), derivative=_derivative(context, feedback=False))
 
 
 @program_of.register
@@ -156,13 +158,14 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     table = read_table(control, names)
     zero, gains = control.outside == "zero", np.zeros(0)
     laws: tuple[Kernel, ...] = (recorded_torque,)
-    reach = OPEN_LOOP
+    reach, derivative = OPEN_LOOP, None
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
         values = table.stacked(names, context.start.position[7:])
         gains = _gains(control, context)
         carrying = _carrying(context)
         laws, reach = (recorded_position, *carrying), COUPLED if carrying else LOCAL
+        derivative = _derivative(context, feedback=True)
     shape = table.times, values, control.interpolation, zero
     span = ControlSpan(
         f"the table {control.file.name}",
@@ -171,7 +174,8 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
         control.where_no_rows_are,
     )
     numbers = np.concatenate([gains, pack_table(*shape)])
-    return ControlProgram(laws, numbers, rough_times(*shape), span, reach=reach)
+    rough = rough_times(*shape)
+    return ControlProgram(laws, numbers, rough, span, reach=reach, derivative=derivative)
 
 
 @program_of.register
@@ -183,7 +187,11 @@ def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
     breakpoints = path.bounds if control.path else np.zeros(0)
     carrying = _carrying(context)
     return ControlProgram(
-        (joint_pd, *carrying), numbers, breakpoints, reach=COUPLED if carrying else LOCAL
+        (joint_pd, *carrying),
+        numbers,
+        breakpoints,
+        reach=COUPLED if carrying else LOCAL,
+        derivative=_derivative(context, feedback=True),
     )
 
 
@@ -195,6 +203,12 @@ def _gains(control: JointPDControl | RecordedControl, context: ControlContext) -
 def _carrying(context: ControlContext) -> tuple[Kernel, ...]:
     """The law that carries the weight, where there is one and the control carries it."""
     return (gravity_compensation,) if needs_gravity_torque(context.scene) else ()
+
+
+def _derivative(context: ControlContext, feedback: bool) -> Callable[[Data], np.ndarray | None]:
+    """That of joint PD, of gravity compensation, or of both."""
+    carries = needs_gravity_torque(context.scene)
+    return partial(torque_derivatives, feedback=feedback, carries=carries)
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:

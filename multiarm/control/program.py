@@ -94,6 +94,11 @@ class ControlProgram:
         What the torques of an arm depend on: the time (``OPEN_LOOP``), also the state of this arm
         (``LOCAL``), or anything (``COUPLED``).  Derivatives cost less where it is less, and are
         wrong where it is more than this says.
+    derivative : callable, optional
+        ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
+        twist, joint positions and joint velocities, shape (n, 12 + 2 n), right after an evaluation
+        of the data; None where they do not exist.  Absent: they are found by differences, which
+        take longer.
     """
 
     laws: tuple[Kernel, ...] = ()
@@ -103,6 +108,7 @@ class ControlProgram:
     python: PythonControl | None = None
     sampling: Sampling | None = None
     reach: int = COUPLED
+    derivative: Callable[[Data], np.ndarray | None] | None = None
 
     @property
     def addresses(self) -> np.ndarray:

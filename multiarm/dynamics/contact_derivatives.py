@@ -108,7 +108,7 @@ def differentiate_joint(model, data, first, last, n, coordinates, gaps, work):
     seen, wrench = seen_rates(body, link), work.wrench
     write_seen_motion(body, link, seen, scratch[SEEN])
     if are_flat(model, first, last):
-        differentiate_flat_rows(model, data, first, last, scratch[SEEN], slopes, wrench)
+        differentiate_flat_rows(model, first, last, work)
     else:
         differentiate_rows(model, data, first, last, work)
     of_body, of_link, by = scratch[OF_BODY], scratch[OF_LINK], scratch[OF_SEEN]
@@ -154,8 +154,9 @@ def are_flat(model, first, last):
 
 
 @kernel
-def differentiate_flat_rows(model, data, first, last, motion, slopes, wrench):
+def differentiate_flat_rows(model, first, last, work):
     """The results of :func:`differentiate_rows` for tips on planes of the object."""
+    motion, slopes, wrench = work.scratch[SEEN], work.slopes, work.wrench
     R, x = rotation(motion, 0), vec(motion, ORIGIN_AT)
     w, w_rate = vec(motion, SPIN), vec(motion, SPIN_RATE)
     for i in range(7):
@@ -171,7 +172,7 @@ def differentiate_flat_rows(model, data, first, last, motion, slopes, wrench):
         put(slopes[k], TURN, cross(d, add_cross(cross(n, w_rate), across, w)))
         put(slopes[k], ANGULAR, add_cross(cross(cross(w, d), n), d, across))
         put(slopes[k], RATE_BY_POSE + 3, cross(d, across))
-        force = scale(-data.force[k], n)
+        force = scale(-work.force[k], n)
         put(wrench[6], 0, add(vec(wrench[6], 0), force))
         put(wrench[6], 3, add_cross(vec(wrench[6], 3), add(x, d), force))
         for axis in range(3):
@@ -208,7 +209,7 @@ def differentiate_rows(model, data, first, last, work):
         turn = add(cross(sub(vec(rows[k], AT), vec(motion, ORIGIN_AT)), e), couple)
         put(slopes[k], LINEAR_RATE, scale(-1.0, e))
         put(slopes[k], ANGULAR_RATE, scale(-1.0, turn))
-    add_wrench(model, rows, first, last, data.force, 1.0, wrench[6])
+    add_wrench(model, rows, first, last, work.force, 1.0, wrench[6])
     for axis in range(6):
         for offset in OFFSETS:
             displace(motion, axis, offset * STEP, moved)
@@ -217,7 +218,7 @@ def differentiate_rows(model, data, first, last, work):
             for k in range(first, last):
                 slopes[k, PLACE + axis] += weight * rows[k, GAP_BIAS]
                 slopes[k, RATE_BY_POSE + axis] += weight * rows[k, GAP_RATE]
-            add_wrench(model, rows, first, last, data.force, weight, wrench[axis])
+            add_wrench(model, rows, first, last, work.force, weight, wrench[axis])
         for sign in (-1.0, 1.0):
             displace(motion, axis, 0.0, moved)
             moved[VELOCITY + axis] += sign  # the spin follows the velocity

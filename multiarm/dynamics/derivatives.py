@@ -27,7 +27,7 @@ The right-hand sides at fixed y come from
 *Control and effects* add forces :math:`f(x)`: torques on the joints, a wrench on the object.  The
 responses of ``y`` to these are columns of the same solution, so that
 :math:`dy/dx = \partial y/\partial x + (\partial y/\partial f)\,(\partial f/\partial x)`, with
-differences for the last factor (:mod:`multiarm.dynamics.force_derivatives`).
+the last factor from :mod:`multiarm.dynamics.force_derivatives`.
 
 *Parameters.*  A wrench on the object, its mass and its inertia enter :math:`F_o` alone.  Contacts
 that are displaced against the arm's link move like that link for the rows, while their wrench still
@@ -41,13 +41,11 @@ from functools import partial
 
 import numpy as np
 
-from multiarm.arms.derivatives import arm_links
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equation_derivatives import (
     differentiate_equations,
-    equation_struct,
-    make_equation_work,
+    equation_work,
     solve_by_arms,
 )
 from multiarm.dynamics.evaluation import Evaluation
@@ -74,7 +72,7 @@ def differentiate(
     """
     layout, states = data.model.layout, data.arrays.inner.size
     rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
-    equations = _equations(data, parameters)
+    equations = _Equations(data, parameters)
     independent, message = found.rank == layout.contacts, ""
     on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
     by_arms = independent and not (found.coupled_arms or data.model.constants.dense or on_ground)
@@ -124,10 +122,8 @@ class _Equations:
         self.width = max(own.stop for own in columns.values())
         self.wrench = columns.get("object_wrench", slice(self.width, self.width + 6))
         placements = columns["placements"].start if parameters else -1
-        links = arm_links(data.model.arms, data.model.constants.gravity)
-        self._work = make_equation_work(data, max(self.width, self.wrench.stop), placements)
-        self._kept = links  # the struct has its addresses
-        self._struct = equation_struct(links, self._work)
+        width = max(self.width, self.wrench.stop)
+        self._work, self._struct = equation_work(data, width, placements)
 
     def solve_by_arms(self) -> np.ndarray | None:
         """``dy``, shape (6 + n + N, columns), arm by arm; None where that is singular."""
@@ -220,14 +216,6 @@ class _Equations:
             columns = np.r_[columns, 12 + 2 * n + np.r_[joints]]
             dF[np.ix_(at, columns)] = work.dF[i, : d + m, : len(columns)]
         return K, dF
-
-
-def _equations(data: Data, parameters: bool) -> _Equations:
-    """Those of the data, which keep them."""
-    key = ("derivatives", parameters)
-    if key not in data.cache:
-        data.cache[key] = _Equations(data, parameters)
-    return data.cache[key]
 
 
 def _motions(

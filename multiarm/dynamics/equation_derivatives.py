@@ -25,6 +25,7 @@ from multiarm.arms.derivatives import (
     MOTION_WIDTH,
     PLACE,
     ArmLinks,
+    arm_links,
     subtract_torques,
     write_inverse_dynamics,
     write_motions,
@@ -40,7 +41,7 @@ from multiarm.dynamics.contact_derivatives import (
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
-from multiarm.jit.kernels import INTS, TABLE, clear, copy, inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBERS, TABLE, clear, copy, inlined, kernel
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
 from multiarm.jit.vectors import add_cross, cross, put, sub, times, vec
 
@@ -57,6 +58,10 @@ class EquationWork(NamedTuple):
     """
 
     placements: Int  # first of their columns among all; -1 without
+    # velocities and accelerations of the joints (joints,), contact forces (N,)
+    v: Floats1
+    qdd: Floats1
+    force: Floats1
     K: Floats3  # (n, d + m, d + m)
     M: Floats3  # (n, d, d)
     dF: Floats3  # (n, d + m, C + d + 6) derivatives of F_i and F_phi
@@ -87,14 +92,16 @@ _open_links = view(ArmLinks)
 _open_work = view(EquationWork, len(ArmLinks._fields))
 
 
-def make_equation_work(data: Data, columns: int, placements: int) -> EquationWork:
-    """Allocate for derivatives with a number of columns; see :class:`EquationWork`."""
+def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.parts
     n, N = len(layout.dofs) - 1, layout.contacts
     d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
     C = 12 + 2 * d + (6 if placements >= 0 else 0)
     work = EquationWork(
         placements=placements,
+        v=np.zeros(layout.joints),
+        qdd=np.zeros(layout.joints),
+        force=np.zeros(N),
         K=np.zeros((n, d + m, d + m)),
         M=np.zeros((n, d, d)),
         dF=np.zeros((n, d + m, C + d + 6)),
@@ -120,39 +127,82 @@ def make_equation_work(data: Data, columns: int, placements: int) -> EquationWor
     return work
 
 
-def equation_struct(links: ArmLinks, work: EquationWork) -> np.ndarray:
-    """The struct ``own`` of the kernels; both must live as long as it is used."""
-    return struct_of(links, work)
+def equation_work(
+    data: Data, columns: int, placements: int = -1
+) -> tuple[EquationWork, np.ndarray]:
+    """The arrays for derivatives with a number of columns, and the struct ``own`` of the kernels.
+
+    The data keep them.  ``placements`` is the first of their columns, -1 without.
+    """
+    key = ("equation work", columns, placements)
+    if key not in data.cache:
+        structures = [arm.structure() for arm in data.model.arms.values()]
+        links = arm_links(structures, data.model.constants.gravity)
+        work = _make_work(data, columns, placements)
+        data.cache[key] = links, work, struct_of(links, work)
+    _, work, struct = data.cache[key]
+    return work, struct
 
 
 @kernel
 def differentiate_equations(struct: INTS, own: INTS):
     """Write the derivatives of all equations at the solution in the data; returns a status.
 
-    ``own`` is the struct of :func:`equation_struct`.  The matrices in the data must not be
-    factored.
+    ``own`` is the struct of :func:`equation_work`.  The matrices in the data must not be factored.
     """
     model, data, system = open_system(struct)
     links, work = _open_links(own), _open_work(own)
+    copy(data.v, work.v)
+    copy(data.qdd, work.qdd)
+    copy(data.force, work.force)
+    write_body(data, data.twist, work)
+    for k in range(6):
+        work.body[MOTION + LINEAR_RATE + k] = data.q_o[k]
     write_object_equation(data, work)
     for i in range(system.dofs.size - 1):
         differentiate_arm(i, model, data, system, links, work)
     return CALLBACK_FAILED if data.status.failed else OK
 
 
+@kernel
+def differentiate_holding(struct: INTS, own: INTS, twist: NUMBERS):
+    """Write the derivatives of torques that hold the arms under ``data.static_force``.
+
+    They are the rows of joints in ``dF``; ``dF_o`` has those of the opposite wrench on the object,
+    and ``rates`` those of the gap rates while the object moves with a twist (6,).  Returns a
+    status.
+    """
+    model, data, system = open_system(struct)
+    links, work = _open_links(own), _open_work(own)
+    clear(work.v)
+    clear(work.qdd)
+    copy(data.static_force, work.force)
+    write_body(data, twist, work)
+    for l in range(6):  # noqa: E741
+        clear(work.dF_o[l])
+    for i in range(system.dofs.size - 1):
+        differentiate_arm(i, model, data, system, links, work)
+    return CALLBACK_FAILED if data.status.failed else OK
+
+
+@inlined
+def write_body(data, twist, work):
+    """Write the object's pose in the data, a twist, and no acceleration."""
+    for k in range(9):
+        work.body[k] = data.body[k]
+    motion = work.body[MOTION:]
+    put(motion, PLACE, vec(data.position, 0))
+    for k in range(6):
+        motion[LINEAR + k], motion[LINEAR_RATE + k] = twist[k], 0.0
+
+
 @inlined
 def write_object_equation(data, work):
-    """Motion of the object, and derivatives of ``M_o a_o - h_o`` without control and effects.
+    """Derivatives of ``M_o a_o - h_o`` without control and effects.
 
     The inertia turns with the object; ``h_o`` is its weight and the gyroscopic moment.
     """
-    body, A, w, alpha = work.body, data.inertia, vec(data.twist, 3), vec(data.q_o, 3)
-    for k in range(9):
-        body[k] = data.body[k]
-    motion = body[MOTION:]
-    put(motion, PLACE, vec(data.position, 0))
-    for k in range(6):
-        motion[LINEAR + k], motion[LINEAR_RATE + k] = data.twist[k], data.q_o[k]
+    A, w, alpha = data.inertia, vec(data.twist, 3), vec(data.q_o, 3)
     I = (A[3, 3], A[3, 4], A[3, 5], A[4, 4], A[4, 5], A[5, 5])  # noqa: E741
     spin, torque = times(I, w), times(I, alpha)
     for l in range(6):  # noqa: E741
@@ -172,12 +222,12 @@ def differentiate_arm(i, model, data, system, links, work):
     """Write ``K_i`` and the derivatives of one arm's equations, and add those of its wrench."""
     d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
     first, last = system.rows[i], system.rows[i + 1]
-    is_arm, dF, link = i < links.tips.size, work.dF[i], work.link
+    is_arm, dF, link = i < links.first.size - 1, work.dF[i], work.link
     C = coordinates_of(i, n, links, work)
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
-        write_motions(links, i, data.angles, data.v, data.qdd, work.links, link, work.moved)
+        write_motions(links, i, data.angles, work.v, work.qdd, work.links, link, work.moved)
     else:  # the surroundings are at rest
         clear(link)
         link[0] = link[4] = link[8] = 1.0
@@ -195,7 +245,7 @@ def differentiate_arm(i, model, data, system, links, work):
         if 6 <= c < 12 or 12 + n <= c < 12 + 2 * n:
             continue  # wrenches of contacts do not depend on velocities
         if is_arm:
-            subtract_torques(links, i, work.on_link[c], work.links, dF, c)
+            subtract_torques(n, work.on_link[c], work.links, dF, c)
         at = c if c < 12 else c + d0
         if c >= 12 + 2 * n:
             at = work.placements + 6 * i + c - 12 - 2 * n
@@ -207,7 +257,7 @@ def differentiate_arm(i, model, data, system, links, work):
 @inlined
 def coordinates_of(i, n, links, work):
     """Number of the first columns of an arm: its state, and the placement of its contacts."""
-    return 12 + 2 * n + (6 if i < links.tips.size and work.placements >= 0 else 0)
+    return 12 + 2 * n + (6 if i < links.first.size - 1 and work.placements >= 0 else 0)
 
 
 @inlined

@@ -1,9 +1,9 @@
-r"""Derivatives of the forces of control and effects by differences of order four.
+r"""Derivatives of the forces of control and effects.
 
-.. math:: f' = \frac{8 (f_1 - f_{-1}) - f_2 + f_{-2}}{12 h}
+Control may have closed forms (:attr:`multiarm.control.program.ControlProgram.derivative`); all else
+is differentiated by differences of order four,
 
-All other forces, which kinematics and inertia make, have closed forms
-(:mod:`multiarm.dynamics.equation_derivatives`).
+.. math:: f' = \frac{8 (f_1 - f_{-1}) - f_2 + f_{-2}}{12 h} .
 """
 
 from __future__ import annotations
@@ -28,14 +28,27 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     states, shape (6 + n + e, 12 + 2 n + e); None where nothing depends on these.  Without
     ``closed_loop`` the control's torques are held.
     """
-    constants, n, e = data.model.constants, data.model.layout.joints, data.arrays.inner.size
-    follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
-    if not ((closed_loop and follows) or data.model.effects.kernels):
-        return None
+    model, n, e = data.model, data.model.layout.joints, data.arrays.inner.size
+    follows = len(model.constants.control) > 0 and model.constants.control_reach > OPEN_LOOP
+    by_law = _law_derivatives(data) if closed_loop and follows else None
+    by_differences = closed_loop and follows and by_law is None
     found = np.zeros((12 + 2 * n + e, 6 + n + e))
-    if differentiate_forces(data.struct, closed_loop, found) != OK:
-        data.reraise()
+    if by_differences or model.effects.kernels:
+        if differentiate_forces(data.struct, by_differences, found) != OK:
+            data.reraise()
+    elif by_law is None:
+        return None
+    if by_law is not None:
+        found[: 12 + 2 * n, 6 : 6 + n] += by_law.T
     return found.T
+
+
+def _law_derivatives(data: Data) -> np.ndarray | None:
+    """Derivatives of the torques in closed form, where these act as they are commanded."""
+    law, constants = data.model.control_derivative, data.model.constants
+    drives_act = constants.actuator_end > constants.passive_end
+    contacts_open = data.arrays.modes.closed != 0
+    return None if law is None or drives_act or contacts_open else law(data)
 
 
 @kernel

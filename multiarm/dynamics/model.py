@@ -12,7 +12,7 @@ Data.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -106,6 +106,8 @@ class Model:
     python_control: PythonControl | None = None  # None: control is compiled
     sampling: Sampling | None = None  # None: control is evaluated all the time
     control_span: ControlSpan | None = None  # None: control is defined at all times
+    # derivatives of its torques in closed form, see multiarm.control.program; None: by differences
+    control_derivative: Callable[[Data], np.ndarray | None] | None = None
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
     # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
@@ -178,6 +180,7 @@ class Model:
             python_control=control,
             sampling=sampling,
             control_span=None,
+            control_derivative=None,
             breakpoints=self.effects.breakpoints,
         )
         user = model.calls_user or bool(self.surfaces)
@@ -192,7 +195,8 @@ class Model:
         """The same model with control that can be held, see :meth:`Data.hold`."""
         if self.sampling is not None:
             return self
-        return replace(self, constants=with_held_control(self.constants, self.constants.control))
+        constants = with_held_control(self.constants, self.constants.control)
+        return replace(self, constants=constants, control_derivative=None)
 
     def with_constants(self, **changes: Any) -> Model:
         """The same model with other constants for kernels."""

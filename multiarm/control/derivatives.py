@@ -1,0 +1,84 @@
+r"""Derivatives of torques that control laws command, in closed form.
+
+*Joint PD*, :math:`\tau = K_p (q_r - q) + K_d (\dot q_r - \dot q)`, has those of its gains.
+
+*Gravity compensation*, :math:`\tau = g(q) - W\lambda`, with the forces of least norm
+:math:`\lambda = W_o^T y`, :math:`A = W_o W_o^T`, :math:`A y = w`, that carry the weight w of the
+object:
+
+.. math::
+    d\tau &= \big(dg - dW\,\lambda\big) - W\,d\lambda, \qquad
+    d\lambda = dW_o^T y + W_o^T dy, \\
+    A\,dy &= -\big(dW_o\,\lambda + W_o\,(dW_o^T y)\big) .
+
+The first bracket is the derivative of the arms' inverse dynamics at rest under these forces;
+:math:`dW_o\,\lambda` that of their wrench on the object; and :math:`dW_o^T y` that of the rates of
+the gaps while the object moves with the twist y and the arms rest.  All three are written by
+:func:`multiarm.dynamics.equation_derivatives.differentiate_holding`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equation_derivatives import differentiate_holding, equation_work
+from multiarm.dynamics.model import Data
+
+# Contacts that carry wrenches in some direction so much worse than in others leave the forces of
+# least norm to rounding.
+ILL_CONDITIONED = 1e10
+
+
+def torque_derivatives(data: Data, *, feedback: bool, carries: bool) -> np.ndarray | None:
+    """Derivatives of the torques, shape (n, 12 + 2 n), right after an evaluation of the data.
+
+    By displacements of the object's pose, its twist, joint positions and velocities.  None where
+    there is no closed form, as contacts cannot carry any wrench.
+
+    Parameters
+    ----------
+    data : Data
+    feedback : bool
+        There is a joint PD law, whose gains are the first of its numbers.
+    carries : bool
+        There is gravity compensation.
+    """
+    n = data.model.layout.joints
+    found = np.zeros((n, 12 + 2 * n))
+    if feedback:
+        joints = np.arange(n)
+        stiffness, damping = data.model.constants.parameters[: 2 * n].reshape(2, n)
+        found[joints, 12 + joints], found[joints, 12 + n + joints] = -stiffness, -damping
+    if not carries:
+        return found
+    holding = _holding_derivatives(data)
+    return None if holding is None else found + holding
+
+
+def _holding_derivatives(data: Data) -> np.ndarray | None:
+    layout, b = data.model.layout, data.arrays
+    n, W_o = layout.joints, b.Wo
+    scale = np.ones(6)
+    scale[3:] = 1.0 / max(np.linalg.norm(W_o[:, 3:], axis=1).max(initial=0.0), 1e-6)
+    A = (scale[:, None] * W_o.T) @ (W_o * scale)
+    if np.linalg.cond(A) > ILL_CONDITIONED:
+        return None
+    twist = scale * np.linalg.solve(A, scale * b.weight)
+    work, own = equation_work(data, 12 + 3 * n)
+    if differentiate_holding(data.struct, own, twist) != OK:
+        data.reraise()
+    torques, rates = np.zeros((n, 12 + 2 * n)), np.zeros((len(W_o), 12 + 2 * n))
+    for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
+        rows, own_columns = slice(*layout.rows[i : i + 2]), np.r_[:6, 12 : 12 + d1 - d0]
+        columns = np.r_[:6, 12 + d0 : 12 + d1]
+        rates[rows, columns] = work.rates[rows, own_columns]
+        torques[d0:d1, columns] = work.dF[i, : d1 - d0, own_columns].T
+    of_wrench = -work.dF_o[:, : 12 + 2 * n]
+    of_twist = -scale[:, None] * np.linalg.solve(A, scale[:, None] * (of_wrench + W_o.T @ rates))
+    forces = rates + W_o @ of_twist
+    for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
+        rows = slice(*layout.rows[i : i + 2])
+        W = data.work.Y[i, : d1 - d0, : rows.stop - rows.start]
+        torques[d0:d1] -= W @ forces[rows]
+    return torques
