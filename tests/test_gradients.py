@@ -152,7 +152,14 @@ def test_the_error_of_a_series_is_solved_for_with_the_solution():
     def variation(t):
         A = np.array([[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]])
         beta, slope = np.array([[0.0], [np.sin(25.0 * t)]]), np.array([np.cos(20.0 * t), 0.0])
-        return Variation(A, np.zeros((2, 0)), beta, np.eye(2), np.zeros((2, 1)), slope)
+        return Variation(A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope)
+
+    class Free:
+        """All displacements of one coordinate and its rate are free."""
+
+        constraint, independent = np.zeros((0, 2)), True
+
+    free = Free()
 
     whole, less = (Segment(panel, [variation(t) for t in nodes(*panel, degree)]) for _ in range(2))
     less._series._coefficients[-2:] = 0.0

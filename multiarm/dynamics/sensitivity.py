@@ -6,7 +6,7 @@ Displacements of the object are a shift of its centre of mass and a rotation vec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -180,22 +180,27 @@ class Motions(NamedTuple):
         found[K:, 6:12], found[K:, 12 + n :] = self.rates[:, :6], self.rates[:, 6:]
         return found
 
-    def basis(self) -> np.ndarray:
-        """Orthonormal displacements and velocities that keep gaps and gap rates, (12 + 2 n, d).
+    def admissible(self) -> np.ndarray:
+        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
 
         In the order of the columns of :class:`Derivatives`.
         """
-        constraint = self.constraint
-        lengths = np.linalg.norm(constraint, axis=1)
-        if self.independent:
-            whole = np.linalg.qr((constraint / lengths[:, None]).T, mode="complete").Q
-            return whole[:, len(constraint) :]
-        return null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
-
-    def admissible(self) -> np.ndarray:
-        """Projector on what :meth:`basis` spans, (12 + 2 n, 12 + 2 n)."""
-        basis = self.basis()
+        (basis,) = free_bases([self])
         return basis @ basis.T
+
+
+def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
+    """Of each, orthonormal displacements and velocities that keep gaps and rates, (12 + 2 n, d).
+
+    In the order of the columns of :class:`Derivatives`.
+    """
+    constraints = np.stack([own.constraint for own in motions])
+    lengths = np.linalg.norm(constraints, axis=2, keepdims=True)
+    constraints /= np.where(lengths > 0.0, lengths, 1.0)
+    if all(own.independent for own in motions):
+        whole = np.linalg.qr(constraints.transpose(0, 2, 1), mode="complete").Q
+        return list(whole[:, :, constraints.shape[1] :])
+    return [null_space(own[np.any(own, axis=1)]).basis for own in constraints]
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,16 @@
 r"""A run with its variational equation, as a function of time.
 
-The run itself is :func:`multiarm.simulate`'s, which gives samples at any times without changing its
-steps.  Time is divided into segments, without a time inside at which control or loads are not
-smooth.  The matrices of the variational equation (:mod:`multiarm.gradients.variation`) are
-evaluated at the nodes of a segment, and are series between them
-(:mod:`multiarm.gradients.interpolation`): how many evaluations that takes depends on how the
-posture changes, and not on how fast motions die out.  The equation itself is solved over panels of
-the segments (:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the
-result.  Segments that contribute too much get more nodes, or are divided.
+The run is a function of time (:mod:`multiarm.gradients.motion`), which is divided into segments,
+without a time inside at which control or loads are not smooth.  The matrices of the variational
+equation (:mod:`multiarm.gradients.variation`) are evaluated at the nodes of a segment, and are
+series between them (:mod:`multiarm.gradients.interpolation`): how many evaluations that takes
+depends on how the posture changes, and not on how fast motions die out.  Segments are planned from
+the series of the velocities.  The equation itself is solved over panels of the segments
+(:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the result.  Segments
+that contribute too much get more nodes, or are divided.
 
-*Memory.*  Kept are the states at the nodes, 13 + 2 n numbers each, and the matrices of one segment
-at a time; those of all segments as long as they have at most ``MOST_KEPT`` numbers.
+*Memory.*  Kept are series of the states, and the matrices of one segment at a time; those of all
+segments as long as they have at most ``MOST_KEPT`` numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property, partial
-from itertools import pairwise
+from itertools import chain
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -31,27 +31,24 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
+from multiarm.gradients.motion import Motion
 from multiarm.gradients.segments import SHORTEST, TINY, Panel, Segment
 from multiarm.gradients.variation import Parameter, Variation, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
-from multiarm.simulation.simulate import simulate
 from multiarm.terminal.progress import Report
 
 # Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
-# Longest segments that are tried [s].
-LONGEST = 0.5
-# Numbers of all matrices that are kept.
+# Numbers of all matrices that are kept, at nodes and of segments.
 MOST_KEPT = 3e7
 MOST_WALKS = 12
 # Walks over shorter segments go on while they lessen the error at least so; derivatives with a
 # larger relative error than the second are of no use.
 LESSENED, USELESS = 0.5, 1e-2
-# Degree of the series of velocities from which segments are planned, and how much less of a
-# velocity than of the matrices their last terms are.
-FINE, ROUGHER = 64, 100.0
+# How much larger the last terms of a series of the matrices are than those of the velocities.
+ROUGHER = 100.0
 # Series that alone may make an error of so many times the tolerance are refined at once.
 COARSE = 10.0
 
@@ -102,8 +99,6 @@ class Along:
         Relative error of the derivatives; relative errors of all panels together.
     start_by_parameters : ndarray, shape (D, P)
         The derivatives of the start by the parameters.
-    trajectory : Trajectory
-        The run, sampled at all nodes and bounds.
 
     Raises
     ------
@@ -112,8 +107,6 @@ class Along:
     SceneError
         When a parameter cannot be used.
     """
-
-    trajectory: Trajectory
 
     def __init__(
         self,
@@ -129,11 +122,11 @@ class Along:
         _refuse(system)
         self.system, self.begin, self.end = system, begin, begin + duration
         self.bounds, self._integrand = bounds, integrand
-        self._accuracy, self._start = accuracy, start
+        self._start = start
         written = system.scene.run.accuracy
         of_scene = DEFAULT_ACCURACY if written is None else written.smallest
         wanted = of_scene if accuracy is None else positive("accuracy", accuracy)
-        self.tolerance = max(wanted, FINEST)
+        self._accuracy, self.tolerance = wanted, max(wanted, FINEST)
         self.panel_tolerance = self.tolerance
         if isinstance(parameters, str):
             raise SceneError(f"parameters: expected a list of paths, such as [{parameters!r}]")
@@ -141,10 +134,19 @@ class Along:
         self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
         self._segments: list[tuple[Panel, int]] = []
         self.start_by_parameters = self._start_by_parameters()
-        self._states: dict[float, State] = {}
         self._values: dict[float, Variation] = {}
+        self._made: dict[tuple[Panel, int], Segment] = {}
         # of segments: the defects of their series, and the errors that they alone may make
         self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
+
+    @cached_property
+    def _motion(self) -> Motion:
+        return Motion(self.system, self.begin, self.end, self._accuracy, self._start, self.bounds)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The run, sampled at the bounds and where it is a series."""
+        return self._motion.trajectory
 
     @property
     def layout(self) -> Layout:
@@ -168,19 +170,26 @@ class Along:
 
     def state(self, t: float) -> State:
         """The state at a bound, or at the ends of the run."""
-        return self._states[t]
+        return self._motion.state(t)
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
-        panel, degree = self._segments[k]
-        found = Segment(panel, [self._value(t) for t in nodes(*panel, degree)])
-        self._quality[panel, degree] = found.defect, found.error
+        panel, degree = own = self._segments[k]
+        if own in self._made:
+            return self._made[own]
+        times = nodes(*panel, degree)
+        pairs = zip(times, self._motion.states(times), strict=True)
+        found = Segment(panel, [self._value(t, state) for t, state in pairs])
+        self._quality[own] = found.defect, found.error
+        if len(self._made) * found.numbers < MOST_KEPT:
+            self._made[own] = found
         return found
 
     @cached_property
     def admissible(self) -> np.ndarray:
         """Projector (D, D) on displacements of the start that keep the joints closed."""
-        return self._derivatives(self.begin).motions.admissible()
+        start = self.state(self.begin)
+        return self._derivatives(self.begin, start).motions.admissible()
 
     def _start_by_parameters(self) -> np.ndarray:
         found = np.zeros((self.size, len(self.parameters)))
@@ -216,7 +225,6 @@ class Along:
                     return found
                 if found.shares.sum() > 0.5 * self.tolerance:
                     self._refine(found.shares)
-                    self._sample()
                 else:
                     self.panel_tolerance *= 0.1
         assert best is not None, "there is a first walk"
@@ -229,26 +237,16 @@ class Along:
         return best
 
     def _plan(self) -> None:
-        """Choose segments over which the velocities of the run are series."""
-        rough = self.system.model.breakpoints
-        inner = rough[(rough > self.begin) & (rough < self.end)]
-        whole = _divided(np.unique([self.begin, self.end, *inner]))
-        self._segments = [(panel, FINE) for panel in whole]
-        self._sample()
-        segments = []
-        for panel in whole:
-            states = [self._states[t] for t in nodes(*panel, FINE)]
-            velocities = np.array([state.velocity for state in states])
-            size = max(1.0, np.abs(velocities).max())
-            series = Series(*panel, velocities / size)
-            segments += _planned(panel, series, self.tolerance / ROUGHER)
-        self._segments = segments
+        """Choose segments over which the velocities of the run are series of low degree."""
+        self._segments = []
+        for panel in self._motion.panels:
+            series, first = self._motion.series(panel.begin), 7 + self.layout.joints
+            self._segments += _planned(panel, series, first, self.tolerance / ROUGHER)
 
     def _resolve(self) -> None:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
         allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
         while True:
-            self._sample()
             for k, own in enumerate(self._segments):
                 if own not in self._quality:
                     self.segment(k)
@@ -270,43 +268,15 @@ class Along:
             elif finer := [k for k in DEGREES if share * defect ** (k / degree - 1.0) < large]:
                 segments.append((panel, finer[0]))
             else:
-                segments += [(half, DEGREES[0]) for half in panel.halves]
+                segments += [(half, DEGREES[0]) for half in panel.parts(2)]
         self._segments = segments
 
-    def _sample(self) -> None:
-        """Run to all nodes."""
-        wanted = {self.begin, self.end, *self.bounds.tolist()}
-        for panel, degree in self._segments:
-            wanted.update(nodes(*panel, degree))
-        if wanted <= self._states.keys():
-            return
-        run = self.trajectory = simulate(
-            self.system,
-            self.end - self.begin,
-            accuracy=self._accuracy,
-            state=self._start,
-            start_time=self.begin,
-            output_times=sorted(wanted),
-            certificate=False,
-        )
-        if run.status != "completed":
-            raise SolverError(f"the run that is differentiated did not end well: {run.message}")
-        _refuse_events(run)
-        joints, rates, names = run.joint_positions, run.joint_velocities, self.layout.names
-        pose = run.object_position, run.object_quaternion_xyzw
-        positions = np.hstack([*pose, *(joints[name] for name in names)])
-        velocities = np.hstack([run.object_twist, *(rates[name] for name in names)])
-        self._states = {
-            t: State(position, velocity, self.layout)
-            for t, position, velocity in zip(sorted(wanted), positions, velocities, strict=True)
-        }
-
-    def _value(self, t: float) -> Variation:
+    def _value(self, t: float, state: State) -> Variation:
         """The equation at a node."""
         found = self._values.get(t)
         if found is not None:
             return found
-        state, count, D = self._states[t], len(self.parameters), self._derivatives(t)
+        count, D = len(self.parameters), self._derivatives(t, state)
         beta, offset = np.zeros((2, self.size, count))
         for k, parameter in enumerate(self.parameters):
             beta[:, k], gaps = parameter.at(t, state)
@@ -314,14 +284,14 @@ class Along:
         rate, slope = 0.0, np.zeros(self.size)
         if self._integrand is not None:
             rate, slope = self._integrand(t, state)
-        found = Variation(*variation(D), beta, D.motions.basis(), offset, slope, rate)
+        found = Variation(*variation(D), beta, D.motions, offset, slope, rate)
         if len(self._values) * found.numbers < MOST_KEPT:
             self._values[t] = found
         return found
 
-    def _derivatives(self, t: float) -> Derivatives:
+    def _derivatives(self, t: float, state: State) -> Derivatives:
         try:
-            return derivatives(self.system, t, self._states[t])
+            return derivatives(self.system, t, state)
         except SolverError as error:
             raise SolverError(f"at t = {t:.9g} s: {error}") from None
 
@@ -358,35 +328,17 @@ def _refuse(system: System) -> None:
         )
 
 
-def _refuse_events(run: Trajectory) -> None:
-    if run.statistics.get("contact_events", 0):
-        first = next(event for event in run.events if "before" in event)
-        raise SolverError(
-            f"derivatives of a run: contacts open, close or slide in it, and the motion beyond "
-            f"depends on when ({first['text']} at t = {first['time']:.6g} s); end the run before, "
-            f"or keep the contacts closed"
-        )
-
-
 def _planned(
-    panel: Panel, series: Series, allowed: float, before: float = math.inf
+    panel: Panel, series: Series, first: int, allowed: float, before: float = math.inf
 ) -> list[tuple[Panel, int]]:
-    """Segments of a panel over which a series is one of lower degree."""
+    """Segments of a panel over which a series, from a component on, is one of lower degree."""
     for degree in DEGREES:
-        values, _ = series.at(nodes(*panel, degree))
-        defect = Series(*panel, values).defect.max(initial=0.0)
+        values = series.at(nodes(*panel, degree))[0][:, first:]
+        size = max(1.0, np.abs(values).max())
+        defect = Series(*panel, values).defect.max() / size
         if defect <= allowed:
             return [(panel, degree)]
     if defect > LESSENED * before or panel.length < SHORTEST:  # noise of the run, or a kink
         return [(panel, DEGREES[-1])]
-    first, second = (_planned(half, series, allowed, defect) for half in panel.halves)
-    return first + second
-
-
-def _divided(times: np.ndarray) -> list[Panel]:
-    """Equal panels between each time and the next, none too long."""
-    panels = []
-    for begin, end in pairwise(times.tolist()):
-        count = max(1, math.ceil((end - begin) / LONGEST * (1.0 - 1e-9)))
-        panels += [Panel(*pair) for pair in pairwise(np.linspace(begin, end, count + 1).tolist())]
-    return panels
+    halves = (_planned(half, series, first, allowed, defect) for half in panel.parts(2))
+    return list(chain.from_iterable(halves))

@@ -47,6 +47,11 @@ class Series:
         self._coefficients = _transform(len(values) - 1) @ values.reshape(len(values), -1)
 
     @property
+    def numbers(self) -> int:
+        """How many coefficients there are."""
+        return self._coefficients.size
+
+    @property
     def defect(self) -> np.ndarray:
         """Bound of the defect, shape (...)."""
         return np.abs(self._coefficients[-2:]).sum(axis=0).reshape(self._shape)

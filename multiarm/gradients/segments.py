@@ -33,6 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.dynamics.sensitivity import free_bases
 from multiarm.errors import SolverError
 from multiarm.gradients.collocation import COUNT, NODES, Collocation
 from multiarm.gradients.interpolation import Series
@@ -61,11 +62,10 @@ class Panel(NamedTuple):
         """The nodes of the collocation [s]."""
         return (self.begin + NODES * self.length).tolist()
 
-    @property
-    def halves(self) -> tuple[Panel, Panel]:
-        """The panel in two."""
-        middle = 0.5 * (self.begin + self.end)
-        return Panel(self.begin, middle), Panel(middle, self.end)
+    def parts(self, count: int) -> list[Panel]:
+        """The panel in equal parts."""
+        times = np.linspace(self.begin, self.end, count + 1).tolist()
+        return [Panel(*pair) for pair in pairwise(times)]
 
 
 class Coefficients(NamedTuple):
@@ -118,13 +118,15 @@ class Segment:
     """
 
     def __init__(self, panel: Panel, values: Sequence[Variation]) -> None:
-        if len({own.basis.shape for own in values}) > 1:
+        A, B, beta, motions, offset, slope, rate = zip(*values, strict=True)
+        bases = free_bases(motions)
+        if len({own.shape for own in bases}) > 1:
             raise SolverError(
                 f"the rank of the constraints changes between {panel.begin:.6g} s and "
                 f"{panel.end:.6g} s, where the run has no derivatives"
             )
-        A, B, beta, N, offset, slope, rate = (np.stack(part) for part in zip(*values, strict=True))
-        self.panel, self.basis = panel, values[len(values) // 2].basis
+        A, B, beta, offset, slope, N = map(np.stack, (A, B, beta, offset, slope, bases))
+        self.panel, self.basis = panel, bases[len(bases) // 2]
         to, self._joints, (_, d) = self.basis.T, B.shape[2], self.basis.shape
         E = N @ np.linalg.inv(to @ N)
         n = offset - E @ (to @ offset)
@@ -138,6 +140,11 @@ class Segment:
         wrong = self._series.defect[:d, :d].max()
         self.defect = float(wrong / np.abs(own[:, :d, :d]).max(initial=TINY))
         self.error = float(panel.length * wrong)
+
+    @property
+    def numbers(self) -> int:
+        """How many it has."""
+        return self._series.numbers + self._lift.numbers
 
     def at(self, times: list[float]) -> tuple[Coefficients, Coefficients]:
         """Coefficients at some times, and their defects."""
@@ -186,5 +193,5 @@ class Piece:
     @cached_property
     def halves(self) -> tuple[Piece, Piece]:
         """The piece in two."""
-        first, second = self.panel.halves
+        first, second = self.panel.parts(2)
         return Piece(self._segment, first), Piece(self._segment, second)

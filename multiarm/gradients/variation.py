@@ -32,7 +32,7 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.sensitivity import STATE, Derivatives, columns_of
+from multiarm.dynamics.sensitivity import STATE, Derivatives, Motions, columns_of
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError, SceneError, SolverError
@@ -61,8 +61,8 @@ class Variation(NamedTuple):
         By torques that are added to the joints.
     beta : ndarray, shape (D, P)
         By the parameters.
-    basis : ndarray, shape (D, d)
-        Of the displacements that keep the joints closed.
+    motions : Motions
+        Which displacements keep the joints closed.
     offset : ndarray, shape (D, P)
         Displacements that follow joints which parameters move.
     slope : ndarray, shape (D,)
@@ -74,7 +74,7 @@ class Variation(NamedTuple):
     A: np.ndarray
     B: np.ndarray
     beta: np.ndarray
-    basis: np.ndarray
+    motions: Motions
     offset: np.ndarray
     slope: np.ndarray
     rate: float = 0.0
@@ -82,7 +82,8 @@ class Variation(NamedTuple):
     @property
     def numbers(self) -> int:
         """How many there are."""
-        return sum(part.size for part in self[:-1])
+        arrays = (*self, *self.motions)
+        return sum(part.size for part in arrays if isinstance(part, np.ndarray))
 
 
 def state_columns(layout: Layout) -> dict[str, slice]:

@@ -1,0 +1,154 @@
+"""A run as a function of time: series of its states.
+
+The run itself is :func:`multiarm.simulate`'s, which gives samples at any times without changing its
+steps.  It is sampled at the nodes of series over panels (:mod:`multiarm.gradients.interpolation`).
+Where a series of the highest degree is not the motion to the accuracy of the run, the panel is
+divided, and the run repeated.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from itertools import pairwise
+
+import numpy as np
+
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.errors import SolverError
+from multiarm.gradients.interpolation import Series, nodes
+from multiarm.gradients.segments import SHORTEST, Panel
+from multiarm.results.trajectory import Trajectory
+from multiarm.simulation.simulate import simulate
+
+# Longest panels [s], the degree of their series, and the number of parts of one that is divided.
+LONGEST, DEGREE, PARTS = 0.5, 64, 4
+# Parts of a panel whose defects are not so much smaller show the noise of the run, or a kink.
+SMOOTHER = 0.5
+
+
+class Motion:
+    """A run.
+
+    Parameters
+    ----------
+    system : System
+    begin, end : float
+        [s]
+    accuracy : float
+        Of the run, and of the series [m, rad].
+    start : State or None
+        None: the scene's.
+    bounds : ndarray
+        Further times at which states are wanted [s].
+
+    Attributes
+    ----------
+    panels : list of Panel
+        Without a time inside at which control or loads are not smooth.
+    trajectory : Trajectory
+        The run, sampled at the nodes of the panels and at the bounds.
+
+    Raises
+    ------
+    SolverError
+        When the run ends early, or contacts open, close or slide in it.
+    """
+
+    trajectory: Trajectory
+
+    def __init__(
+        self,
+        system: System,
+        begin: float,
+        end: float,
+        accuracy: float,
+        start: State | None,
+        bounds: np.ndarray,
+    ) -> None:
+        self._system, self._layout, self._accuracy = system, system.model.layout, accuracy
+        self._start, self._bounds = start, {begin, end, *bounds.tolist()}
+        rough = system.model.breakpoints
+        inner = rough[(rough > begin) & (rough < end)]
+        self.panels = _divided(np.unique([begin, end, *inner]))
+        shortest, before = SHORTEST * (end - begin), dict.fromkeys(self.panels, math.inf)
+        while True:
+            self._run()
+            panels: list[Panel] = []
+            for panel, series in zip(self.panels, self._series, strict=True):
+                defect = series.defect[7:].max()
+                smooth = defect <= accuracy or panel.length < shortest
+                if smooth or defect > SMOOTHER * before[panel]:
+                    panels.append(panel)
+                else:
+                    before |= dict.fromkeys(panel.parts(PARTS), defect)
+                    panels += panel.parts(PARTS)
+            if len(panels) == len(self.panels):
+                break
+            self.panels = panels
+        self._begins = [panel.begin for panel in self.panels]
+
+    def state(self, t: float) -> State:
+        """The state at a bound, or at the ends of the run."""
+        return self._at_bounds[t]
+
+    def states(self, times: list[float]) -> list[State]:
+        """The states at some times within one panel."""
+        numbers, _ = self.series(times[0]).at(times)
+        numbers[:, 3:7] /= np.linalg.norm(numbers[:, 3:7], axis=1, keepdims=True)
+        velocities = 7 + self._layout.joints
+        return [State(own[:velocities], own[velocities:], self._layout) for own in numbers]
+
+    def series(self, t: float) -> Series:
+        """Positions and velocities, one after the other, on the panel of a time."""
+        return self._series[max(bisect_right(self._begins, t) - 1, 0)]
+
+    def _run(self) -> None:
+        """Run to all nodes."""
+        times = np.unique([*self._bounds, *(t for own in self.panels for t in nodes(*own, DEGREE))])
+        begin, end = self.panels[0].begin, self.panels[-1].end
+        run = self.trajectory = simulate(
+            self._system,
+            end - begin,
+            accuracy=self._accuracy,
+            state=self._start,
+            start_time=begin,
+            output_times=times,
+            certificate=False,
+        )
+        if run.status != "completed":
+            raise SolverError(f"the run that is differentiated did not end well: {run.message}")
+        _refuse_events(run)
+        joints, rates, names = run.joint_positions, run.joint_velocities, self._layout.names
+        pose = run.object_position, run.object_quaternion_xyzw
+        positions = np.hstack([*pose, *(joints[name] for name in names)])
+        velocities = np.hstack([run.object_twist, *(rates[name] for name in names)])
+        places = {t: k for k, t in enumerate(times.tolist())}
+        self._at_bounds = {
+            t: State(positions[places[t]], velocities[places[t]], self._layout)
+            for t in self._bounds
+        }
+        numbers = np.hstack([positions, velocities])
+        self._series = [
+            Series(*panel, numbers[[places[t] for t in nodes(*panel, DEGREE)]])
+            for panel in self.panels
+        ]
+
+
+def _refuse_events(run: Trajectory) -> None:
+    if run.statistics.get("contact_events", 0):
+        first = next(event for event in run.events if "before" in event)
+        raise SolverError(
+            f"derivatives of a run: contacts open, close or slide in it, and the motion beyond "
+            f"depends on when ({first['text']} at t = {first['time']:.6g} s); end the run before, "
+            f"or keep the contacts closed"
+        )
+
+
+def _divided(times: np.ndarray) -> list[Panel]:
+    """Equal panels between each time and the next, none too long."""
+    panels = []
+    for begin, end in pairwise(times.tolist()):
+        panels += Panel(begin, end).parts(max(1, math.ceil((end - begin) / LONGEST * (1 - 1e-9))))
+    return panels
