@@ -282,7 +282,8 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     The result is ``SINGULAR`` where an arm, or the object, cannot be solved so.
     """
     _, data, system = open_system(struct)
-    links, work, S, joints = _open_links(own), _open_work(own), _open_work(own).S, data.angles.size
+    links, work = _open_links(own), _open_work(own)
+    S, joints = work.S, data.angles.size
     for l in range(6):  # noqa: E741
         copy(data.inertia[l], S[l])
         row, dF_o = matrix[l], work.dF_o[l]

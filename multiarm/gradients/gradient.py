@@ -65,7 +65,7 @@ class Gradient:
     parameters : mapping str -> float
         By numbers of the scene, as they were named.
     trajectory : Trajectory
-        The run, sampled where derivatives were taken.
+        The run, sampled at the nodes of series (:mod:`multiarm.gradients.motion`).
     error : float
         Estimated error of the derivatives along this run, relative to the largest.
     times : ndarray, shape (K,)

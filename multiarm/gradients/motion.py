@@ -77,7 +77,7 @@ class Motion:
             self._run()
             panels: list[Panel] = []
             for panel, series in zip(self.panels, self._series, strict=True):
-                defect = series.defect[7:].max()
+                defect = series.defect.max()
                 smooth = defect <= accuracy or panel.length < shortest
                 if smooth or defect > SMOOTHER * before[panel]:
                     panels.append(panel)

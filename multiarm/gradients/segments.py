@@ -11,8 +11,9 @@ with n for joints that parameters move.  As R is constant, :math:`\dot\eta = R^T
 .. math::
     \dot\eta = R^T A E\,\eta + R^T B\,\delta\tau + R^T (\beta + A n)\,\delta p .
 
-Two welded arms have 12 coordinates in place of 36, and more arms no more.  At the ends of segments
-the coordinates change by way of :math:`\delta`, which stays on the joints thereby.
+Two welded arms of six joints have 12 coordinates in place of 36, and more such arms no more.  At
+the ends of segments the coordinates change by way of :math:`\delta`, which stays on the joints
+thereby.
 
 Over a segment these matrices are series (:mod:`multiarm.gradients.interpolation`).  A panel of it
 is solved as a whole (:mod:`multiarm.gradients.collocation`), and again in two halves; for a method
@@ -137,9 +138,10 @@ class Segment:
         own[:, d, -1] = rate
         self._series = Series(*panel, own)
         self._lift = Series(*panel, np.dstack([E, n]))
-        wrong = self._series.defect[:d, :d].max()
+        wrong = self._series.defect[:d, :d].max(initial=0.0)
         self.defect = float(wrong / np.abs(own[:, :d, :d]).max(initial=TINY))
-        self.error = float(panel.length * wrong)
+        of_lift = self._lift.defect[:, :d].max(initial=0.0)
+        self.error = float(max(panel.length * wrong, of_lift))
 
     @property
     def numbers(self) -> int:

@@ -51,7 +51,7 @@ class Sensitivities:
     states : list of State
         The run at these times.
     trajectory : Trajectory
-        The run, sampled at these times and where derivatives were taken.
+        The run, sampled at these times and at the nodes of series.
     error : float
         Estimated error of the derivatives along this run, relative to the largest of their column.
     layout : Layout
