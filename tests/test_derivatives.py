@@ -9,6 +9,7 @@ closed.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -418,6 +419,20 @@ def over_floor(gap, ends=None, **friction):
             {"arm": ARM}, [joint], object=body, gravity=[0, 0, -9.81], effects=effects,
         )
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.0])
+def test_control_knows_the_contacts_of_joints_only(gap):
+    """Its derivatives are those of differences, whatever else is closed."""
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 10}
+    welded = {"joints": [{"arm": "arm", "kind": "weld"}], "control": control}
+    system = ma.compile_system(over_floor(gap).scene.replace(**welded))
+    assert system.model.control_derivative is not None
+    plain = replace(system, model=replace(system.model, control_derivative=None))
+    found, expected = (ma.derivatives(own, 0.3).matrix for own in (system, plain))
+    fixed = np.isfinite(expected)
+    assert_equal(np.where(fixed, found, 0.0), np.where(fixed, expected, 0.0))
+    assert np.abs(expected[fixed]).max() > 1.0
 
 
 def test_open_contacts_have_no_part():

@@ -25,7 +25,7 @@ from multiarm.gradients.collocation import COUNT, NODES, ORDER, WEIGHTS, Colloca
 from multiarm.gradients.gradient import _Backward
 from multiarm.gradients.gradient import _solved as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
-from multiarm.gradients.segments import Panel, Piece, Segment
+from multiarm.gradients.segments import RICHARDSON, Panel, Piece, Segment
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import Variation, displaced, displacement
@@ -128,6 +128,26 @@ def test_fast_motions_die_out_within_one_panel():
     end, _ = fast.forward(np.ones((1, 1)), np.zeros((COUNT, 1, 1)))
     assert abs(end[0, 0]) < 1e-6
     assert NODES[-1] == 1.0
+
+
+@pytest.mark.parametrize("length", [0.8, 1.6])
+@pytest.mark.parametrize("rate", [-1e2, -1e4, -1e6])
+def test_the_error_of_a_panel_in_halves_is_not_underestimated_where_damping_is_strong(rate, length):
+    """``y' = rate (y - sin 3t) + 3 cos 3t``: the order falls to that of the stages."""
+
+    def end(start, h, y):
+        t = start + NODES * h
+        b = 3.0 * np.cos(3.0 * t) - rate * np.sin(3.0 * t)
+        A = np.full((COUNT, 1, 1), rate)
+        return Collocation(A, h).forward(np.array([[y]]), b[:, None, None])[0][0, 0]
+
+    start = 0.4
+    y = math.sin(3.0 * start)
+    whole, half = end(start, length, y), 0.5 * length
+    halves = end(start + half, half, end(start, half, y))
+    error = abs(halves - math.sin(3.0 * (start + length)))
+    assert error <= 3.0 * abs(whole - halves) / RICHARDSON + 1e-15
+    assert error > 1e-14
 
 
 @pytest.mark.parametrize("degree", DEGREES)

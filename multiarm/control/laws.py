@@ -48,7 +48,7 @@ from multiarm.control.recorded import (
 )
 from multiarm.control.tables import read_table
 from multiarm.control.user_control import Control
-from multiarm.dynamics.arrays import COUPLED, LOCAL, OK, OPEN_LOOP, open_system
+from multiarm.dynamics.arrays import CARRYING, LOCAL, OK, OPEN_LOOP, open_system
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.held_control import Sampling
@@ -129,7 +129,8 @@ def _(control: ConstantControl, context: ControlContext) -> ControlProgram:
 
 @program_of.register
 def _(_control: GravityCompensationControl, context: ControlContext) -> ControlProgram:
-    return ControlProgram(_carrying(context), derivative=_derivative(context, feedback=False))
+    derivative = _derivative(context, feedback=False)
+    return ControlProgram(_carrying(context), reach=CARRYING, derivative=derivative)
 
 
 @program_of.register
@@ -164,7 +165,7 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
         values = table.stacked(names, context.start.position[7:])
         gains = _gains(control, context)
         carrying = _carrying(context)
-        laws, reach = (recorded_position, *carrying), COUPLED if carrying else LOCAL
+        laws, reach = (recorded_position, *carrying), CARRYING if carrying else LOCAL
         derivative = _derivative(context, feedback=True)
     shape = table.times, values, control.interpolation, zero
     span = ControlSpan(
@@ -190,7 +191,7 @@ def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
         (joint_pd, *carrying),
         numbers,
         breakpoints,
-        reach=COUPLED if carrying else LOCAL,
+        reach=CARRYING if carrying else LOCAL,
         derivative=_derivative(context, feedback=True),
     )
 

@@ -92,8 +92,9 @@ class ControlProgram:
         Taken from the control's ``sample_time``.  Absent: they are evaluated all the time.
     reach : int
         What the torques of an arm depend on: the time (``OPEN_LOOP``), also the state of this arm
-        (``LOCAL``), or anything (``COUPLED``).  Derivatives cost less where it is less, and are
-        wrong where it is more than this says.
+        (``LOCAL``), also its share of the object's weight where gravity compensation is the last
+        law (``CARRYING``), or anything (``COUPLED``).  Derivatives cost less where it is less, and
+        are wrong where it is more than this says.
     derivative : callable, optional
         ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
         twist, joint positions and joint velocities, shape (n, 12 + 2 n), right after an evaluation

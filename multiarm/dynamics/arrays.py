@@ -33,8 +33,9 @@ from multiarm.jit.structs import (
 # Results of an evaluation; k >= 0: the elimination failed at arm k, or at the object where k is the
 # number of arms.
 OK, CALLBACK_FAILED, PROJECTION_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -3, -4, -5
-# What the torques of an arm's drives depend on: the time, also the state of this arm, anything.
-OPEN_LOOP, LOCAL, COUPLED = range(3)
+# What the torques of an arm's drives depend on: the time, also the state of this arm, also its
+# share of the weight of the object where gravity compensation is the last law, anything.
+OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
 
 
 class Constants(NamedTuple):

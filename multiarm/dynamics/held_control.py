@@ -22,7 +22,15 @@ from numbers import Real
 
 import numpy as np
 
-from multiarm.dynamics.arrays import HELD, ONCE, OPEN_LOOP, Constants, open_system
+from multiarm.dynamics.arrays import (
+    CARRYING,
+    COUPLED,
+    HELD,
+    ONCE,
+    OPEN_LOOP,
+    Constants,
+    open_system,
+)
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, copy
 from multiarm.jit.pointers import address_of, call_cfunc
@@ -61,11 +69,13 @@ class Sampling:
 
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
-    row = [address_of(hold_torques), int(delay)]
+    row, reach = [address_of(hold_torques), int(delay)], constants.control_reach
+    if not len(laws):
+        reach = OPEN_LOOP
+    elif reach == CARRYING:  # the last law is another one now
+        reach = COUPLED
     return constants._replace(
-        control=np.array([row], dtype=np.int64),
-        sampled=laws,
-        control_reach=constants.control_reach if len(laws) else OPEN_LOOP,
+        control=np.array([row], dtype=np.int64), sampled=laws, control_reach=reach
     )
 
 

@@ -12,6 +12,12 @@ so that :math:`dy = -K^{-1}\, \partial F`.  Where control and effects are *local
 :math:`F_i, F_{\varphi i}, g_i` at fixed ``y`` depend on the states of this arm and of the object
 only, and :math:`h_o` on the object's.
 
+*Gravity compensation* couples the arms by six numbers: the contact forces of least norm that carry
+the weight w are :math:`W_{oi}^T s`, and an arm's share of the torques is
+:math:`g_i(q_i) - W_i W_{oi}^T s`.  With s among the unknowns, it is local too; its equation
+
+.. math:: F_s = \sum_i r_i - w = 0, \qquad r_i = W_{oi} W_{oi}^T s .
+
 *Differences* of these residuals therefore displace joint number j of all arms at once: as many
 columns as the largest arm has, whatever the number of arms.  Nothing is solved for them, so that
 their roundings are small enough for forward differences with short displacements.  Those by
@@ -20,7 +26,8 @@ error of :math:`\beta^2 \varphi` would not decrease with them.  The columns of t
 time leave the terms of the arms as they are.
 
 *Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
-:math:`\alpha = d\dot v_o`, and then the object by its mobility,
+:math:`\alpha = d\dot v_o`, and then the object by its mobility (:math:`\alpha` has ds below it, and
+S the rows of :math:`F_s`, where the control carries the weight),
 
 .. math::
     d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \alpha, \qquad
@@ -40,6 +47,7 @@ has its own share of them, and its own derivatives.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -47,11 +55,12 @@ import numpy as np
 from multiarm.arms.terms import BIAS_AT
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
+    CARRYING,
     HELD,
-    LOCAL,
     NOT_FINITE,
     OK,
     open_coupled,
+    open_data,
     open_system,
 )
 from multiarm.dynamics.equations import (
@@ -62,7 +71,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.integration.projection import greatest
 from multiarm.integration.step import Step, load
 from multiarm.jit.kernels import clear, copy, inlined, kernel
@@ -85,8 +94,10 @@ CENTRAL_CHANGE = 2e-6
 # The same of the time, relative to the step or to 1 s.
 TIME_CHANGE = 1e-5
 # Columns of the object in ``ArmBlocks.by_object``, and after the arm's own ones in
-# ``ArmBlocks.derivatives``: pose, twist, time; there the acceleration of the object follows.
-POSE, TWIST, TIME, ACCELERATION, OBJECT_COLUMNS = 0, 6, 12, 13, 19
+# ``ArmBlocks.derivatives``: pose, twist, time; there the shared unknowns follow.
+POSE, TWIST, TIME, SHARED = 0, 6, 12, 13
+# Contacts that carry wrenches in some direction by so much less than in others leave s to rounding.
+CARRIED = 1e-10
 
 
 class ArmBlocks(NamedTuple):
@@ -100,6 +111,8 @@ class ArmBlocks(NamedTuple):
     d: Int
     m: Int
     e: Int
+    shared: Int  # unknowns that all arms share: 6 of the object's acceleration, 6 more of s
+    share: Floats1  # (6,) s, fixed in residuals
     used: Ints1  # (1,) whether the derivatives of the last step are here
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
@@ -109,31 +122,33 @@ class ArmBlocks(NamedTuple):
     power: Floats2
     before: Floats1
     # products of matrices in the residuals at the beginning of the step; residuals there, and
-    # elsewhere: (n, R + 6) with g_i at the end of each arm's rows, (6 + w,) of the object without
+    # elsewhere: (n, R + 12) with g_i, r_i at the end of each arm's rows, (6 + w,) of the object
     products: Floats2
     products_o: Floats1
     base: Floats2
     base_o: Floats1
     found: Floats2
     found_o: Floats1
-    derivatives: Floats3  # (n, R, P + 19) A, A_o, U; before the solution, of the residuals
-    on_object: Floats3  # (n, 6, P) B_i
-    by_object: Floats2  # (6 + w, 13) B_o; the powers of the forces on the object
+    # for u shared unknowns: A, A_o, U, before the solution of the residuals, (n, R, P + 13 + u);
+    # B_i (n, u, P); B_o, then the powers of the forces on the object (u + w, 13)
+    derivatives: Floats3
+    on_object: Floats3
+    by_object: Floats2
     Wo: Floats2  # (N, 6) at the beginning of the step
-    # factors: of each arm's equations (n, d + m, d + m), of S (6, 6), of E (n, d + e, d + e), of
-    # the system for alpha (6, 6)
+    # factors: of each arm's equations (n, d + m, d + m), of S (u, u), of E (n, d + e, d + e), of
+    # the system for alpha (u, u)
     K: Floats3
     K_pivots: Ints2
     S: Floats2
     S_pivots: Ints1
     E: Floats3
     E_pivots: Ints2
-    V: Floats3  # (n, d + e, 6)
-    D: Floats3  # (n, 6, d + e)
+    V: Floats3  # (n, d + e, u)
+    D: Floats3  # (n, u, d + e)
     node: Floats2
     node_pivots: Ints1
-    # of a stage: derivative of the object's acceleration (6,), rates of the object (12,), unknowns
-    # of each arm (n, d + e)
+    # of a stage: derivatives of the shared unknowns (u,), rates of the object (12,), unknowns of
+    # each arm (n, d + e)
     alpha: Floats1
     rates: Floats1
     unknowns: Floats2
@@ -160,37 +175,40 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
         if own.kernel is not None
     ]
     own_columns, rows = 2 * d + e, d + m + e + works
+    u = 12 if data.model.constants.control_reach == CARRYING else 6
     return ArmBlocks(
         d=d,
         m=m,
         e=e,
+        shared=u,
+        share=np.zeros(6),
         used=np.zeros(1, dtype=np.int64),
         counts=np.array([len(own) for own in owned], dtype=np.int64),
         states=states,
         powers=np.array(powers, dtype=np.int64),
         power=np.zeros((n + 1, works)),
         before=np.zeros(6 + layout.joints),
-        products=np.zeros((n, rows + 6)),
+        products=np.zeros((n, rows + 12)),
         products_o=np.zeros(6 + works),
-        base=np.zeros((n, rows + 6)),
+        base=np.zeros((n, rows + 12)),
         base_o=np.zeros(6 + works),
-        found=np.zeros((n, rows + 6)),
+        found=np.zeros((n, rows + 12)),
         found_o=np.zeros(6 + works),
-        derivatives=np.zeros((n, rows, own_columns + OBJECT_COLUMNS)),
-        on_object=np.zeros((n, 6, own_columns)),
-        by_object=np.zeros((6 + works, ACCELERATION)),
+        derivatives=np.zeros((n, rows, own_columns + SHARED + u)),
+        on_object=np.zeros((n, u, own_columns)),
+        by_object=np.zeros((u + works, SHARED)),
         Wo=np.zeros((layout.contacts, 6)),
         K=np.zeros((n, d + m, d + m)),
         K_pivots=np.zeros((n, d + m), dtype=np.int64),
-        S=np.zeros((6, 6)),
-        S_pivots=np.zeros(6, dtype=np.int64),
+        S=np.zeros((u, u)),
+        S_pivots=np.zeros(u, dtype=np.int64),
         E=np.zeros((n, d + e, d + e)),
         E_pivots=np.zeros((n, d + e), dtype=np.int64),
-        V=np.zeros((n, d + e, 6)),
-        D=np.zeros((n, 6, d + e)),
-        node=np.zeros((6, 6)),
-        node_pivots=np.zeros(6, dtype=np.int64),
-        alpha=np.zeros(6),
+        V=np.zeros((n, d + e, u)),
+        D=np.zeros((n, u, d + e)),
+        node=np.zeros((u, u)),
+        node_pivots=np.zeros(u, dtype=np.int64),
+        alpha=np.zeros(u),
         rates=np.zeros(12),
         unknowns=np.zeros((n, d + e)),
     )
@@ -202,7 +220,7 @@ def acts_locally(struct):
     model, data, _ = open_system(struct)
     held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
     controlled = model.control.shape[0] > 0 and not held
-    if not model.local_effects or (controlled and model.control_reach > LOCAL):
+    if not model.local_effects or (controlled and model.control_reach > CARRYING):
         return False
     # modes have solutions of their own, and projected stages depend on all arms
     plain = data.functions.solve == data.functions.project and not model.dense
@@ -244,7 +262,7 @@ def clear_derivatives(blocks):
     for i in range(blocks.counts.size):
         for k in range(blocks.derivatives.shape[1]):
             clear(blocks.derivatives[i, k])
-        for k in range(6):
+        for k in range(blocks.shared):
             clear(blocks.on_object[i, k])
     for k in range(blocks.by_object.shape[0]):
         clear(blocks.by_object[k])
@@ -283,6 +301,9 @@ def differentiate_by_state(step, struct, blocks, t):
     """
     _, data, work = open_system(struct)
     n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    status = differentiate_by_share(step, struct, blocks, t)
+    if status != OK:
+        return status
     fast = CHANGE * max(1.0, greatest(step.z[6 + n : 12 + 2 * n]))
     strong = CHANGE * max(1.0, greatest(step.z[12 + 2 * n : step.tolerance.size]))
     central = step.implicit.beta != 0.0
@@ -304,6 +325,22 @@ def differentiate_by_state(step, struct, blocks, t):
                 return status
             add_difference(blocks, 1.0 / (sides * offset), column)
         displace(step, blocks, work, n, column, 0.0)
+    return OK
+
+
+@kernel
+def differentiate_by_share(step, struct, blocks, t):
+    """Displace s, on which the control's torques depend linearly; returns a status."""
+    own = 2 * blocks.d + blocks.e
+    change = 1.0 + greatest(blocks.share)
+    for l in range(blocks.shared - 6):  # noqa: E741
+        before = blocks.share[l]
+        blocks.share[l] += change
+        status = write_residuals(step, struct, blocks, t, step.z, False, False)
+        blocks.share[l] = before
+        if status != OK:
+            return status
+        add_difference(blocks, 1.0 / change, own + SHARED + 6 + l)
     return OK
 
 
@@ -383,13 +420,16 @@ def write_products(blocks, data, work, found, found_o):
     for i in range(blocks.counts.size):
         row, d0, r0, M, W = found[i], work.dofs[i], work.rows[i], work.L[i], work.Y[i]
         n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
-        for l in range(6):  # noqa: E741
+        for l in range(12):  # noqa: E741
             row[end + l] = 0.0
         for k in range(m):
-            contact, force, s = data.Wo[r0 + k], data.force[r0 + k], 0.0
+            contact, force, s, carried = data.Wo[r0 + k], data.force[r0 + k], 0.0, 0.0
             for l in range(6):  # noqa: E741
                 s += contact[l] * data.q_o[l]
+                carried += contact[l] * blocks.share[l]
+            for l in range(6):  # noqa: E741
                 row[end + l] -= contact[l] * force
+                row[end + 6 + l] += contact[l] * carried
             row[n + k] = s
         for a in range(n):
             own, s = data.qdd[d0 + a], 0.0
@@ -416,16 +456,17 @@ def add_difference(blocks, weight, column):
     for i in range(blocks.counts.size):
         for k in range(end):
             blocks.derivatives[i, k, column] += weight * (found[i, k] - base[i, k])
-        for l in range(6):  # noqa: E741
+        for l in range(blocks.shared if column < own + SHARED else 0):  # noqa: E741
             change = weight * (found[i, end + l] - base[i, end + l])
             if column < own:
                 blocks.on_object[i, l, column] += change
             else:
                 blocks.by_object[l, column - own] += change
-    if column >= own:
+    if own <= column < own + SHARED:
         for k in range(blocks.found_o.size):
             change = weight * (blocks.found_o[k] - blocks.base_o[k])
-            blocks.by_object[k, column - own] += change
+            row = k if k < 6 else k - 6 + blocks.shared
+            blocks.by_object[row, column - own] += change
 
 
 @kernel
@@ -447,15 +488,56 @@ def write_local_forces(struct, blocks):
     if model.control.shape[0] > 0:
         load_gravity_torque(data, work)
         clear(data.torque)
-        for k in range(model.control.shape[0]):
+        carries = 1 if blocks.shared > 6 else 0
+        for k in range(model.control.shape[0] - carries):
             law, place = model.control[k, 0], float(model.control[k, 1])
             call_cfunc(law, struct, place, data.time.now)
+        if carries == 1:
+            carry(blocks, data, work)
         call_local_effects(struct, model, data, work, blocks, model.passive_end, model.actuator_end)
         for i in range(arms):
             for j in range(work.dofs[i], work.dofs[i + 1]):
                 data.h[j] += data.torque[j]
                 blocks.power[i, total] += data.torque[j] * data.v[j]
     call_local_effects(struct, model, data, work, blocks, model.actuator_end, model.applied_end)
+
+
+@kernel
+def share_weight(struct, blocks):
+    """Write s of the state in the data; returns whether the contacts carry any wrench."""
+    if blocks.shared == 6:
+        return True
+    data = open_data(struct)
+    A, s, Wo, longest = blocks.node, blocks.share, data.Wo, 0.0
+    for k in range(Wo.shape[0]):
+        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
+    if not longest > 0.0:
+        return False
+    for l in range(6):  # noqa: E741  moments over the longest lever arm
+        for c in range(6):
+            A[l, c] = 0.0
+            for k in range(Wo.shape[0]):
+                A[l, c] += Wo[k, l] * Wo[k, c]
+            A[l, c] /= (longest if l > 2 else 1.0) * (longest if c > 2 else 1.0)
+        s[l] = data.weight[l] / (longest if l > 2 else 1.0)
+    if not factor_lu(A, 6, blocks.node_pivots) > CARRIED:
+        return False
+    solve_lu(A, 6, blocks.node_pivots, s)
+    for l in range(3, 6):  # noqa: E741
+        s[l] /= longest
+    return True
+
+
+@kernel
+def carry(blocks, data, work):
+    """Add the torques of gravity compensation for the wrench that s distributes."""
+    for i in range(blocks.counts.size):
+        d0, r0, W = work.dofs[i], work.rows[i], work.Y[i]
+        for j in range(work.dofs[i + 1] - d0):
+            data.torque[d0 + j] += data.gravity_torque[d0 + j]
+            for k in range(work.rows[i + 1] - r0):
+                for l in range(6):  # noqa: E741
+                    data.torque[d0 + j] -= W[j, k] * data.Wo[r0 + k, l] * blocks.share[l]
 
 
 @inlined
@@ -492,9 +574,13 @@ def factor_arms(blocks, data, work):
     """Factors of the arms' equations at the matrices in the data, and ``M_o`` and ``W_o`` of the
     solution; returns whether they can be used.
     """
-    usable, first = True, 2 * blocks.d + blocks.e + ACCELERATION
-    for l in range(6):  # noqa: E741
-        copy(data.inertia[l], blocks.S[l])
+    usable, first, S = True, 2 * blocks.d + blocks.e + SHARED, blocks.S
+    for l in range(blocks.shared):  # noqa: E741
+        clear(S[l])
+        for c in range(6):
+            S[l, c] = data.inertia[l, c] if l < 6 else 0.0
+            for k in range(data.Wo.shape[0] if l >= 6 else 0):
+                S[l, 6 + c] += data.Wo[k, l - 6] * data.Wo[k, c]
     for i in range(blocks.counts.size):
         r0, n = work.rows[i], work.dofs[i + 1] - work.dofs[i]
         m, K, M, W = work.rows[i + 1] - r0, blocks.K[i], work.L[i], work.Y[i]
@@ -519,9 +605,9 @@ def solve_arms(blocks, work):
     succeeded.
     """
     own = 2 * blocks.d + blocks.e
-    first, S = own + ACCELERATION, blocks.S
-    for l in range(6):  # noqa: E741
-        for c in range(ACCELERATION):
+    first, S, u = own + SHARED, blocks.S, blocks.shared
+    for l in range(u):  # noqa: E741
+        for c in range(SHARED):
             blocks.by_object[l, c] = -blocks.by_object[l, c]
     for i in range(blocks.counts.size):
         r0, n, A = work.rows[i], work.dofs[i + 1] - work.dofs[i], blocks.derivatives[i]
@@ -531,23 +617,23 @@ def solve_arms(blocks, work):
             for c in range(row.size):
                 row[c] = -row[c]
         solve_rows(blocks.K[i], n + m, blocks.K_pivots[i], A)
-        for l in range(6):  # noqa: E741
+        for l in range(u):  # noqa: E741
             row = B[l]
             for c in range(own):
                 row[c] = -row[c]
-            for k in range(m):
+            for k in range(m if l < 6 else 0):
                 weight, forces = blocks.Wo[r0 + k, l], A[n + k]
                 for c in range(own):
                     row[c] += weight * forces[c]
-                for c in range(ACCELERATION):
+                for c in range(SHARED):
                     blocks.by_object[l, c] += weight * forces[own + c]
-                for c in range(6):
+                for c in range(u):
                     S[l, c] -= weight * forces[first + c]
-    if not factor_lu(S, 6, blocks.S_pivots) > 0.0:
+    if not factor_lu(S, u, blocks.S_pivots) > 0.0:
         return False
     for i in range(blocks.counts.size):
-        solve_rows(S, 6, blocks.S_pivots, blocks.on_object[i])
-    solve_rows(S, 6, blocks.S_pivots, blocks.by_object)
+        solve_rows(S, u, blocks.S_pivots, blocks.on_object[i])
+    solve_rows(S, u, blocks.S_pivots, blocks.by_object)
     return True
 
 
@@ -562,12 +648,12 @@ def write_time_slope(blocks, struct, slope):
     for l in range(6):  # noqa: E741
         slope[6 + n + l] = blocks.by_object[l, TIME]
     for k in range(blocks.power.shape[1]):
-        slope[works + k] = blocks.by_object[6 + k, TIME]
+        slope[works + k] = blocks.by_object[blocks.shared + k, TIME]
     for i in range(blocks.counts.size):
         A, first = blocks.derivatives[i], 12 + n + work.dofs[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             s = A[j, time]
-            for l in range(6):  # noqa: E741
+            for l in range(blocks.shared):  # noqa: E741
                 s += A[j, time + 1 + l] * blocks.by_object[l, TIME]
             slope[first + j] = s
         for k in range(blocks.counts[i]):

@@ -2,16 +2,17 @@ r"""The linear systems of a Rosenbrock method's stages, arm by arm: linear in th
 
 With the blocks A, B, U of :mod:`multiarm.integration.arm_blocks`, a stage has the unknowns
 :math:`k_i`, the rates of an arm's velocities and effects' states, those of the object :math:`k_o`,
-and :math:`\alpha`, the derivative of the object's acceleration along the stage.  With R of
-:mod:`multiarm.integration.rosenbrock` and right-hand sides r (x: of the object's pose, q: of the
-joints' positions), these rates are functions of the others,
+and :math:`\alpha`, the derivatives along the stage of what all arms share: the object's
+acceleration, and s where the control carries the weight.  With R of
+:mod:`multiarm.integration.rosenbrock`, right-hand sides r (x: of the object's pose, q: of the
+joints' positions) and the first six of :math:`\alpha`, these rates are functions of the others,
 
 .. math::
     k_o = \gamma (r_o + h \alpha), \qquad k_x = R_o (r_x + h k_o), \qquad
     k_{qi} = \gamma (r_{qi} + h k_i) .
 
-What is left is a matrix :math:`E_i` as large as the arm's velocities and states, and one system of
-six equations for :math:`\alpha` alone:
+What is left is a matrix :math:`E_i` as large as the arm's velocities and states, and one system for
+:math:`\alpha` alone, six equations or twelve:
 
 .. math::
     E_i &= \frac1\gamma - h A^v_i - h^2 \gamma A^q_i, \qquad
@@ -31,7 +32,7 @@ from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
-from multiarm.integration.arm_blocks import ACCELERATION, POSE, TWIST
+from multiarm.integration.arm_blocks import POSE, SHARED, TWIST
 from multiarm.jit.kernels import clear, inlined, kernel
 
 
@@ -40,9 +41,11 @@ def factor_stages(gamma, blocks, struct, omega, h):
     """Factors of the stages' systems; returns whether they can be used."""
     _, _, work = open_system(struct)
     d, own, node, usable = blocks.d, 2 * blocks.d + blocks.e, blocks.node, True
-    for l in range(6):  # noqa: E741
+    u = blocks.shared
+    for l in range(u):  # noqa: E741
+        clear(node[l])
         along_object(gamma, h, omega, blocks.by_object[l], 0, node[l])
-        for c in range(6):
+        for c in range(u):
             node[l, c] = (1.0 if l == c else 0.0) - node[l, c]
     for i in range(blocks.counts.size):
         A, B, D, E, V = (
@@ -56,9 +59,10 @@ def factor_stages(gamma, blocks, struct, omega, h):
         size = n + blocks.counts[i]
         for r in range(size):
             row = A[r if r < n else d + blocks.m + r - n]
+            clear(V[r])
             along_object(gamma, h, omega, row, own + POSE, V[r])
-            for l in range(6):  # noqa: E741
-                V[r, l] = h * (V[r, l] + row[own + ACCELERATION + l])
+            for l in range(u):  # noqa: E741
+                V[r, l] = h * (V[r, l] + row[own + SHARED + l])
             for c in range(n):
                 E[r, c] = -h * (row[d + c] + h * gamma * row[c])
             for c in range(n, size):
@@ -66,15 +70,15 @@ def factor_stages(gamma, blocks, struct, omega, h):
             E[r, r] += 1.0 / gamma
         usable = usable and factor_lu(E, size, blocks.E_pivots[i]) > 0.0
         solve_rows(E, size, blocks.E_pivots[i], V)
-        for l in range(6):  # noqa: E741
+        for l in range(u):  # noqa: E741
             for c in range(n):
                 D[l, c] = B[l, d + c] + h * gamma * B[l, c]
             for c in range(n, size):
                 D[l, c] = B[l, 2 * d + c - n]
             for k in range(size):
-                for c in range(6):
+                for c in range(u):
                     node[l, c] -= D[l, k] * V[k, c]
-    return usable and factor_lu(node, 6, blocks.node_pivots) > 0.0
+    return usable and factor_lu(node, u, blocks.node_pivots) > 0.0
 
 
 @inlined
@@ -109,7 +113,7 @@ def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
     alpha, k_o = blocks.alpha, blocks.rates
     clear(alpha)
     write_object_rates(gamma, h, omega, n, right, alpha, k_o)
-    for l in range(6):  # noqa: E741
+    for l in range(blocks.shared):  # noqa: E741
         s = 0.0
         for c in range(12):
             s += blocks.by_object[l, c] * k_o[c]
@@ -127,14 +131,14 @@ def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
                 s += gamma * row[c] * right[6 + d0 + c]
             k_i[r] = right[unknown_place(blocks, i, n, d0, joints, r)] + h * s
         solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
-        for l in range(6):  # noqa: E741
+        for l in range(blocks.shared):  # noqa: E741
             s = 0.0
             for c in range(joints):
                 s += gamma * B[l, c] * right[6 + d0 + c]
             for c in range(size):
                 s += D[l, c] * k_i[c]
             alpha[l] += s
-    solve_lu(blocks.node, 6, blocks.node_pivots, alpha)
+    solve_lu(blocks.node, blocks.shared, blocks.node_pivots, alpha)
     write_object_rates(gamma, h, omega, n, right, alpha, k_o)
     for l in range(6):  # noqa: E741
         out[l], out[6 + n + l] = k_o[l], k_o[6 + l]
@@ -142,7 +146,7 @@ def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
         d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         for r in range(joints + blocks.counts[i]):
             s = blocks.unknowns[i, r]
-            for l in range(6):  # noqa: E741
+            for l in range(blocks.shared):  # noqa: E741
                 s += blocks.V[i, r, l] * alpha[l]
             out[unknown_place(blocks, i, n, d0, joints, r)] = s
             if r < joints:
@@ -173,12 +177,16 @@ def add_powers(gamma, blocks, work, n, h, right, out):
     d, count = blocks.d, blocks.power.shape[1]
     works, first = right.size - count, blocks.d + blocks.m + blocks.e
     for k in range(count):
-        total, row = 0.0, blocks.by_object[6 + k]
+        total, row = 0.0, blocks.by_object[blocks.shared + k]
         for c in range(12):
             total += row[c] * blocks.rates[c]
         for i in range(blocks.counts.size):
             d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-            row = blocks.derivatives[i, first + k]
+            row, own = blocks.derivatives[i, first + k], 2 * d + blocks.e
+            for c in range(12):
+                total += row[own + c] * blocks.rates[c]
+            for l in range(6, blocks.shared):  # noqa: E741
+                total += row[own + SHARED + l] * blocks.alpha[l]
             for j in range(joints):
                 total += row[j] * out[6 + d0 + j] + row[d + j] * out[12 + n + d0 + j]
             for j in range(blocks.counts[i]):

@@ -50,6 +50,7 @@ from multiarm.integration.arm_blocks import (
     differentiate_arms,
     is_regular,
     make_arm_blocks,
+    share_weight,
     write_time_slope,
 )
 from multiarm.integration.arm_stages import factor_stages, solve_arm_stage, turn
@@ -158,7 +159,7 @@ def differentiate(step, work, blocks, t, h):
         status = slope_at(step, work, t, step.z, work.other)
         if status != OK:
             return status
-        if is_regular(work.system):
+        if is_regular(work.system) and share_weight(work.system, blocks):
             blocks.used[0] = 1
             status = differentiate_arms(step, work.system, blocks, t, h)
             write_time_slope(blocks, work.system, work.time_slope)
