@@ -36,7 +36,7 @@ acts on the link where it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -56,6 +56,8 @@ from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import Layout
 from multiarm.errors import SolverError
 
+# Derivatives of F_o by a wrench on the object.
+_PUSH = -np.eye(6)
 # Part of the right-hand sides that dependent constraints may contradict: roundings and differences.
 CONSISTENT = 1e-7
 
@@ -72,16 +74,15 @@ def differentiate(
     """
     layout, states = data.model.layout, data.arrays.inner.size
     rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
-    equations = _Equations(data, parameters)
+    equations = _Equations(data, parameters, columns)
     independent, message = found.rank == layout.contacts, ""
     on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
     by_arms = independent and not (found.coupled_arms or data.model.constants.dense or on_ground)
-    solved = equations.solve_by_arms() if by_arms else None
-    if solved is None:
-        solved = equations.solve_whole(along_joints=not independent)
-    motions = equations.motions(independent)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
-    matrix[: len(solved)] = solved[:, : equations.width]
+    solved = matrix[: rows["effect_state_rates"].start]
+    if not (by_arms and equations.solve_by_arms(solved)):
+        solved[:] = equations.solve_whole(along_joints=not independent)
+    motions = equations.motions(independent)
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
     if applied is not None:
         of_state = np.r_[: columns["torques"].start, columns["effect_states"]]
@@ -90,7 +91,7 @@ def differentiate(
             admissible = motions().admissible()
             applied[:, : len(admissible)] = applied[:, : len(admissible)] @ admissible
         by_force = np.hstack([solved[:, equations.wrench], solved[:, columns["torques"]]])
-        matrix[: len(solved), of_state] += by_force @ applied[: 6 + layout.joints]
+        solved[:, of_state] += by_force @ applied[: 6 + layout.joints]
     if not independent:
         unique = np.concatenate(list(found.contact_forces_unique.values()))
         matrix[rows["contact_forces"]][~unique] = np.nan
@@ -101,6 +102,7 @@ def differentiate(
         )
         if parameters:
             message += "; placements that would contradict the others have none either"
+    matrix = matrix[:, : max(own.stop for own in columns.values())]
     return Derivatives(found, matrix, rows, columns, layout, message, motions)
 
 
@@ -109,29 +111,24 @@ class _Equations:
 
     Attributes
     ----------
-    width : int
-        Number of columns.
     wrench : slice
-        Columns of a wrench on the object, which may follow after these.
+        Columns of a wrench on the object, which may follow after those that are wanted.
+    width : int
+        Number of columns with these.
     """
 
-    def __init__(self, data: Data, parameters: bool) -> None:
-        layout, states = data.model.layout, data.arrays.inner.size
-        columns = columns_of(layout, states, parameters)
+    def __init__(self, data: Data, parameters: bool, columns: Mapping[str, slice]) -> None:
         self._data, self._parameters, self._columns = data, parameters, columns
-        self.width = max(own.stop for own in columns.values())
-        self.wrench = columns.get("object_wrench", slice(self.width, self.width + 6))
+        end = max(own.stop for own in columns.values())
+        self.wrench = columns.get("object_wrench", slice(end, end + 6))
+        self.width = max(end, self.wrench.stop)
         placements = columns["placements"].start if parameters else -1
-        width = max(self.width, self.wrench.stop)
-        self._work, self._struct = equation_work(data, width, placements)
+        self._work, self._struct = equation_work(data, self.width, placements)
 
-    def solve_by_arms(self) -> np.ndarray | None:
-        """``dy``, shape (6 + n + N, columns), arm by arm; None where that is singular."""
+    def solve_by_arms(self, matrix: np.ndarray) -> bool:
+        """Write ``dy``, shape (6 + n + N, columns), arm by arm; False where that is singular."""
         self._update()
-        layout = self._data.model.layout
-        matrix = np.empty((6 + layout.joints + layout.contacts, self._work.dF_o.shape[1]))
-        status = solve_by_arms(self._data.struct, self._struct, matrix)
-        return matrix if status == OK else None
+        return solve_by_arms(self._data.struct, self._struct, matrix) == OK
 
     def solve_whole(self, along_joints: bool) -> np.ndarray:
         """``dy`` with arms that cannot be solved on their own.
@@ -183,7 +180,7 @@ class _Equations:
         if differentiate_equations(self._data.struct, self._struct) != OK:
             self._data.reraise()
         b, dF_o = self._data.arrays, self._work.dF_o
-        dF_o[:, self.wrench] = -np.eye(6)
+        dF_o[:, self.wrench] = _PUSH
         if not self._parameters:
             return
         falling = b.q_o[:3] - self._data.model.constants.gravity

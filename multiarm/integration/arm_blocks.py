@@ -12,9 +12,9 @@ so that :math:`dy = -K^{-1}\, \partial F`.  Where control and effects are *local
 :math:`F_i, F_{\varphi i}, g_i` at fixed ``y`` depend on the states of this arm and of the object
 only, and :math:`h_o` on the object's.
 
-*Gravity compensation* couples the arms by six numbers: the contact forces of least norm that carry
-the weight w are :math:`W_{oi}^T s`, and an arm's share of the torques is
-:math:`g_i(q_i) - W_i W_{oi}^T s`.  With s among the unknowns, it is local too; its equation
+*Gravity compensation* couples the arms by six numbers s: the contact forces of least norm that
+carry the weight w are :math:`W_{oi}^T s`.  With s among the unknowns, an arm's torques
+:math:`\tau_i = \tau^g_i(q_i) - W_i W_{oi}^T s` are local too, and there is one more equation,
 
 .. math:: F_s = \sum_i r_i - w = 0, \qquad r_i = W_{oi} W_{oi}^T s .
 
@@ -26,8 +26,7 @@ error of :math:`\beta^2 \varphi` would not decrease with them.  The columns of t
 time leave the terms of the arms as they are.
 
 *Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
-:math:`\alpha = d\dot v_o`, and then the object by its mobility (:math:`\alpha` has ds below it, and
-S the rows of :math:`F_s`, where the control carries the weight),
+:math:`\alpha = d\dot v_o`, and then the object by its mobility,
 
 .. math::
     d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \alpha, \qquad
@@ -37,6 +36,10 @@ S the rows of :math:`F_s`, where the control carries the weight),
     B_i &= S^{-1} (W_{oi} A^\lambda_i - \partial g_i), \qquad
     B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
           - \partial_o (M_o \dot v_o - h_o)\Big) .
+
+Where the control carries the weight, the *shared* unknowns are twelve: :math:`\alpha` has ds below
+it, U the columns of s beside its own, S the rows :math:`(0, \sum_i W_{oi} W_{oi}^T)`, and the right
+sides of B the rows :math:`-\partial r_i, -\sum_i \partial_o r_i`.
 
 The rates of effects' states have rows in :math:`A_i`, whose columns contain these states.  The
 linear systems of a step with these blocks: :mod:`multiarm.integration.arm_stages`.
