@@ -15,6 +15,7 @@ from mechanics import (
     panda_trio,
     random_state,
     scene_of,
+    single_arm,
     ur5_pair,
 )  # fmt: skip
 from steps import coupled, derivatives_of, step_of_the_package
@@ -161,6 +162,27 @@ def test_a_run_is_the_same_with_either_derivatives(name, tmp_path):
         np.testing.assert_allclose(v, known.joint_velocities[arm], rtol=0, atol=2e-8)
     np.testing.assert_allclose(found.work, known.work, rtol=0, atol=1e-7)
     assert np.max(np.abs(found.work)) > (0.5 if name == "carried" else 1.0)
+
+
+def test_torques_that_are_held_carry_nothing(tmp_path, rng):
+    """Between the samples no torque follows the contacts, whatever its laws are."""
+    carrying = {**SPRINGS, "gravity_compensation": True, "sample_time": 0.01}
+    system = three_arms(tmp_path, carrying)
+    assert system.model.constants.control_reach == COUPLED
+    state = random_state(system, rng, turn=0.05)
+    run = {"duration": 0.03, "integrator": "rodas5p", "tolerance": 1e-9, "output_step": 0.03}
+    found, known = (ma.simulate(s, state=state, **run) for s in (system, coupled(system)))
+    assert found.statistics["evaluations"] < 0.5 * known.statistics["evaluations"]
+    np.testing.assert_allclose(found.object_twist[-1], known.object_twist[-1], atol=1e-8)
+
+
+def test_contacts_that_cannot_carry_every_wrench_are_differentiated_whole(rng):
+    """The forces of least norm are those of least squares, which s does not describe."""
+    carrying = {**SPRINGS, "gravity_compensation": True}
+    posture = [0.3, -1.2, 1.4, -0.5, 0.4, 0.2]
+    scene = single_arm("ur5", "tool0", posture, BALL, control=carrying, gravity=[0, 0, -9.81])
+    system = ma.compile_system(scene)
+    assert not used(step_of_the_package(system, random_state(system, rng, turn=0.05), 1e-3))
 
 
 def test_the_gains_of_drift_feedback_may_grow_as_steps_get_shorter(tmp_path):
