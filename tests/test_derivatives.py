@@ -33,7 +33,7 @@ import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.equation_derivatives import differentiate_equations
+from multiarm.dynamics.equation_derivatives import write_derivatives
 from multiarm.dynamics.force_derivatives import differentiate_forces
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.ahead import argument_types
@@ -477,7 +477,7 @@ def test_a_joint_at_its_stop_stays_there():
 
 def test_the_floor_is_differentiated_by_the_code_that_is_compiled_for_arms():
     ma.derivatives(over_floor(0.0))
-    kernel = differentiate_equations
+    kernel = write_derivatives
     assert kernel.whole.signatures == [argument_types(kernel)]
 
 

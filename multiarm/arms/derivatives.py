@@ -156,16 +156,15 @@ def write_motions(links, i, angles, rates, accelerations, scratch, link, moved):
         v, w, a, alpha = ZERO, ZERO, scale(-1.0, gravity), ZERO
         if k > 0:
             (v, w), (a, alpha) = _pair(scratch[k - 1], _V), _pair(scratch[k - 1], _A)
-        S = vec(s, _S), vec(s, _S + 3)
+        S = _pair(s, _S)
         v, w = add_scaled(v, rates[j], S[0]), add_scaled(w, rates[j], S[1])
         rate = twist_product((v, w), S)
         a = add_scaled(add_scaled(a, accelerations[j], S[0]), rates[j], rate[0])
         alpha = add_scaled(add_scaled(alpha, accelerations[j], S[1]), rates[j], rate[1])
-        first, second = twist_product((a, alpha), S), twist_product((v, w), rate)
         _put_pair(s, _V, (v, w))
         _put_pair(s, _A, (a, alpha))
         _put_pair(s, _PSI, rate)
-        _put_pair(s, _PSI_RATE, (add(first[0], second[0]), add(first[1], second[1])))
+        _put_pair(s, _PSI_RATE, _plus(twist_product((a, alpha), S), twist_product((v, w), rate)))
     _write_link(n, base, gravity, scratch, link, moved)
 
 
@@ -199,8 +198,7 @@ def _turned(a, axis, c, s):
 def _write_link(n, base, gravity, scratch, link, moved):
     """Write the motion of the last link, which carries the tip, and its displacements."""
     tip = scratch[n - 1]
-    r, v, w = vec(tip, _P), vec(tip, _V), vec(tip, _V + 3)
-    a, alpha = vec(tip, _A), vec(tip, _A + 3)
+    r, (v, w), (a, alpha) = vec(tip, _P), _pair(tip, _V), _pair(tip, _A)
     u = add_cross(v, w, r)  # velocity of the link's origin
     put_rotation(link, 0, rotation(tip, _R))
     motion = link[MOTION:]
@@ -216,12 +214,8 @@ def _write_link(n, base, gravity, scratch, link, moved):
         S, rate, second = _pair(s, _S), _pair(s, _PSI), _pair(s, _PSI_RATE)
         shift, along = add_cross(S[0], S[1], r), twist_product(S, (v, w))
         # by the position
-        of_v = add(rate[0], along[0]), add(rate[1], along[1])
-        turning, around = twist_product(rate, (v, w)), twist_product(S, (a, alpha))
-        of_a = (
-            add(second[0], add(turning[0], around[0])),
-            add(second[1], add(turning[1], around[1])),
-        )
+        of_v, around = _plus(rate, along), twist_product(S, (a, alpha))
+        of_a = _plus(second, _plus(twist_product(rate, (v, w)), around))
         of_u = add_cross(add_cross(of_v[0], of_v[1], r), w, shift)
         rate_of_u = add_cross(add_cross(of_a[0], of_a[1], r), alpha, shift)
         out = moved[j]
@@ -356,6 +350,12 @@ def _times_inertia(mass, moment, second, twist):
     """Momentum of a body at a twist."""
     linear = add_cross(scale(mass, twist[0]), twist[1], moment)
     return linear, add_times(cross(moment, twist[0]), second, twist[1])
+
+
+@inlined
+def _plus(a, b):
+    """``a + b`` of two pairs of vectors."""
+    return add(a[0], b[0]), add(a[1], b[1])
 
 
 @inlined

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equation_derivatives import differentiate_holding, equation_work
 from multiarm.dynamics.model import Data
 
@@ -66,8 +65,7 @@ def _holding_derivatives(data: Data) -> np.ndarray | None:
         return None
     twist = scale * np.linalg.solve(A, scale * b.weight)
     work, own = equation_work(data, 12 + 3 * n)
-    if differentiate_holding(data.struct, own, twist) != OK:
-        data.reraise()
+    differentiate_holding(data, own, twist)
     torques, rates = np.zeros((n, 12 + 2 * n)), np.zeros((len(W_o), 12 + 2 * n))
     for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
         rows, own_columns = slice(*layout.rows[i : i + 2]), np.r_[:6, 12 : 12 + d1 - d0]

@@ -177,8 +177,7 @@ class _Equations:
 
     def _update(self) -> None:
         """Derivatives of the equations at the solution in the data."""
-        if differentiate_equations(self._data.struct, self._struct) != OK:
-            self._data.reraise()
+        differentiate_equations(self._data, self._struct)
         b, dF_o = self._data.arrays, self._work.dF_o
         dF_o[:, self.wrench] = _PUSH
         if not self._parameters:

@@ -41,7 +41,7 @@ from multiarm.dynamics.contact_derivatives import (
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
-from multiarm.jit.kernels import INTS, NUMBERS, TABLE, clear, copy, inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBERS, TABLE, TRUTH, clear, copy, inlined, kernel
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
 from multiarm.jit.vectors import add_cross, cross, put, sub, times, vec
 
@@ -144,42 +144,47 @@ def equation_work(
     return work, struct
 
 
-@kernel
-def differentiate_equations(struct: INTS, own: INTS):
-    """Write the derivatives of all equations at the solution in the data; returns a status.
+def differentiate_equations(data: Data, own: np.ndarray) -> None:
+    """Write the derivatives of all equations at the solution in the data.
 
     ``own`` is the struct of :func:`equation_work`.  The matrices in the data must not be factored.
     """
-    model, data, system = open_system(struct)
-    links, work = _open_links(own), _open_work(own)
-    copy(data.v, work.v)
-    copy(data.qdd, work.qdd)
-    copy(data.force, work.force)
-    write_body(data, data.twist, work)
-    for k in range(6):
-        work.body[MOTION + LINEAR_RATE + k] = data.q_o[k]
-    write_object_equation(data, work)
-    for i in range(system.dofs.size - 1):
-        differentiate_arm(i, model, data, system, links, work)
-    return CALLBACK_FAILED if data.status.failed else OK
+    _differentiate(data, own, False, data.arrays.twist)
+
+
+def differentiate_holding(data: Data, own: np.ndarray, twist: np.ndarray) -> None:
+    """Write the derivatives of torques that hold the arms at rest under ``data.static_force``.
+
+    They are the rows of joints in ``dF``; ``dF_o`` has those of the opposite wrench on the object,
+    and ``rates`` those of the gap rates while the object moves with a twist (6,).
+    """
+    _differentiate(data, own, True, twist)
+
+
+def _differentiate(data: Data, own: np.ndarray, at_rest: bool, twist: np.ndarray) -> None:
+    if write_derivatives(data.struct, own, at_rest, twist) != OK:
+        data.reraise()
 
 
 @kernel
-def differentiate_holding(struct: INTS, own: INTS, twist: NUMBERS):
-    """Write the derivatives of torques that hold the arms under ``data.static_force``.
-
-    They are the rows of joints in ``dF``; ``dF_o`` has those of the opposite wrench on the object,
-    and ``rates`` those of the gap rates while the object moves with a twist (6,).  Returns a
-    status.
-    """
+def write_derivatives(struct: INTS, own: INTS, at_rest: TRUTH, twist: NUMBERS):
+    """Write the derivatives for either of the functions above; returns a status."""
     model, data, system = open_system(struct)
     links, work = _open_links(own), _open_work(own)
-    clear(work.v)
-    clear(work.qdd)
-    copy(data.static_force, work.force)
     write_body(data, twist, work)
-    for l in range(6):  # noqa: E741
-        clear(work.dF_o[l])
+    if at_rest:
+        clear(work.v)
+        clear(work.qdd)
+        copy(data.static_force, work.force)
+        for l in range(6):  # noqa: E741
+            clear(work.dF_o[l])
+    else:
+        copy(data.v, work.v)
+        copy(data.qdd, work.qdd)
+        copy(data.force, work.force)
+        for k in range(6):
+            work.body[MOTION + LINEAR_RATE + k] = data.q_o[k]
+        write_object_equation(data, work)
     for i in range(system.dofs.size - 1):
         differentiate_arm(i, model, data, system, links, work)
     return CALLBACK_FAILED if data.status.failed else OK
