@@ -15,8 +15,8 @@ and with the base accelerated by minus gravity,
 
 .. math::
     \delta v &= \dot\Psi_j + S_j\times v, \qquad
-    \delta a = \ddot\Psi_j + \dot\Psi_j\times v + S_j\times a &&\text{(of its position)} \\
-    \delta v &= S_j, \qquad \delta a = 2\dot\Psi_j + S_j\times v &&\text{(of its rate)} .
+    \delta a = \ddot\Psi_j + \dot\Psi_j\times v + S_j\times a \quad &&\text{(of its position)} \\
+    \delta v &= S_j, \qquad \delta a = 2\dot\Psi_j + S_j\times v \quad &&\text{(of its rate)} .
 
 *Inverse dynamics.*  The force that moves a link, :math:`f = I a + v\times^* I v`, changes with its
 twist by :math:`2 B m + I (v\times m)`.  With linear momentum p and first moment h of the link, B
