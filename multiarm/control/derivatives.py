@@ -61,17 +61,18 @@ def _holding_derivatives(data: Data) -> np.ndarray | None:
     scale = np.ones(6)
     scale[3:] = 1.0 / max(np.linalg.norm(W_o[:, 3:], axis=1).max(initial=0.0), 1e-6)
     A = (scale[:, None] * W_o.T) @ (W_o * scale)
-    if np.linalg.cond(A) > ILL_CONDITIONED:
+    eigenvalues = np.linalg.eigvalsh(A)
+    if not eigenvalues[0] * ILL_CONDITIONED > eigenvalues[-1]:
         return None
     twist = scale * np.linalg.solve(A, scale * b.weight)
     work, own = equation_work(data, 12 + 3 * n)
     differentiate_holding(data, own, twist)
     torques, rates = np.zeros((n, 12 + 2 * n)), np.zeros((len(W_o), 12 + 2 * n))
     for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
-        rows, own_columns = slice(*layout.rows[i : i + 2]), np.r_[:6, 12 : 12 + d1 - d0]
-        columns = np.r_[:6, 12 + d0 : 12 + d1]
-        rates[rows, columns] = work.rates[rows, own_columns]
-        torques[d0:d1, columns] = work.dF[i, : d1 - d0, own_columns].T
+        rows, own = slice(*layout.rows[i : i + 2]), work.dF[i, : d1 - d0]
+        rates[rows, :6], torques[d0:d1, :6] = work.rates[rows, :6], own[:, :6]
+        rates[rows, 12 + d0 : 12 + d1] = work.rates[rows, 12 : 12 + d1 - d0]
+        torques[d0:d1, 12 + d0 : 12 + d1] = own[:, 12 : 12 + d1 - d0]
     of_wrench = -work.dF_o[:, : 12 + 2 * n]
     of_twist = -scale[:, None] * np.linalg.solve(A, scale[:, None] * (of_wrench + W_o.T @ rates))
     forces = rates + W_o @ of_twist
