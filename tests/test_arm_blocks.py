@@ -164,6 +164,22 @@ def test_a_run_is_the_same_with_either_derivatives(name, tmp_path):
     assert np.max(np.abs(found.work)) > (0.5 if name == "carried" else 1.0)
 
 
+def test_drives_near_their_limits_carry_as_much_as_those_far_from_them(tmp_path, rng):
+    """Derivatives are those of torques within the limits, however near these are."""
+    carrying = {**SPRINGS, "gravity_compensation": True}
+    free = three_arms(tmp_path, carrying)
+    state = random_state(free, rng, turn=0.05)
+    torques = ma.evaluate(free, 0.0, state).joint_torques
+    limits = {arm: (np.abs(own) + 0.01).tolist() for arm, own in torques.items()}
+    near = three_arms(tmp_path, carrying, torque_limits=limits)
+    n = 6 + free.model.layout.joints
+    found, expected = (
+        np.hstack(derivatives_of(system, step_of_the_package(system, state, 1e-3)))[:n]
+        for system in (near, free)
+    )
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
 def test_torques_that_are_held_carry_nothing(tmp_path, rng):
     """Between the samples no torque follows the contacts, whatever its laws are."""
     carrying = {**SPRINGS, "gravity_compensation": True, "sample_time": 0.01}

@@ -333,9 +333,9 @@ def differentiate_by_state(step, struct, blocks, t):
 
 @kernel
 def differentiate_by_share(step, struct, blocks, t):
-    """Displace s, on which the control's torques depend linearly; returns a status."""
+    """Displace s, by so little that drives within their limits stay there; returns a status."""
     own = 2 * blocks.d + blocks.e
-    change = 1.0 + greatest(blocks.share)
+    change = CHANGE * max(1.0, greatest(blocks.share))
     for l in range(blocks.shared - 6):  # noqa: E741
         before = blocks.share[l]
         blocks.share[l] += change
