@@ -16,7 +16,27 @@ import math
 import numpy as np
 
 from multiarm.dynamics.solver.factors import solve_semidefinite
-from multiarm.jit.kernels import allocating, copy
+from multiarm.jit.kernels import allocating, copy, kernel
+
+
+@kernel
+def write_wrench_products(Wo, A, scale):
+    """Write ``W_o W_o^T`` into ``A[:6, :6]``, its rows and columns times ``scale`` (6,), written.
+
+    Moments are divided by the longest lever arm, so that all rows are forces; below 1e-6 m lever
+    arms are rounding errors, which must not be scaled up to a direction of their own.
+    """
+    longest = 1e-6
+    for k in range(Wo.shape[0]):
+        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
+    for i in range(6):
+        scale[i] = 1.0 if i < 3 else 1.0 / longest
+    for i in range(6):
+        for j in range(6):
+            A[i, j] = 0.0
+            for k in range(Wo.shape[0]):
+                A[i, j] += Wo[k, i] * Wo[k, j]
+            A[i, j] *= scale[i] * scale[j]
 
 
 @allocating
@@ -27,20 +47,10 @@ def static_forces(Wo, weight, force):
     the contacts can carry the wrench, else that of least squares, with moments over the longest
     lever arm.
     """
-    # moments are divided by the longest lever arm, so that all rows are forces; below 1e-6 m lever
-    # arms are rounding errors, which must not be scaled up to a direction of their own
-    longest = 1e-6
-    for k in range(Wo.shape[0]):
-        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
     A, b, x, scale = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.empty(6)
-    for i in range(6):
-        scale[i] = 1.0 if i < 3 else 1.0 / longest
+    write_wrench_products(Wo, A, scale)
     for i in range(6):
         b[i] = scale[i] * weight[i]
-        for j in range(6):
-            for k in range(Wo.shape[0]):
-                A[i, j] += Wo[k, i] * Wo[k, j]
-            A[i, j] *= scale[i] * scale[j]
     solve_semidefinite(A, b, x)
     for k in range(Wo.shape[0]):
         force[k] = 0.0

@@ -50,12 +50,12 @@ has its own share of them, and its own derivatives.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.arms.terms import BIAS_AT
+from multiarm.control.force_distribution import write_wrench_products
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
     CARRYING,
@@ -511,23 +511,15 @@ def share_weight(struct, blocks):
     if blocks.shared == 6:
         return True
     data = open_data(struct)
-    A, s, Wo, longest = blocks.node, blocks.share, data.Wo, 0.0
-    for k in range(Wo.shape[0]):
-        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
-    if not longest > 0.0:
-        return False
-    for l in range(6):  # noqa: E741  moments over the longest lever arm
-        for c in range(6):
-            A[l, c] = 0.0
-            for k in range(Wo.shape[0]):
-                A[l, c] += Wo[k, l] * Wo[k, c]
-            A[l, c] /= (longest if l > 2 else 1.0) * (longest if c > 2 else 1.0)
-        s[l] = data.weight[l] / (longest if l > 2 else 1.0)
+    A, s, scale = blocks.node, blocks.share, blocks.alpha
+    write_wrench_products(data.Wo, A, scale)
+    for l in range(6):  # noqa: E741
+        s[l] = scale[l] * data.weight[l]
     if not factor_lu(A, 6, blocks.node_pivots) > CARRIED:
         return False
     solve_lu(A, 6, blocks.node_pivots, s)
-    for l in range(3, 6):  # noqa: E741
-        s[l] /= longest
+    for l in range(6):  # noqa: E741
+        s[l] *= scale[l]
     return True
 
 
