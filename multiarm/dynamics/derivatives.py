@@ -80,15 +80,15 @@ def differentiate(
     by_arms = independent and not (found.coupled_arms or data.model.constants.dense or on_ground)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     solved = matrix[: rows["effect_state_rates"].start]
-    if not (by_arms and equations.solve_by_arms(solved)):
-        solved[:] = equations.solve_whole(along_joints=not independent)
     motions = equations.motions(independent)
+    admissible = None if independent else motions().admissible()
+    if not (by_arms and equations.solve_by_arms(solved)):
+        solved[:] = equations.solve_whole(admissible)
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
     if applied is not None:
         of_state = np.r_[: columns["torques"].start, columns["effect_states"]]
         matrix[rows["effect_state_rates"], of_state] = applied[6 + layout.joints :]
-        if not independent:
-            admissible = motions().admissible()
+        if admissible is not None:
             applied[:, : len(admissible)] = applied[:, : len(admissible)] @ admissible
         by_force = np.hstack([solved[:, equations.wrench], solved[:, columns["torques"]]])
         solved[:, of_state] += by_force @ applied[: 6 + layout.joints]
@@ -124,29 +124,34 @@ class _Equations:
         self.width = max(end, self.wrench.stop)
         placements = columns["placements"].start if parameters else -1
         self._work, self._struct = equation_work(data, self.width, placements)
+        self._update()
 
     def solve_by_arms(self, matrix: np.ndarray) -> bool:
-        """Write ``dy``, shape (6 + n + N, columns), arm by arm; False where that is singular."""
-        self._update()
-        return solve_by_arms(self._data.struct, self._struct, matrix) == OK
+        """Write ``dy``, shape (6 + n + N, columns), arm by arm; False where that is singular.
 
-    def solve_whole(self, along_joints: bool) -> np.ndarray:
+        It takes the place of the derivatives of F, which are restored where it fails.
+        """
+        solved = solve_by_arms(self._data.struct, self._struct, matrix) == OK
+        if not solved:
+            self._update()
+        return solved
+
+    def solve_whole(self, admissible: np.ndarray | None) -> np.ndarray:
         """``dy`` with arms that cannot be solved on their own.
 
-        ``along_joints``: by displacements projected on those that keep the joints closed, as
-        dependent constraints are solvable for these only.
+        By displacements of the state that are projected by a matrix on those that keep the joints
+        closed, as dependent constraints are solvable for these only; None: by all.
 
         Raises
         ------
         SolverError
             When the rank of the constraints changes with these displacements.
         """
-        self._update()
         layout, size = self._data.model.layout, 6 + self._data.model.layout.joints
         K, dF = self._stacked()
         states = self._columns["torques"].start
-        if along_joints:
-            dF[:, :states] = dF[:, :states] @ self.motions(False)().admissible()
+        if admissible is not None:
+            dF[:, :states] = dF[:, :states] @ admissible
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
         scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
