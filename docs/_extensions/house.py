@@ -1,7 +1,7 @@
 """The directive ``house``: the package in one figure, drawn from its imports.
 
-The rooms are those that ``tests/test_architecture.py`` allows; a room stands one storey above the
-highest that it imports.  The way of a scene through them is drawn over it.
+The rooms are those that ``tests/package/test_architecture.py`` allows; a room stands one storey
+above the highest that it imports.  The way of a scene through them is drawn over it.
 """
 
 import ast
@@ -11,7 +11,7 @@ from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
 ROOT = Path(__file__).parents[2]
-TEST, PACKAGE = ROOT / "tests" / "test_architecture.py", ROOT / "multiarm"
+TEST, PACKAGE = ROOT / "tests" / "package" / "test_architecture.py", ROOT / "multiarm"
 
 # From room to room: what a user calls or gets.
 WAY = (

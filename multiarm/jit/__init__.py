@@ -11,5 +11,5 @@
 - :mod:`~multiarm.jit.vectors`: vectors, rotations and symmetric matrices as tuples.
 
 What these take from Numba without its promise to keep it is listed in
-``tests/test_numba_internals.py``, which says what is missing when a version of Numba drops it.
+``tests/jit/test_numba_internals.py``, which says what is missing when a version of Numba drops it.
 """

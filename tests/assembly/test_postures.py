@@ -1,0 +1,324 @@
+"""Claims about postures that the program finds, by Pinocchio's kinematics and SciPy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from commands import multiarm
+from event_scenes import arm as plain_arm
+from event_scenes import box
+from repository import SCENES
+from scipy.spatial.transform import Rotation
+
+import multiarm as ma
+from multiarm.arms.arm import Arm
+from multiarm.assembly.bases import StandSearch
+from multiarm.assembly.compilation import arm_files
+from multiarm.assembly.inverse_kinematics import REACHED, InverseKinematics
+from multiarm.errors import SceneError
+from multiarm.scene import ArmSpec, parse_scene, resolve_arm
+from multiarm.scene.text import parse_yaml, with_values, without_entry
+
+UR5 = {"robot": "ur5", "tip": "tool0"}
+PANDA = {"robot": "panda", "tip": "panda_hand"}
+FINGERS = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
+DOWN = {"xyz": [0.0, 0.0, 0.1], "rpy": [np.pi, 0.0, 0.0]}
+
+
+def robot(**spec) -> Arm:
+    own = ArmSpec.model_validate(spec)
+    return Arm("arm", arm_files(own, resolve_arm(own)))
+
+
+ROBOTS = [
+    pytest.param(UR5, id="ur5"),
+    pytest.param({**PANDA, "lock": FINGERS}, id="panda"),
+    pytest.param(plain_arm("xZyYX"), id="slides and hinges"),
+]
+
+
+@pytest.mark.parametrize("spec", ROBOTS)
+def test_pose_and_jacobian_are_pinocchios(spec, rng):
+    arm, frame = robot(**spec), pin.SE3.Random().homogeneous
+    search = InverseKinematics(arm, frame=frame)
+    for _ in range(5):
+        q = rng.uniform(search.lower, search.upper)
+        pose, J = search.pose(q)
+        terms = arm.terms(q, np.zeros(arm.dof))
+        np.testing.assert_allclose(pose, arm.tip_pose(q) @ frame, atol=1e-14)
+        lever = pose[:3, 3] - terms.tip_position
+        np.testing.assert_allclose(J[3:], terms.J[3:], atol=1e-14)
+        np.testing.assert_allclose(
+            J[:3], terms.J[:3] - np.cross(lever, terms.J[3:].T).T, atol=1e-13
+        )
+
+
+@pytest.mark.parametrize("spec", ROBOTS)
+@pytest.mark.parametrize("free", [(), (5,), (0, 4)])
+def test_postures_bring_the_tip_to_places_that_exist(spec, free, rng):
+    arm = robot(**spec)
+    search, found = InverseKinematics(arm, free), 0
+    for _ in range(10):
+        place = arm.tip_pose(rng.uniform(search.lower, search.upper))
+        reach = search.search([place], rng, 40)
+        if reach is None:
+            continue
+        found += 1
+        (q,) = reach.postures
+        assert np.all((search.lower <= q) & (q <= search.upper))
+        here = arm.tip_pose(q)
+        shift = place[:3, :3].T @ (here[:3, 3] - place[:3, 3])
+        turn = Rotation.from_matrix(place[:3, :3].T @ here[:3, :3]).as_rotvec()
+        error = np.delete(np.concatenate([shift, turn]), free)
+        assert np.max(np.abs(error)) < REACHED
+    assert found >= 8
+
+
+def scene(arms: dict, joints: list[dict], **more):
+    body = box((0.4, 0.3, 0.2), height=0.4)
+    return parse_scene({"object": body, "arms": arms, "joints": joints, **more})
+
+
+@pytest.mark.parametrize("kind", ["weld", "ball", "revolute", "planar", "point_on_plane"])
+@pytest.mark.parametrize("posture", [{"posture": "solve"}, {}], ids=["asked for", "by default"])
+def test_a_scene_needs_no_posture(kind, posture):
+    base = {"xyz": [0.5, 0.2, 0.0]}
+    built = scene({"a": {**UR5, "base": base, **posture}}, [{"arm": "a", "kind": kind, "at": DOWN}])
+    system = ma.compile_system(built)
+    q = system.initial_state().joint_positions["a"]
+    shift = built.joints[0].start_shift()
+    there = built.object.pose.matrix() @ built.joints[0].at.matrix()
+    np.testing.assert_allclose(system.arms["a"].tip_pose(q) @ shift, there, atol=1e-7)
+    limits = system.arms["a"].position_limits
+    assert np.all((limits[:, 0] + 0.04 < q) & (q < limits[:, 1] - 0.04))
+    assert np.min(system.arms["a"].skeleton(q)[2:-1, 2]) > 0.05  # above its base
+    again = ma.compile_system(built, like=system).initial_state()
+    assert np.array_equal(again.position, system.initial_state().position)
+
+
+def test_a_motion_that_the_joint_leaves_free_may_be_used():
+    """Three slides and a hinge about x cannot turn about the axis z of the joint."""
+    turned = {"xyz": [0, 0, 0.1], "rpy": [0.0, 0.0, 0.7]}
+    arms, joint = {"a": {**plain_arm("xyzX"), "posture": "solve"}}, {"arm": "a", "at": turned}
+    system = ma.compile_system(scene(arms, [{**joint, "kind": "revolute"}]))
+    np.testing.assert_allclose(
+        system.initial_state().joint_positions["a"], [0, 0, 0.6, 0], atol=1e-8
+    )
+    with pytest.raises(SceneError, match=r"arms.a.posture: .* leaves 0.000 m and 40 deg"):
+        ma.compile_system(scene(arms, [{**joint, "kind": "weld"}]))
+
+
+def test_an_arm_that_is_too_far_away_hears_where_to_go():
+    joints = [{"arm": "a", "kind": "ball", "at": DOWN}]
+    with pytest.raises(SceneError, match="move the base by") as caught:
+        ma.compile_system(scene({"a": {**UR5, "base": {"xyz": [1.6, 0, 0]}}}, joints))
+    (text,) = caught.value.faults
+    shift = np.array(text.split("move the base by [")[1].split("]")[0].split(", "), dtype=float)
+    nearer = {"xyz": list(np.array([1.6, 0, 0]) + shift * 1.02)}
+    ma.compile_system(scene({"a": {**UR5, "base": nearer}}, joints))
+
+
+def test_every_arm_that_cannot_be_placed_is_named():
+    arms = {name: {**UR5, "base": {"xyz": [x, 0, 0]}} for name, x in (("a", 3.0), ("b", -3.0))}
+    arms["c"] = {**UR5, "posture": "solve"}
+    joints = [{"arm": name, "kind": "weld", "at": DOWN} for name in "ab"]
+    with pytest.raises(SceneError) as caught:
+        ma.compile_system(scene(arms, [*joints, {"arm": "c", "kind": "weld"}]))
+    assert [fault.partition(".posture")[0] for fault in caught.value.faults] == [
+        "$.arms.a", "$.arms.b", "$.arms.c",
+    ]  # fmt: skip
+    assert "give $.joints[2].at" in caught.value.faults[2]
+
+
+def test_a_written_posture_stays():
+    near = [0.0, 0.0, 0.6, 0.0]
+    arms = {"a": {**plain_arm("xyzX"), "posture": near}}
+    system = ma.compile_system(
+        scene(arms, [{"arm": "a", "kind": "ball", "at": {"xyz": [0, 0, 0.1]}}])
+    )
+    assert np.array_equal(system.initial_state().joint_positions["a"], near)
+
+
+# --- places to stand ------------------------------------------------------------------------------
+
+
+def test_a_stand_holds_its_mount_as_the_arm_that_stands_there_does(rng):
+    """Whatever base the arm of the search has; what is asked of a clearance is in the world."""
+    turned = {"xyz": [0.3, -0.2, 0.4], "rpy": [0.5, -0.3, 1.0]}
+    pose, mount = (pin.SE3.Random().homogeneous for _ in range(2))
+    hold, seen = pose @ mount, []
+
+    def clear(base, points, there):
+        assert np.array_equal(there, pose)
+        seen.append((base, points))
+        return 1.0
+
+    places = []
+    for shift in rng.uniform(-0.5, 0.5, (12, 3)):
+        base = pin.SE3.Random().homogeneous
+        base[:3, 3] = hold[:3, 3] + shift
+        places.append((base, mount, 1.0))
+    search = StandSearch(InverseKinematics(robot(**UR5, base=turned)), [pose], clear, rng)
+    stand = search.best(places)
+    (q,) = stand.reach.postures
+    there = robot(**UR5, base=pose_table(stand.base))
+    np.testing.assert_allclose(there.tip_pose(q), hold, atol=1e-7)
+    base, points = seen[-1]
+    assert min(np.linalg.norm(b - stand.base) for b, _ in seen) == 0.0
+    np.testing.assert_allclose(points[0], (base @ [0, 0, 0.089159, 1])[:3], atol=1e-9)
+    poorer = [(b, m, 1e-6 if np.array_equal(b, stand.base) else 1.0) for b, m, _ in places]
+    assert not np.array_equal(search.best(poorer).base, stand.base)
+
+
+def pose_table(X: np.ndarray) -> dict:
+    return {"xyz": X[:3, 3], "quaternion_xyzw": Rotation.from_matrix(X[:3, :3]).as_quat()}
+
+
+@pytest.mark.slow
+def test_a_base_is_found_where_the_arm_holds_its_place_well():
+    """Better than from almost all places that a quick look from elsewhere finds."""
+    joints = [{"arm": "a", "kind": "weld", "at": DOWN}, {"arm": "b", "kind": "ball", "at": DOWN}]
+    arms = {
+        "a": {**UR5, "base": {"xyz": [0, 0, 0.1], "solve": ["x", "y", "yaw"]}},
+        "b": {**UR5, "base": {"xyz": [0.6, 0.3, 0.0]}},
+    }
+    built = scene(arms, joints)
+    system = ma.compile_system(built)
+    base = system.scene.arms["a"].base
+    assert base.xyz[2] == 0.1 and base.rpy[:2] == (0.0, 0.0) and base.solve == ()
+    assert np.array_equal(np.round([*base.xyz, *base.rpy], 3), [*base.xyz, *base.rpy])
+    q = system.initial_state().joint_positions["a"]
+    there = built.object.pose.matrix() @ built.joints[0].at.matrix()
+    np.testing.assert_allclose(system.arms["a"].tip_pose(q), there, atol=1e-7)
+    assert np.linalg.norm(np.subtract(base.xyz[:2], [0.6, 0.3])) > 0.25  # beside the other arm
+    again = ma.compile_system(built)
+    assert again.scene.arms["a"].base == base
+    assert np.array_equal(again.initial_state().position, system.initial_state().position)
+    dexterity, others = _dexterity(system.arms["a"], q), []
+    for angle in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
+        for distance in (0.3, 0.5, 0.7):
+            xyz = [distance * np.cos(angle), distance * np.sin(angle), 0.1]
+            arm = robot(**UR5, base={"xyz": xyz})
+            reach = InverseKinematics(arm).search([there], np.random.default_rng(1), 8)
+            others.append(0.0 if reach is None else _dexterity(arm, reach.postures[0]))
+    assert np.mean(dexterity > np.array(others)) > 0.6
+
+
+def _dexterity(arm: Arm, q: np.ndarray) -> float:
+    return np.linalg.svd(arm.terms(q, np.zeros(6)).J, compute_uv=False)[-1]
+
+
+@pytest.mark.parametrize(
+    ("base", "more", "message"),
+    [
+        ({"solve": ["z"], "xyz": [9, 0, 0]}, {}, r"arms.a.base.solve: from nowhere with other 'z'"),
+        ({"solve": ["x", "x"]}, {}, "names a component twice"),
+        ({"solve": ["u"]}, {}, r"\$.arms.a.base.solve\[0\]: .*'x', 'y', 'z', 'roll', 'pitch'"),
+        ({"solve": ["yaw"], "quaternion_xyzw": [0, 0, 0, 1]}, {}, "need 'rpy' for the others"),
+        ({"solve": ["x"]}, {"posture": 6 * [0.1]}, "write 'posture: solve', or none"),
+    ],
+    ids=["out of reach", "twice", "unknown", "quaternion", "posture"],
+)
+def test_a_base_that_cannot_be_found_is_refused(base, more, message):
+    with pytest.raises(SceneError, match=message):
+        ma.compile_system(
+            scene({"a": {**UR5, "base": base, **more}}, [{"arm": "a", "kind": "weld", "at": DOWN}])
+        )
+
+
+def test_a_base_needs_a_place_to_be_found_for():
+    with pytest.raises(SceneError, match=r"needs the joint's place .* give \$.joints\[0\].at"):
+        ma.compile_system(
+            scene({"a": {**UR5, "base": {"solve": ["x"]}}}, [{"arm": "a", "kind": "weld"}])
+        )
+
+
+# --- into the scene's file ------------------------------------------------------------------------
+
+RING = SCENES / "three_makes_ring.yaml"
+
+
+@pytest.mark.slow
+def test_postures_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
+    path, text = tmp_path / "ring.yaml", RING.read_text()
+    path.write_text(text)
+    shown = multiarm("pose", path)
+    assert shown.exit_code == 0 and path.read_text() == text
+    assert multiarm("pose", path, "--write").exit_code == 0
+    written = path.read_text()
+    changed = [
+        old for old, new in zip(text.splitlines(), written.splitlines(), strict=True) if old != new
+    ]
+    assert len(changed) == 3 and all("posture: solve" in line for line in changed)
+    found, expected = (ma.compile_system(ma.load_scene(file)) for file in (path, RING))
+    for name, posture in expected.initial_state().joint_positions.items():
+        assert f"{name}: {{posture: [" in shown.output
+        np.testing.assert_allclose(found.scene.arms[name].posture, posture, atol=1e-8)
+    again = multiarm("pose", path)
+    assert again.exit_code == 2 and "gives every arm a posture" in again.stderr
+
+
+@pytest.mark.slow
+def test_bases_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
+    path, text = tmp_path / "ring.yaml", RING.read_text()
+    text = text.replace("base: {xyz: [0.95, 0, 0]}", "base: {solve: [x, y, yaw]}").replace(
+        "    base: {xyz: [-0.5, 0.75, 0]}\n",
+        "    base:  # a table\n      solve: [x, y]  # beside it\n"
+        "      xyz: [0, 0, 0.1]  # its top\n",
+    )
+    path.write_text(text)
+    expected = ma.compile_system(ma.load_scene(path))
+    shown = multiarm("pose", path).output
+    assert "front: {base: {xyz: [" in shown and "left: {base: {xyz: [" in shown
+    assert "right: {posture: [" in shown
+    assert multiarm("pose", path, "--write").exit_code == 0
+    written = path.read_text()
+    assert "solve" not in written.partition("arms:")[2]
+    for comment in ("# a table\n      # beside it\n      xyz: [", ", 0.1]  # its top\n"):
+        assert comment in written
+    found = ma.load_scene(path)
+    for name, arm in expected.scene.arms.items():
+        np.testing.assert_array_equal(found.arms[name].base.matrix(), arm.base.matrix())
+        posture = expected.initial_state().joint_positions[name]
+        np.testing.assert_allclose(found.arms[name].posture, posture, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "left"),
+    [
+        ("a: {b: 1, c: [2, 3]}  # x", "a: {b: 1}  # x"),
+        ("a: {c: [2], b: 1}", "a: {b: 1}"),
+        ("a:\n  c:\n    - 1\n    - 2  # x\n  b: 1", "a:\n  # x\n  b: 1"),
+        ("a:\n  b: 1\n  c: 2\nd: 3", "a:\n  b: 1\nd: 3"),
+        ("a:\n  b: 1\n  c: 2", "a:\n  b: 1\n"),
+    ],
+)
+def test_an_entry_is_taken_out_and_nothing_else(text, left):
+    assert without_entry(text, ("a", "c")) == left
+
+
+def test_values_come_into_tables_of_every_form():
+    text = (
+        "# top\narms:  # all\n  a: {tip: x, posture: solve}  # one\n  b:\n    tip: y  # two\n"
+        "    lock:\n      j: 1.0  # three\n\n  c:\n    posture: solve # four\n    tip: z"
+    )
+    written = with_values(text, {("arms", name, "posture"): "[1, 2]" for name in "abc"})
+    expected = parse_yaml(text.replace("solve", "[1, 2]"))
+    expected["arms"]["b"]["posture"] = [1, 2]
+    assert parse_yaml(written) == expected
+    assert [line.partition("#")[2] for line in written.splitlines() if "#" in line] == [
+        " top", " all", " one", " two", " three", " four",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &same {tip: x}\nb: *same", "written out|write them out"),
+        ("a: {tip: x}\nb: {<<: {tip: y}, lock: {}}", "'<<'"),
+    ],
+)
+def test_values_of_tables_that_share_their_text_are_refused(text, message):
+    with pytest.raises(SceneError, match=message):
+        with_values(text, {("a", "posture"): "[1]", ("b", "posture"): "[2]"})

@@ -1,0 +1,344 @@
+"""Claims about controls of one's own: they drive arms as ours do, are found, and refused."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from commands import multiarm
+from mechanics import ur5_pair
+from sweep_runs import jobs, repeatable
+
+import multiarm as ma
+from multiarm.control import ControlProgram, open_system
+from multiarm.control.laws import program_of
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import struct_at
+from multiarm.scene import CONTROLS, Scene, changed, dump_scene, named_code, parse_scene, registry
+from multiarm.scene.control import BUILT_IN, ControlKind
+from multiarm.sweeps.executors import run_in_process, run_in_processes
+from multiarm.sweeps.plan import make_plan
+from multiarm.sweeps.worker import JobContext
+
+RUN = {"duration": 0.1, "accuracy": 1e-6}
+TORQUES = {"left": (3.0, -2.0, 1.0, 0.5, 0.0, 0.0), "right": {"elbow_joint": -4.0}}
+
+
+@pytest.fixture(autouse=True)
+def empty_registry(monkeypatch):
+    """Each test begins with our kinds only, and leaves none behind."""
+    monkeypatch.setattr(CONTROLS, "registered", {})
+    monkeypatch.setattr(CONTROLS, "loaded", {})
+    offered(monkeypatch)
+
+
+def offered(monkeypatch, **classes: str) -> None:
+    """Let an installed package offer these kinds: name -> 'module:class'."""
+    points = [metadata.EntryPoint(k, text, "multiarm.controls") for k, text in classes.items()]
+
+    def entry_points(**wanted):
+        return [p for p in points if all(getattr(p, key) == v for key, v in wanted.items())]
+
+    monkeypatch.setattr(registry, "metadata", SimpleNamespace(entry_points=entry_points))
+
+
+@cfunc
+def push(address, size, place, _t):
+    """Numbers: a torque for every joint."""
+    model, data, _ = open_system(struct_at(address, size))
+    for j in range(data.torque.size):
+        data.torque[j] += model.parameters[int(place) + j]
+    return 0
+
+
+class Push(ma.Control):
+    """Constant torques, in compiled code."""
+
+    kind: Literal["push"] = "push"
+    pushes: dict[str, Any]
+    by_joint = ("pushes",)
+
+    def build(self, context):
+        """One number a joint."""
+        return ControlProgram((push,), context.stacked(self.pushes))
+
+
+class Pull(ma.Control):
+    """Springs about the straight arm, in Python."""
+
+    picture = "a rubber band along every arm"
+    example = "control: {kind: pull, stiffness: 5.0}"
+
+    kind: Literal["pull"] = "pull"
+    stiffness: float
+    _calls: int = 0
+
+    def torques(self, t, state):
+        """Proportional to the joint positions."""
+        self._calls += 1
+        return {arm: -self.stiffness * q for arm, q in state.joint_positions.items()}
+
+
+def scene_of(control, **more) -> Scene:
+    more = {"run": RUN, "control": control, "name": "two arms", **more}
+    return ur5_pair({"kind": "weld"}, {"kind": "ball"}, **more)
+
+
+def run_of(control, function=None, **settings) -> ma.Trajectory:
+    system = ma.compile_system(scene_of(control), function, **settings)
+    return ma.simulate(system, certificate=False)
+
+
+def require_equal(found: ma.Trajectory, expected: ma.Trajectory) -> None:
+    assert np.ptp(expected.object_position, axis=0).max() > 1e-4, "it moves"
+    for name in expected.channels:
+        np.testing.assert_array_equal(found.read(name), expected.read(name), err_msg=name)
+
+
+def pull(t, state):
+    return {arm: -5.0 * q for arm, q in state.joint_positions.items()}
+
+
+# --- mechanics ------------------------------------------------------------------------------------
+
+
+def test_a_compiled_control_of_one_s_own_drives_bit_for_bit_as_ours():
+    ma.register_control(Push)
+    own = run_of({"kind": "push", "pushes": TORQUES})
+    require_equal(own, run_of({"kind": "constant", "torques": TORQUES}))
+
+
+@pytest.mark.parametrize(
+    "samples", [{}, {"sample_time": 0.01}, {"sample_time": 0.01, "sample_delay": True}]
+)
+@pytest.mark.parametrize("kind", ["class", "function", "file"])
+def test_a_control_in_python_drives_as_a_controller_that_is_given(kind, samples, tmp_path):
+    ma.register_control(Pull)
+    (tmp_path / "pulls.py").write_text(
+        "def pull(t, state):\n"
+        "    return {arm: -5.0 * q for arm, q in state.joint_positions.items()}\n"
+    )
+    control = {
+        "class": {"kind": "pull", "stiffness": 5.0},
+        "function": {"function": pull},
+        "file": {"function": f"{tmp_path}/pulls.py:pull"},
+    }[kind]
+    expected = run_of({"kind": "none"}, pull, **samples)
+    own = run_of({**control, **samples})
+    require_equal(own, expected)
+    assert own.provenance["control"] == ("pull" if kind == "class" else "function")
+
+
+def test_every_data_has_its_own_instance_and_threads_give_the_numbers_of_one():
+    ma.register_control(Pull)
+    scene = scene_of({"kind": "pull", "stiffness": 5.0}, run={**RUN, "arms": "compiled"})
+    system = ma.compile_system(scene)
+    first, second = system.model.data(), system.model.data()
+    owners = {id(data.callbacks["control"].function.__self__) for data in (first, second)}
+    assert len(owners) == 2 and id(scene.control) not in owners
+    values = [{"control.stiffness": k} for k in (5.0, 2.0, 5.0)]
+    runs = ma.simulate_many(system, parameters=values, threads=2, certificate=False)
+    single = [ma.simulate(ma.compile_system(changed(scene, v)), certificate=False) for v in values]
+    for found, expected in zip(runs, single, strict=True):
+        require_equal(found, expected)
+    assert not np.array_equal(runs[0].object_position, runs[1].object_position)
+    assert scene.control._calls == 0
+
+
+def test_a_run_with_a_control_in_python_is_certified():
+    ma.register_control(Pull)
+    run = ma.simulate(ma.compile_system(scene_of({"kind": "pull", "stiffness": 5.0})))
+    assert run.status == "completed" and run.certificate["met"]
+
+
+def test_a_stepper_and_a_controller_in_its_place_take_the_control_of_the_scene():
+    ma.register_control(Pull)
+    system = ma.compile_system(scene_of({"kind": "pull", "stiffness": 5.0, "sample_time": 0.01}))
+    run, stepper = ma.simulate(system, certificate=False), ma.Stepper(system)
+    states = [stepper.advance(0.01).object_position for _ in range(10)]
+    np.testing.assert_array_equal(states[-1], run.object_position[-1])
+
+    def brake(_t, state):
+        return {"left": -state.joint_velocities["left"]}
+
+    braked = ma.simulate(system, control=brake, certificate=False)
+    require_equal(braked, run_of("none", brake))
+
+
+# --- finding --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_every_kind_of_ours_has_a_sentence_an_example_and_a_law():
+    for name, own in BUILT_IN.items():
+        assert own.picture and own.sample().kind == name
+        assert (
+            parse_scene(dump_scene(scene_of(own.sample()))).control
+            == scene_of(own.sample()).control
+        )
+        lawless = program_of.dispatch(own) is program_of.dispatch(ControlKind)
+        assert lawless == (name == "none")
+    kinds = Scene.model_json_schema()["properties"]["control"]["discriminator"]["mapping"]
+    assert set(kinds) == set(BUILT_IN)
+
+
+def test_a_scene_with_one_is_written_read_again_and_changed():
+    ma.register_control(Pull)
+    scene = scene_of({"kind": "pull", "stiffness": 5.0, "sample_time": 0.01})
+    assert parse_scene(dump_scene(scene)) == scene
+    softer = changed(scene, {"control.stiffness": 2.0})
+    assert softer.control == Pull(stiffness=2.0, sample_time=0.01)
+    assert scene_of(Pull(stiffness=5.0, sample_time=0.01)) == scene
+
+
+def test_an_installed_kind_is_loaded_when_a_scene_file_is_compiled(tmp_path, monkeypatch):
+    ma.register_control(Pull)
+    text = dump_scene(scene_of({"kind": "pull", "stiffness": 5.0}))
+    CONTROLS.registered.clear()
+    offered(monkeypatch, pull=f"{__name__}:Pull")
+    path = tmp_path / "scene.yaml"
+    path.write_text(text, encoding="utf-8")
+    scene = ma.load_scene(path)
+    (code,) = named_code(scene)
+    assert code.place == "$.control.kind" and f"({__name__}:Pull)" in code.what
+    assert CONTROLS.loaded == {} and dump_scene(scene) == text
+    strict = ma.load_scene(path, code=False)
+    for same in (strict, strict.replace(name="other"), parse_scene(text, stored=True)):
+        for other in (same, changed(same, {"control.stiffness": 2.0})):
+            with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
+                ma.compile_system(other)
+            assert CONTROLS.loaded == {}
+    looked = multiarm("check", path)
+    assert looked.exit_code == 0, looked.output
+    assert "control kind 'pull'" in " ".join(looked.output.split()) and CONTROLS.loaded == {}
+    assert ma.compile_system(scene).scene.control == Pull(stiffness=5.0)
+    path.write_text(text.replace("stiffness:", "stifness:"), encoding="utf-8")
+    CONTROLS.loaded.clear()
+    scene = ma.load_scene(path)
+    with pytest.raises(
+        ma.MultiarmError, match=r"\$\.control\.stifness: unknown key 'stifness'; di"
+    ):
+        ma.compile_system(scene)
+
+
+@pytest.mark.slow
+def test_a_stored_run_is_looked_at_and_replayed_without_the_class(tmp_path):
+    ma.register_control(Pull)
+    run_of({"kind": "pull", "stiffness": 5.0, "sample_time": 0.01}).save(tmp_path / "run.h5")
+    CONTROLS.registered.clear()
+    run = ma.load_trajectory(tmp_path / "run.h5")
+    assert dump_scene(run.scene) == run.scene_text and run.scene.control.kind == "pull"
+    ma.replay(run, tmp_path / "run.html", open_browser=False)
+    ma.report(run, tmp_path / "report.html")
+    for code in (None, True):
+        with pytest.raises(
+            ma.MultiarmError, match=r"\$\.control\.kind: unknown control kind 'pull'"
+        ):
+            ma.compile_system(run.scene, code=code)
+    ma.register_control(Pull)
+    again = ma.load_trajectory(tmp_path / "run.h5").scene
+    require_equal(ma.simulate(ma.compile_system(again), certificate=False), run)
+
+
+@pytest.mark.slow
+def test_workers_of_a_sweep_know_those_that_were_registered_here():
+    class Firm(Pull):
+        example = ""
+        kind: Literal["firm"] = "firm"
+        stiffness: float = 10.0
+
+    for own in (Pull, Firm):
+        ma.register_control(own)
+    over = {"control": [{"kind": "pull", "stiffness": 5.0}, {"kind": "firm"}]}
+    plan = make_plan(scene_of("none"), over, keep=["final_z"], run=RUN)
+    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    assert [row[1] for row in here] == ["completed"] * 2
+    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("control", "message"),
+    [
+        ({"kind": "pul"}, r"\$\.control\.kind: unknown control kind 'pul'; did you mean 'pull'\?"),
+        ({"kind": "pul"}, "kinds of your own need multiarm.register_control, or their package"),
+        ({"stiffness": 1.0}, r"\$\.control: 'kind' is missing; kinds are 'none', .*'push'"),
+        ({"kind": "pull"}, r"\$\.control\.stiffness: is missing"),
+        ({"kind": "pull", "stiffness": "x"}, r"\$\.control\.stiffness: "),
+        ({"kind": "pull", "stiffness": 1, "sample_delay": True}, "control: 'sample_delay' needs"),
+        ({"kind": "push", "pushes": {"lefd": 1.0}}, r"\$\.control\.pushes\.lefd: unknown arm"),
+        ({"function": 3}, r"\$\.control\.function: must be a Python function, or name one as"),
+        ({"function": "os:system"}, "belongs to Python's standard library"),
+        ({"function": "none.py:pull"}, r"\$\.control\.function: cannot load .* there is no file"),
+        ({"kind": "function"}, r"\$\.control\.function: is missing"),
+    ],
+)  # fmt: skip
+def test_faults_of_a_scene_have_their_place(control, message, tmp_path):
+    for own in (Pull, Push):
+        ma.register_control(own)
+    with pytest.raises(ma.MultiarmError, match=message):
+        ma.compile_system(scene_of(control))
+
+
+def test_a_function_of_a_scene_file_lies_in_its_folder(tmp_path):
+    (tmp_path / "elsewhere.py").write_text("raise RuntimeError('loaded')")
+    (tmp_path / "scenes").mkdir()
+    path = tmp_path / "scenes" / "scene.yaml"
+    text = dump_scene(scene_of("none")) + "control: {function: '../elsewhere.py:pull'}\n"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ma.MultiarmError, match=r"\$\.control\.function: .* is not in the folder"):
+        ma.load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ({"torques": lambda self, t, state: 1 / 0}, "the control 'odd' raised ZeroDivisionError"),
+        ({"torques": lambda self, t, state: {"lefd": 1}}, "the control 'odd'.s torques.*'lefd'"),
+        ({"torques": lambda self, t, state: {"left": 1}}, "the control 'odd'.s torques.*left"),
+        ({"build": lambda self, c: 1 / 0}, r"'odd': build\(\) raised ZeroDivisionError"),
+        ({"build": lambda self, c: 3}, r"build\(\) returned int; return a multiarm.control.Contr"),
+        ({"build": lambda self, c: ControlProgram((pull,))}, "a law that is no"),
+        (
+            {"build": lambda self, c: ControlProgram((push,), np.full(12, np.nan))},
+            "no vector of finite floats",
+        ),
+        (
+            {"torques": pull, "faults": lambda self, arms: 1 / 0},
+            r"\$\.control: control kind 'odd': faults\(\) raised ZeroDivisionError",
+        ),
+    ],
+)
+def test_what_a_class_does_wrong_is_one_clear_error(body, message):
+    body = {"kind": "odd", "__annotations__": {"kind": Literal["odd"]}, **body}
+    ma.register_control(type("Odd", (ma.Control,), {"__module__": __name__, **body}))
+    with pytest.raises(ma.MultiarmError, match=message):
+        ma.evaluate(ma.compile_system(scene_of({"kind": "odd"})))
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ({"__annotations__": {}}, "'kind' must be a word"),
+        ({"torques": ma.Control.torques}, "it defines neither 'torques' nor 'build'"),
+        ({"example": "control: {kind: odd, speed: 1}"}, "its example does not load"),
+        (
+            {"kind": "joint_pd", "__annotations__": {"kind": Literal["joint_pd"]}},
+            "multiarm itself has one of that name",
+        ),
+    ],
+)
+def test_what_a_class_lacks_is_named_when_it_is_registered(body, message):
+    body = {"kind": "odd", "__annotations__": {"kind": Literal["odd"]}, "torques": pull, **body}
+    if not body["__annotations__"]:
+        del body["kind"]
+    own = type("Odd", (ma.Control,), {"__module__": __name__, **body})
+    with pytest.raises(ma.MultiarmError, match=message):
+        ma.register_control(own)
+    with pytest.raises(ma.MultiarmError, match=r"it is no subclass of multiarm\.Control"):
+        ma.register_control(Scene)

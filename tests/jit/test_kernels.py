@@ -1,0 +1,243 @@
+"""Claims about how kernels are compiled, cached, called by address, and about address books."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from threading import Barrier, Thread
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from mechanics import data_of
+from repository import ROOT
+
+import multiarm as ma
+from multiarm.errors import MultiarmError
+from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
+from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, kernel
+from multiarm.jit.pointers import address_of
+from multiarm.jit.structs import (
+    Flag,
+    Float,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    make_struct,
+    struct_of,
+    view,
+)
+from multiarm.problems import HARD_CASES, ring_of_arms
+
+
+class Things(NamedTuple):
+    count: Int
+    share: Float
+    wanted: Flag
+    line: Floats1
+    table: Floats2
+    numbers: Ints1
+
+
+open_things, open_behind = view(Things), view(Things, len(Things._fields))
+
+
+@kernel
+def sum_of(struct):
+    """Everything in the second of two sets of things."""
+    things = open_behind(struct)
+    total = things.count + things.share + (100.0 if things.wanted else 0.0)
+    for i in range(things.line.size):
+        total += things.line[i]
+    for i in range(things.table.shape[0]):
+        for j in range(things.table.shape[1]):
+            total += things.table[i, j]
+    return total + things.numbers[things.numbers.size - 1]
+
+
+@kernel
+def write_into(struct):
+    """Write where the first set's table is."""
+    open_things(struct).table[1, 0] = 7.0
+
+
+def things(wanted: bool = True) -> Things:
+    table = np.arange(6.0).reshape(2, 3)
+    return Things(3, 0.25, wanted, np.array([1.0, 2.0]), table, np.array([5, 40]))
+
+
+def test_a_view_has_the_arrays_and_numbers_of_its_book():
+    first, second = things(), things(wanted=False)
+    struct = make_struct([*first, *second])
+    assert sum_of(struct) == 3 + 0.25 + 3 + 15 + 40
+    assert sum_of(make_struct([*second, *first])) == 100 + 3 + 0.25 + 3 + 15 + 40
+
+
+def test_numbers_become_what_their_fields_are():
+    given = things()._replace(count=3.0, share=2, wanted=np.bool_(True))
+    assert sum_of(struct_of(things(), given)) == 100 + 3 + 2 + 3 + 15 + 40
+
+
+def test_what_a_kernel_writes_through_a_view_is_in_the_array():
+    first = things()
+    struct = make_struct([*first, *things()])
+    write_into(struct)
+    assert first.table[1, 0] == 7.0
+
+
+def test_views_do_not_exist_in_python():
+    @kernel
+    def returns_a_view(struct):
+        return open_things(struct)
+
+    with pytest.raises((TypeError, NotImplementedError)):
+        returns_a_view(make_struct([*things()]))
+
+
+@cfunc
+def told(address, size, a, b):
+    """An entry that nobody has asked for yet."""
+    return int(a + b) + size
+
+
+def test_threads_that_ask_at_once_get_one_entry():
+    gate, found = Barrier(4), []
+
+    def ask():
+        gate.wait()
+        found.append(address_of(told))
+
+    threads = [Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 4 and len(set(found)) == 1
+
+
+OWN = """
+from multiarm.jit.kernels import kernel
+FACTOR = {factor}
+
+@kernel
+def scaled(x):
+    return FACTOR * x
+
+if __name__ == "__main__":
+    print(scaled.is_cached(), scaled(2.0))
+"""
+
+
+def run_own(folder: Path, factor: float) -> str:
+    file = folder / "own_kernel.py"
+    file.write_text(OWN.format(factor=factor), encoding="utf-8")
+    os.utime(file, (1e9, 1e9))  # a copy of the same time and size
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(folder / "cache"),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, str(file)], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+@pytest.mark.slow
+def test_an_edited_constant_of_ones_own_kernel_counts(tmp_path):
+    assert run_own(tmp_path, 3.0) == "False 6.0"
+    assert run_own(tmp_path, 3.0) == "True 6.0"
+    assert run_own(tmp_path, 5.0) == "False 10.0"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path, ending):
+    run_own(tmp_path, 3.0)
+    files = list((tmp_path / "cache").rglob(f"*.{ending}"))
+    assert files
+    for file in files:
+        file.write_bytes(file.read_bytes()[:100])
+    assert run_own(tmp_path, 3.0).endswith("6.0")
+
+
+def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
+    regular = ma.compile_system(ring_of_arms(2, "weld"))
+    ma.evaluate(regular)
+    fresh = ma.compile_system(ring_of_arms(2, "weld"))
+    coupled = ma.compile_system(HARD_CASES["bricard"].scene())
+    before = data_of(regular).arrays.functions.coupled
+    assert before != data_of(fresh).arrays.functions.coupled, "each system has its own stand-in"
+    ma.evaluate(coupled)
+    compiled = data_of(coupled).arrays.functions.coupled
+    assert compiled not in (before, data_of(fresh).arrays.functions.coupled)
+    assert data_of(regular).arrays.functions.coupled == before, "a regular scene does without"
+    assert data_of(regular).arrays.functions.row != 0
+
+
+def test_kernels_that_python_calls_get_the_types_that_they_are_compiled_for(welded_ur5_system):
+    """Else they would be compiled ahead for nothing."""
+    ma.simulate(welded_ur5_system, 0.002, accuracy=1e-3)
+    called = [kernel for kernel in all_kernels() if not kernel.is_called_by_address]
+    assert len(called) > 5
+    compiled = 0
+    for one in called:
+        if one.whole.signatures:
+            assert one.whole.signatures == [argument_types(one)]
+            compiled += 1
+    assert compiled > 3
+
+
+AHEAD = """
+from multiarm.integration.step import begin_chart as one, evaluate_slope as other
+from multiarm.jit.ahead import argument_types, compile_ahead, compile_all
+
+if __name__ == "__main__":
+    compile_all([one], progress=print)
+    compile_ahead(one, other)
+    print(one._wait, other._wait is not None)
+    for kernel in (one, other):
+        kernel.whole.compile(argument_types(kernel))
+        print(sum(kernel.whole.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.slow
+def test_kernels_compiled_by_other_processes_are_loaded(tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", AHEAD], env=environment, capture_output=True, text=True, check=True
+    )
+    first, waits, *hits = done.stdout.splitlines()
+    assert first == "multiarm.integration.step:begin_chart"
+    assert waits == "None True"  # the first one is in the cache already
+    assert hits == ["1", "1"]
+
+
+@kernel
+def doubled(x: NUMBER):
+    return 2.0 * x
+
+
+@kernel
+def partly(x: NUMBERS, count):
+    return x[0] * count
+
+
+def test_only_kernels_with_all_types_known_are_compiled_ahead():
+    assert argument_types(doubled) == (NUMBER,)
+    assert argument_types(partly) is None
+    assert INT in argument_types(told)
+
+
+@pytest.mark.slow
+def test_a_process_that_fails_is_an_error_and_no_obstacle(monkeypatch, capfd):
+    """This test's module is none that another process could import."""
+    monkeypatch.setattr(doubled.py_func, "__module__", "no_such_module")
+    monkeypatch.setattr(doubled, "is_cached", lambda: False)
+    with pytest.raises(MultiarmError, match="no_such_module:doubled could not be compiled"):
+        compile_all([doubled], processes=1)
+    compile_ahead(doubled)
+    assert doubled(2.0) == 4.0
+    assert "No module named 'no_such_module'" in capfd.readouterr().err

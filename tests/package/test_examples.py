@@ -1,0 +1,319 @@
+"""Claims about what a newcomer sees first: the example scripts and the README's code."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from repository import ROOT, SCENES
+
+import multiarm as ma
+from multiarm.scene import REGISTRIES
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+
+
+@pytest.fixture
+def printed(capsys, monkeypatch):
+    """Run the ``main()`` of an example, with these words on its command line; what it prints."""
+
+    def run(name: str, *words: object) -> str:
+        script = ROOT / "examples" / name
+        monkeypatch.setattr(sys, "argv", [str(script), *map(str, words)])
+        runpy.run_path(str(script))["main"]()
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def workshop(tmp_path, monkeypatch) -> Path:
+    """A folder to work in that has the examples' scenes, like a checkout."""
+    shutil.copytree(SCENES, tmp_path / "examples" / "scenes")
+    for own in REGISTRIES:
+        monkeypatch.setattr(own, "registered", {})
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def figures(pattern: str, text: str) -> list[tuple[float, ...]]:
+    """The numbers at every ``#`` of a pattern, wherever it is found in a text."""
+    found = re.findall(pattern.replace("#", rf"\s*({NUMBER})"), text)
+    assert found, f"{pattern!r} is not in {text!r}"
+    rows = [row if isinstance(row, tuple) else (row,) for row in found]
+    return [tuple(float(number) for number in row) for row in rows]
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
+
+
+@pytest.mark.slow
+def test_the_scene_of_the_readme_can_be_run(tmp_path):
+    scene = next(text for text in blocks("yaml") if text.startswith("name:"))
+    (tmp_path / "scene.yaml").write_text(scene)
+    system = ma.compile_system(ma.load_scene(tmp_path / "scene.yaml"))
+    assert max(system.start_report.gaps.values()) < 1e-6
+    assert ma.simulate(system, 0.01, certificate=False).status == "completed"
+
+
+@pytest.mark.parametrize(
+    "scene", sorted((ROOT / "examples" / "solved").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_scenes_that_break_elsewhere_run(scene):
+    run = ma.simulate(ma.compile_system(ma.load_scene(scene)))
+    assert run.status == "completed" and run.certificate["met"]
+    assert run.position_drift.max() < 1e-12 and abs(run.energy_balance).max() < 1e-6
+    if scene.stem == "effort_limits":
+        assert sum(event["kind"] == "saturates" for event in run.events) > 5
+        limits = [150.0, 150.0, 150.0, 28.0, 28.0, 28.0]  # of a UR5's file [N m]
+        assert np.all(abs(run.joint_torques["left"]).max(axis=0) <= np.array(limits) + 1e-9)
+
+
+def assert_same_print(actual: str, expected: str) -> None:
+    """The same words, and the same numbers to the last digit that is expected."""
+    assert re.split(NUMBER, actual) == re.split(NUMBER, expected)
+    pairs = zip(re.findall(NUMBER, actual), re.findall(NUMBER, expected), strict=True)
+    for got, wanted in pairs:
+        mantissa, _, exponent = wanted.partition("e")
+        unit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+        assert abs(float(got) - float(wanted)) <= 0.51 * unit, f"{got} instead of {wanted}"
+
+
+def test_every_example_is_run_here():
+    scripts = {path.name for path in (ROOT / "examples").glob("*.py")}
+    assert scripts == set(re.findall(r'printed\(\s*"(\w+\.py)"', Path(__file__).read_text()))
+
+
+@pytest.mark.slow
+def test_two_ur5_box_lifts_the_box_without_gaps(printed, tmp_path):
+    text = printed("01_two_ur5_box.py", "--replay", tmp_path / "run.html")
+    assert "constraints 12," in text and "completed: " in text
+    assert max(figures("arm=#, object=#, constraint=#", text)[0]) < 1e-9
+    ((x, y, z),) = figures(r"ends at \(#, #, #\) m", text)
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert z == pytest.approx(0.65, abs=1e-3)  # the path's last pose, up to the controller's error
+    ((gap, imbalance),) = figures("largest gap # m, energy balance # J", text)
+    assert 0.0 <= gap < 1e-10
+    assert 0.0 <= imbalance < 1e-4
+    ((left,), (right,)) = figures("largest contact force # N", text)
+    assert left == pytest.approx(right, rel=0.05)  # arms and grips are symmetric
+    assert (tmp_path / "run.html").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_three_panda_plate_converges_with_the_accuracy(printed):
+    text = printed("02_three_panda_plate.py")
+    rows = np.array(figures(r"(?m)^#\s+# +# s# m$", text))
+    accuracy, evaluations, _, distance = rows.T
+    np.testing.assert_array_equal(accuracy, [1e-3, 1e-5, 1e-7])
+    assert np.all(np.diff(evaluations) > 0)
+    assert np.all(distance < accuracy)
+
+
+def test_all_fingertips_of_the_corner_grippers_push(printed):
+    text = printed("03_corner_grippers_block.py")
+    assert text.startswith("completed: ")
+    for arm in ("left", "right"):
+        ranges = figures(rf"(?m)^{arm} +fingertip # on face [xyz]# N to# N$", text)
+        assert [row[0] for row in ranges] == [1, 2, 3, 4]
+        assert all(0.0 < least <= largest < 700.0 for _, least, largest in ranges)
+    ((least,),) = figures("all fingertips push with # N or more", text)
+    assert least > 0.0
+    ((gap, end),) = figures("largest gap # m over # s", text)
+    assert 0.0 <= gap < 1e-10
+    assert end == 3.0
+
+
+def test_hinged_box_is_led_by_its_waypoints_and_squeezed(printed):
+    text = printed("04_hinged_box.py")
+    assert text.startswith("completed: ")
+    rows = figures(r"(?m)^at# s: box# m off, hinge at# rad$", text)
+    assert [row[0] for row in rows] == [1.0, 2.0, 3.0]
+    assert all(error < 1e-6 for _, error, _ in rows)
+    assert max(abs(angle) for _, _, angle in rows) > 0.1  # the hinge does turn
+    ((imbalance,),) = figures("energy balance# J", text)
+    assert 0.0 <= imbalance < 1e-4
+    left, right = np.array(figures(r"squeezes with \(#,#,#\) N", text))
+    np.testing.assert_allclose(left, [30.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(left + right, 0.0, atol=0.02)
+    assert max(figures("arm=#, object=#, constraint=#", text)[0]) < 1e-9
+
+
+@pytest.mark.slow
+def test_any_joint_is_the_same_hinge_three_times(printed):
+    text = printed("05_any_joint.py")
+    hinges = figures(r"turned by# rad, box# m from the first hinge", text)
+    assert len(hinges) == 3
+    angles, apart = np.array(hinges).T
+    np.testing.assert_allclose(angles, angles[0], atol=1e-6)
+    assert abs(angles[0]) > 0.01  # it does turn
+    assert np.all(apart < 1e-9)
+    assert [rows for (rows,) in figures(r"(?m):# rows; free:", text)] == [5, 5, 5, 1, 3]
+    assert text.count("completed, ") == 5
+    assert max(gap for (gap,) in figures("largest gap# m", text)) < 1e-11
+
+
+@pytest.mark.slow
+def test_what_accuracy_costs_meets_what_it_asks_for(printed):
+    text = printed("06_what_accuracy_costs.py")
+    rows = np.array(figures(r"asked#: met, estimated# m and# rad, \w+,# evaluations", text))
+    asked, metres, radians, evaluations = rows.T
+    np.testing.assert_array_equal(asked, [1e-3, 1e-6, 1e-9])
+    assert np.all(np.maximum(metres, radians) <= asked) and np.all(np.diff(evaluations) > 0)
+    steps = [count for _, count in figures(r"damping#: \w+,# steps", text)]
+    assert steps[0] > steps[1] > steps[2]
+    assert "damping 1e+06: rodas5p" in text
+    assert figures(r"(?m)^# steps of# ms: completed$", text) == [(20000.0, 2.0)]
+    first, last = figures(r"first quarter#, of the last# of", text)[0]
+    assert max(abs(first), abs(last)) < 1e-3  # it neither grows nor falls
+
+
+def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))  # the example adds its package's folder
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
+    text = printed("07_own_effect.py")
+    moved = figures("completed, moves the object by# mm, does# mJ of work, .* balanced to# J", text)
+    assert moved[0][:2] == moved[1][:2] and moved[0][0] > 1.0
+    assert max(imbalance for *_, imbalance in moved) < 1e-5
+    assert "$.effects.magnet.strenght: unknown key 'strenght'; did you mean 'strength'?" in text
+
+
+def test_a_grasp_without_friction_is_designed_run_and_found_by_touch(printed):
+    text = printed("10_form_closure_grasp.py")
+    assert text.startswith("7 contacts hold the body: form closure")
+    pushes = np.array([float(x) for x in re.search(r"pushes of (.*)", text)[1].split()])
+    # thesis, Example 2.1: contact 7 at twice the least distance; both fronts are one balance
+    np.testing.assert_allclose(pushes, [0.25, 0.15, 0.05, 0.25, 0.15, 0.1, 0.05], atol=1e-3)
+    ((area,),) = figures(r"anywhere in# m\^2 of the top", text)
+    assert 0.0 < area < 1.2 * 0.8
+    assert figures(r"may slip by# mm at once", text)[0][0] > 1.0
+    forces = np.array([float(x) for x in re.search(r"pressing, by (.*) N", text)[1].split()])
+    assert forces.min() >= 1.0
+    assert forces[5] - forces[2] - forces[6] == pytest.approx(5.0 * 9.81, abs=0.2)
+    ((end, weakest),) = figures(r"completed after# s; the weakest contact presses with# N", text)
+    assert (end, weakest > 1.0) == (10.0, True)
+    assert "off by less than 1e-9 m: True" in text
+
+
+@pytest.mark.slow
+def test_a_sweep_goes_on_where_it_was_ended(printed, tmp_path):
+    text = printed("11_sweep.py", "--plot", tmp_path / "sweep.png")
+    assert "ended half way: True" in text
+    assert figures(r"(?m)^# of# runs: \{'completed':#\}$", text) == [(32.0, 32.0, 32.0)]
+    rows = np.array(figures(r"# kg: contact forces up to# N, off its path by# mm", text))
+    np.testing.assert_array_equal(rows[:, 0], [5.0, 20.0, 35.0, 50.0])
+    assert np.all(np.diff(rows[:, 1]) > 0.0)  # heavier boxes press harder
+    assert "once more: completed" in text
+    assert (tmp_path / "sweep.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
+    text = printed("09_many_runs.py", "--runs", 12, "--plot", tmp_path / "ends.png")
+    assert figures("(?m)^# runs of# s in# s: completed$", text)[0][:2] == (12.0, 5.0)
+    ((x, z, *_),) = figures(r"ends at \(#,#\) mm on average; it is led to \(#,#\) mm", text)
+    assert abs(x) < 1.0 and 620.0 < z < 645.0  # the arms are soft and carry their own weight too
+    ((sideways, up),) = figures("spread# mm sideways,# mm in height", text)
+    assert 0.0 < sideways < up < 10.0
+    ((sag,),) = figures("sag by# mm", text)
+    assert 0.1 < sag < 2.0
+    assert (tmp_path / "ends.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_digital_controller_holds_a_box_that_is_pushed(printed, tmp_path):
+    text = printed("12_closed_loop_1khz.py", "--replay", tmp_path / "run.html")
+    ((end, rate, factor),) = figures("(?m)^# s at# Hz:# times real time$", text)
+    assert (end, rate) == (1.0, 1000.0) and factor > 0.0
+    ((largest, last),) = figures("pushed by# mm and ends# mm away", text)
+    assert 5.0 < largest < 15.0 and last < 0.1
+    # two contacts of the left grip share half of the box's 196 N
+    assert figures("grip of# contacts carries up to# N", text)[0] == (6.0, 49.0)
+    assert (tmp_path / "run.html").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_regulator_brings_a_box_back(printed):
+    text = printed("13_regulator.py")
+    assert "held by its torques: unstable, 12 states" in text
+    assert figures("with the regulator: stable, slowest motion dies out in# s", text)[0][0] < 0.2
+    held, regulated = figures("pushed by up to# mm,# mm away at the end", text)
+    assert held[1] > 100.0 and 1.0 < regulated[0] < 50.0 and regulated[1] < 0.1
+
+
+@pytest.mark.slow
+def test_two_arms_swing_a_box_to_its_target(printed):
+    text = printed("15_swing_a_box.py")
+    ((away, missed),) = figures("target# mm away, missed by# mm", text)
+    assert away > 140.0 and missed < 3.0
+    assert figures("speed at the end# mm/s", text)[0][0] < 30.0
+    assert "the run is certified: True" in text
+
+
+@pytest.mark.slow
+def test_crocoddyl_swings_the_box_too(printed):
+    pytest.importorskip("crocoddyl")
+    text = printed("16_crocoddyl.py")
+    assert "solved: True" in text
+    assert figures("simulated, it misses# mm", text)[0][0] < 0.5
+    assert figures("speed at the end# mm/s", text)[0][0] < 1.0
+
+
+@pytest.mark.slow
+def test_a_load_is_weighed_by_how_it_moves(printed):
+    text = printed("14_weigh_a_load.py")
+    ((misfit, rounding),) = figures("misfit# steps, by rounding alone#", text)
+    assert misfit == pytest.approx(rounding, rel=0.1)
+    ((mass, error, true),) = figures(r"mass# kg \+-#, true#", text)
+    assert abs(mass - true) < 5.0 * error < 0.01
+    found = figures(r"centre of mass [xyz]# mm \+-#, true#", text)
+    assert len(found) == 3 and all(abs(x - true) < 5.0 * error < 10.0 for x, error, true in found)
+
+
+@pytest.mark.slow
+def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
+    match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
+    assert match is not None, "the README shows Python and right below what it prints"
+    code, expected = match.groups()
+    assert sum(bool(line.strip()) for line in code.splitlines()) <= 10
+    exec(compile(code, "README.md", "exec"), {})
+    assert_same_print(capsys.readouterr().out, expected)
+    written = {path.name for path in workshop.iterdir() if path.is_file()}
+    assert written == set(re.findall(r'"([\w.]+\.(?:h5|html))"', code))
+
+
+def test_links_of_the_readme_lead_somewhere():
+    targets = re.findall(r"\]\(([^)#]+)\)", README)
+    local = [target for target in targets if "://" not in target]
+    assert len(local) > 20 and [target for target in local if not (ROOT / target).exists()] == []
+
+
+def test_pages_on_joints_control_and_methods_name_all_of_them():
+    catalogue = {
+        "how_to/joints.md": "multiarm joints",
+        "how_to/control.md": "multiarm controls",
+        "how_to/effects.md": "multiarm effects --list",
+    }
+    for page, command in catalogue.items():  # the build of the pages runs the command
+        assert f"```{{command-output}} {command}\n" in (ROOT / "docs" / page).read_text(), page
+    choosing = (ROOT / "docs" / "choosing.md").read_text(encoding="utf-8")
+    names = [*ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS]
+    assert [name for name in names if choosing.count(f"| `{name}` |") < 1] == []
+
+
+@pytest.mark.slow
+def test_grip_by_friction_lifts_the_box_or_lets_it_slip(printed):
+    text = printed("08_grip_by_friction.py")
+    found = figures(r"mu = #: completed, lifted by# mm", text)
+    assert [mu for mu, _ in found] == [0.6, 0.2]
+    assert found[0][1] > 90.0 and found[1][1] < 30.0
+    assert "lets go" in text and "slides" in text
+    assert max(figures("energy balance# J", text))[0] < 1e-5

@@ -1,0 +1,305 @@
+"""Figures and reports: every peak is drawn, every name is escaped, nothing is loaded."""
+
+import re
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+from page_reader import Page
+from repository import ROOT, SUPPORT
+from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
+
+from multiarm import plots
+from multiarm.errors import TrajectoryError
+from multiarm.plots.decimation import RotationSinceStart, decimate
+from multiarm.plots.style import INK
+from multiarm.reports.pages import NOTHING, quantity
+from multiarm.reports.report import render, report
+from multiarm.results.channels import Channel, trajectory_channels
+from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
+
+
+def scalar_run(values, sink=None):
+    """A run of one scalar channel, a sample per second."""
+    sink = sink or MemorySink()
+    sink.open([Channel("time", unit="s"), Channel("signal")], {"scene": ""})
+    for start in range(0, len(values), 4096):
+        part = values[start : start + 4096]
+        sink.append(np.column_stack([start + np.arange(len(part)), part]))
+    return sink.finish("completed", "", {})
+
+
+def spinning_run(angle, axis):
+    """A run in which the object turns about a fixed axis."""
+    sink, time = MemorySink(), np.arange(len(angle), dtype=float)
+    sink.open([Channel("time"), Channel("object/quaternion_xyzw", (4,))], {})
+    start = np.array([0.5, -0.5, 0.5, 0.5])
+    turn = np.column_stack([np.outer(np.sin(angle / 2), axis), np.cos(angle / 2)])
+    sink.append(np.column_stack([time, _product(turn, start)]))
+    return sink.finish("completed", "", {})
+
+
+def _product(p, q):
+    vector = p[:, 3:] * q[:3] + q[3] * p[:, :3] + np.cross(p[:, :3], q[:3])
+    return np.column_stack([vector, p[:, 3] * q[3] - p[:, :3] @ q[:3]])
+
+
+# Long runs in few points
+
+
+def test_a_short_run_is_drawn_as_it_is():
+    values = np.sin(np.arange(50.0))
+    time, drawn = decimate(scalar_run(values), ["signal"])
+    assert np.array_equal(time, np.arange(50.0))
+    assert np.array_equal(drawn, values[:, None])
+
+
+@pytest.mark.parametrize("where", [1, 54321, 99_998])
+@pytest.mark.parametrize("size", [1.0, -1.0])
+def test_a_peak_of_one_sample_survives_decimation(where, size):
+    values = np.zeros(100_000)
+    values[where] = size
+    time, drawn = decimate(scalar_run(values), ["signal"], points=500)
+    assert len(time) <= 502
+    assert np.all(np.diff(time) >= 0)
+    (hit,) = np.flatnonzero(drawn[:, 0] == size)
+    assert abs(time[hit] - where) < 2 * 100_000 / 500
+
+
+@pytest.mark.parametrize("count", [1601, 5000, 8193, 33_333])
+def test_decimation_bounds_the_signal_and_keeps_its_ends(count):
+    values = np.cumsum(np.random.default_rng(count).normal(size=count))
+    time, drawn = decimate(scalar_run(values), ["signal"])
+    assert (drawn.min(), drawn.max()) == (values.min(), values.max())
+    assert (drawn[0, 0], drawn[-1, 0]) == (values[0], values[-1])
+    assert (time[0], time[-1]) == (0.0, count - 1.0)
+
+
+def test_decimating_a_long_file_needs_little_memory(tmp_path):
+    count = 400_000
+    run = scalar_run(np.random.default_rng(0).normal(size=count), Hdf5Sink(tmp_path / "run.h5"))
+    decimate(run, ["signal"])
+    tracemalloc.start()
+    decimate(run, ["signal"])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 0.3 * 8 * count
+
+
+def test_rotation_since_the_start_counts_whole_turns():
+    axis, angle = np.array([2.0, -1.0, 2.0]) / 3, np.linspace(0, 5.5 * np.pi, 2000)
+    run = spinning_run(angle, axis)
+    rotation = decimate(run, ["object/quaternion_xyzw"], RotationSinceStart(run), points=10_000)[1]
+    assert np.allclose(rotation, np.outer(angle, axis), atol=1e-12)
+
+
+def test_rotation_there_and_back_ends_where_it_began():
+    angle = 3.5 * np.pi * np.sin(np.linspace(0, np.pi, 1000)) ** 2
+    run = spinning_run(angle, np.array([0.0, 0.6, 0.8]))
+    rotation = RotationSinceStart(run)(run.object_quaternion_xyzw)
+    assert np.allclose(np.linalg.norm(rotation, axis=1), angle, atol=1e-12)
+
+
+def test_rotation_does_not_depend_on_the_blocks():
+    run = spinning_run(np.linspace(0, 20, 1000), np.array([0.0, 0.0, 1.0]))
+    quaternions = run.object_quaternion_xyzw
+    whole, pieces = RotationSinceStart(run), RotationSinceStart(run)
+    parts = [pieces(quaternions[i : i + 70]) for i in range(0, 1000, 70)]
+    assert np.array_equal(np.concatenate(parts), whole(quaternions))
+
+
+# Figures
+
+
+@pytest.fixture(scope="module")
+def run():
+    return record(MemorySink(), metadata=provenance(SCENE))
+
+
+def test_every_axis_says_its_quantity_and_unit(run):
+    for figure in plots.figures(run).values():
+        assert all(re.search(r"\[\S.*\]$", axes.get_ylabel()) for axes in figure.axes)
+        assert figure.axes[-1].get_xlabel() == "time [s]"
+
+
+def test_joint_positions_are_drawn_in_degrees_and_metres(run):
+    left, rail, angles = plots.joint_positions(run).axes
+    lines = [line.get_ydata() for line in left.lines]
+    assert np.allclose(np.array(lines).T, np.degrees(run.joint_positions["left"]))
+    assert np.array_equal(rail.lines[0].get_ydata(), run.joint_positions["right"][:, 0])
+    assert len(angles.lines) == 2
+
+
+def test_energy_balance_is_drawn_in_its_own_unit(run):
+    balance = plots.energy(run).axes[1]
+    assert balance.get_ylabel() == "balance [nJ]"
+    assert np.allclose(balance.lines[-1].get_ydata(), 1e9 * run.energy_balance, atol=1e-4)
+
+
+def test_drift_of_zero_is_drawn_on_the_logarithmic_axis(run):
+    axes = plots.drift(run).axes[0]
+    drawn = axes.lines[0].get_ydata()
+    assert run.position_drift[0] == 0
+    assert axes.get_yscale() == "log"
+    assert drawn[0] > axes.get_ylim()[0] > 0
+    assert drawn.max() == run.position_drift.max()
+
+
+def test_a_constant_is_drawn_flat_in_spite_of_rounding(run):
+    block = samples()
+    block["object/position"] = np.full_like(block["object/position"], 0.5)
+    block["object/position"][::2] += 1e-15
+    low, high = plots.object_pose(record(MemorySink(), [block])).axes[0].get_ylim()
+    assert high - low > 1e-4
+
+
+def test_labels_at_line_ends_do_not_overlap():
+    block = samples()
+    block["arms/left/joint_torque"][:] = 1.0
+    axes = plots.joint_torques(record(MemorySink(), [block])).axes[0]
+    places = sorted(text.get_position()[1] for text in axes.texts)
+    assert len(places) == len(JOINTS["left"])
+    assert min(np.diff(places)) > 0.05
+    assert places[0] >= 0
+    assert places[-1] <= 1
+
+
+def test_labels_leave_out_what_all_share(run):
+    labels = [text.get_text() for text in plots.joint_positions(run).axes[0].texts]
+    assert labels == ["shoulder pan", "shoulder lift", "elbow", "wrist 1", "wrist 2", "wrist 3"]
+
+
+def test_every_joint_has_a_look_of_its_own_and_a_piece_of_its_line_before_its_name(run):
+    axes = plots.joint_positions(run).axes[0]
+    keys = [line for line in axes.figure.artists if line.get_transform() == axes.transAxes]
+    looks = [(line.get_color(), line.get_linestyle()) for line in axes.lines]
+    assert len(set(looks)) == len(looks) == len(JOINTS["left"]) == len(axes.texts)
+    assert [(key.get_color(), key.get_linestyle()) for key in keys] == looks
+    assert all(min(key.get_xdata()) > 1.0 for key in keys), "beside the curves"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_runs_of_few_samples_are_drawn(count):
+    block = {name: values[:count] for name, values in samples().items()}
+    run = record(MemorySink(), [block], status="failed", message="it stopped")
+    assert "it stopped" in Page(render(run)).text
+
+
+@pytest.mark.slow
+def test_figures_leave_pyplot_alone():
+    code = (
+        "import sys; from sample_run import record; from multiarm.results.sinks import MemorySink;"
+        "from multiarm.reports.report import render; render(record(MemorySink()));"
+        "print('matplotlib.pyplot' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=SUPPORT, capture_output=True, text=True,
+        env={"PYTHONPATH": str(ROOT)}, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "False"
+
+
+# The page
+
+
+@pytest.fixture(scope="module")
+def page(run):
+    return render(run)
+
+
+@pytest.mark.slow
+def test_the_report_loads_nothing(page):
+    tags = set(Page(page).tags)
+    assert tags.isdisjoint({"script", "link", "img", "iframe", "object", "embed", "base"})
+    addresses = set(re.findall(r"https?://[^\s\"'<]+", page))
+    assert all(address.startswith("http://www.w3.org/") for address in addresses)
+    assert "@import" not in page
+
+
+@pytest.mark.slow
+def test_names_inside_the_page_are_unique_and_known(page):
+    ids = Page(page).ids
+    used = set(re.findall(r"url\(#([^)]+)\)", page)) | set(re.findall(r'href="#([^"]+)"', page))
+    assert used
+    assert used <= ids
+
+
+def test_the_report_shows_the_scene_and_its_name_as_text(page):
+    assert "<pendulum>" not in page
+    text = Page(page).text
+    assert text.count("two arms & a <pendulum>") >= 3  # title, heading, scene
+    assert "gravity: [0, 0, -9.81]" in text
+
+
+@pytest.mark.slow
+def test_hostile_names_are_shown_and_not_run():
+    attack = "<script>alert(1)</script>"
+    channels = [
+        *(c for c in CHANNELS if not c.name.startswith("arms/")),
+        *trajectory_channels({"$\\bad$": {attack.replace("/", ""): "rad"}}, {"$\\bad$": []})[4:8],
+    ]
+    sink, block = MemorySink(), samples()
+    sink.open(channels, {"scene": f"name: {attack}", "note": attack})
+    many = {c.name: block.get(c.name, np.ones((len(block["time"]), *c.shape))) for c in channels}
+    sink.append(rows_of(channels, many))
+    run = sink.finish("failed", attack, {attack: attack}, [{attack: attack}], {attack: attack})
+    page = Page(render(run))
+    assert "script" not in page.tags
+    assert page.text.count("alert(1)") >= 8
+    assert "$\\bad$" in page.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("status", ["completed", "interrupted", "failed"])
+def test_the_status_is_said_in_words_and_shown_in_colour(status):
+    page = render(record(MemorySink(), status=status, message="what to do next"))
+    assert ("class", status) in Page(page).attributes
+    assert f"{status} what to do next" in Page(page).text
+
+
+def test_the_report_gives_the_numbers_of_the_run(page, run):
+    text = Page(page).text
+    summary = run.summary()
+    assert quantity(summary["position_drift_max_m"], "m") in text
+    assert quantity(summary["energy_balance_max_J"], "J") in text
+    assert "Steps 1\u202f234".replace("\u202f", " ") in text
+    assert "integrator" in text.lower()
+    assert run.provenance["python"] in text
+
+
+def test_ink_follows_the_theme_of_the_page(page):
+    assert INK not in page.partition("</style>")[2]
+    assert "var(--ink)" in page
+
+
+@pytest.mark.slow
+def test_a_scene_that_cannot_be_parsed_still_has_a_report():
+    run = record(MemorySink(), metadata={"scene": "name: [unclosed"})
+    assert "A run without a name" in Page(render(run)).text
+
+
+@pytest.mark.slow
+def test_the_report_is_written_and_its_place_returned(run, tmp_path, page):
+    path = report(run, tmp_path / "report.html")
+    assert path == tmp_path / "report.html"
+    assert path.read_text(encoding="utf-8") == page
+
+
+@pytest.mark.slow
+def test_a_place_that_cannot_be_written_is_named(run, tmp_path):
+    with pytest.raises(TrajectoryError, match=r"cannot write '.*nowhere/r.html': No such file"):
+        report(run, tmp_path / "nowhere" / "r.html")
+    with pytest.raises(TrajectoryError, match="Is a directory"):
+        report(run, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0 m"), (2e-9, "2 nm"), (0.9999, "1 m"), (0.9994, "999 mm"), (-0.0123, "-12.3 mm"),
+     (135.4, "135 m"), (12345.0, "1.23e+04 m"), (4e-19, "4e-19 m"), (None, NOTHING)],
+)  # fmt: skip
+def test_quantities_read_well(value, text):
+    assert quantity(value, "m") == text

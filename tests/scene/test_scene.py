@@ -1,0 +1,815 @@
+"""Claims about scenes: what is accepted, what is refused, and in which words."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from repository import ROOT, SCENES
+
+import multiarm as ma
+from multiarm.errors import MultiarmError, SceneError
+from multiarm.scene import (
+    ArmSpec,
+    BallJoint,
+    ContactsJoint,
+    CylindricalJoint,
+    Geometry,
+    ObjectSpec,
+    Pose,
+    PrismaticJoint,
+    RevoluteJoint,
+    Scene,
+    WeldJoint,
+    dump_scene,
+    function_text,
+    gain_vector,
+    joint_vector,
+    load_scene,
+    parse_scene,
+)
+
+EXAMPLES = sorted(SCENES.glob("*.yaml"))
+
+TWO_ARMS = {
+    "name": "two arms",
+    "gravity": [0, 0, -9.81],
+    "object": {"shape": {"box": [1.2, 0.6, 0.4]}, "mass": 20.0, "pose": {"xyz": [0, 0, 0.5]}},
+    "arms": {
+        "left": {"robot": "textbook_6r", "tip": "tool", "base": {"xyz": [-0.9, 0, 0]}},
+        "right": {"robot": "textbook_6r", "tip": "tool", "base": {"xyz": [0.9, 0, 0]}},
+    },
+    "joints": [
+        {"arm": "left", "kind": "weld"},
+        {"arm": "right", "kind": "ball", "at": {"xyz": [0.6, 0, 0]}},
+    ],
+}
+
+
+def scene_with(path: str, value: object) -> dict:
+    """Return the two-arm scene with the entry at ``a.b.0.c`` set to ``value``."""
+    data = copy.deepcopy(TWO_ARMS)
+    *way, last = [int(part) if part.isdigit() else part for part in path.split(".")]
+    table = data
+    for part in way:
+        table = table.setdefault(part, {}) if isinstance(table, dict) else table[part]
+    table[last] = value
+    return data
+
+
+def faults_of(data: object) -> list[str]:
+    with pytest.raises(SceneError) as caught:
+        parse_scene(data)
+    return caught.value.faults
+
+
+def only_fault(path: str, value: object) -> str:
+    faults = faults_of(scene_with(path, value))
+    assert len(faults) == 1, faults
+    return faults[0]
+
+
+# --- what is accepted --------------------------------------------------------------------------
+
+
+def test_yaml_and_python_give_the_same_scene():
+    from_yaml = parse_scene(yaml.safe_dump(TWO_ARMS))
+    from_python = Scene(
+        name="two arms",
+        gravity=np.array([0, 0, -9.81]),
+        object=ObjectSpec(shape={"box": (1.2, 0.6, 0.4)}, mass=20, pose=Pose(xyz=(0, 0, 0.5))),
+        arms={
+            "left": ArmSpec(robot="textbook_6r", tip="tool", base=Pose(xyz=[-0.9, 0, 0])),
+            "right": {"robot": "textbook_6r", "tip": "tool", "base": {"xyz": [0.9, 0, 0]}},
+        },
+        joints=[WeldJoint(arm="left"), BallJoint(arm="right", at=Pose(xyz=(0.6, 0, 0)))],
+    )
+    assert from_yaml == from_python
+    assert from_yaml != parse_scene(scene_with("object.mass", 21.0))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_written_scenes_load_again_to_equal_scenes(path, tmp_path):
+    scene = load_scene(path)
+    copied = tmp_path / "copy.yaml"
+    copied.write_text(dump_scene(scene))
+    assert load_scene(copied) == scene
+
+
+def test_every_kind_of_part_survives_writing_and_reading():
+    data = scene_with(
+        "control", {"kind": "harmonic", "frequency": 2, "amplitude": {"left": [1] * 6}}
+    )
+    data["effects"] = {"joint_damping": {"left": 0.5, "right": {"joint_2": 1e-3}}}
+    data["run"] = {
+        "integrator": "rk4",
+        "step": 1e-3,
+        "stabilization": {"kind": "feedback", "alpha": 5},
+    }
+    data["object"]["inertia"] = [1.0, 0.1, 0.0, 1.2, 0.0, 1.5]
+    data["object"]["pose"] = {"quaternion_xyzw": [0, 0, 1, 1]}
+    data["object"]["color"] = "#3b7dd8"
+    data["joints"][1] = {
+        "arm": "right",
+        "kind": "contacts",
+        "contacts": [
+            {"arm": {"sphere": {"radius": 0.02}}, "object": {"plane": {"normal": [0, 0, 1]}}},
+            {"arm": {"point": [0, 0, 0.1]}, "object": {"cylinder": {"radius": 0.1}}},
+        ],
+    }
+    scene = parse_scene(data)
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+SURFACES = [
+    {"point": [0, 0, 0.1]},
+    {"sphere": {"radius": 0.02, "patch": {"min": [None, -0.1, None], "max": [0.5, 0.1, None]}}},
+    {"plane": {"normal": [0, 1, 1], "patch": {"max": [0.5, 0.1, 0.2]}}},
+    {"cylinder": {"radius": 0.1, "inside": True}},
+    {"cone": {"half_angle": 0.4, "apex": [0, 0, 1], "axis": [0, 1, 0], "inside": True}},
+    {"torus": {"circle_radius": 0.2, "tube_radius": 0.05, "center": [1, 0, 0], "inside": True}},
+    {"ellipsoid": {"semi_axes": [0.1, 0.2, 0.3], "rpy": [0.1, 0.2, 0.3]}},
+    {"ellipsoid": {"semi_axes": [0.1, 0.2, 0.3], "quaternion_xyzw": [0, 0, 1, 1]}},
+    {"surface": {"distance": "no_such_package.shapes:blob", "length": 0.2, "inside": True}},
+    {
+        "surface": {
+            "parametrisation": "/no/such/file.py:bowl",
+            "derivatives": "/no/such/file.py:rates.of_bowl",
+            "u": [-1, 1],
+            "v": [0, 2],
+            "flip": True,
+            "origin": [0, 0, 1],
+            "quaternion_xyzw": [0, 0, 1, 1],
+        }
+    },
+]
+
+
+@pytest.mark.parametrize("surface", SURFACES, ids=lambda surface: next(iter(surface)))
+def test_every_surface_survives_writing_and_reading(surface):
+    """Functions too, whose file or module is absent: they are looked up when they are needed."""
+    contact = {"arm": {"sphere": {"radius": 0.01}}, "object": surface, "rolling": True}
+    contacts = [contact, {"arm": surface, "object": {"sphere": {"radius": 0.01}}}]
+    scene = parse_scene(
+        scene_with("joints.1", {"arm": "right", "kind": "contacts", "contacts": contacts})
+    )
+    assert scene.joints[1].contacts[0].object == Geometry(**surface)
+    again = parse_scene(dump_scene(scene))
+    assert again == scene
+    assert again.joints[1].contacts[0].rolling
+
+
+def test_every_joint_with_parameters_of_its_own_survives_writing_and_reading():
+    for joint in (
+        {"kind": "revolute", "limits": [-1.5, 0]},
+        {"kind": "prismatic", "limits": [0, 0.2]},
+        {"kind": "cylindrical", "turn_limits": [-1, 1], "slide_limits": [-0.1, 0.2]},
+        {"kind": "wrenches", "wrenches": [[1, 0, 0, 0, 0, 0], [0] * 5 + [2]], "carried_by": "arm"},
+    ):
+        scene = parse_scene(scene_with("joints.0", {"arm": "left", **joint}))
+        assert parse_scene(dump_scene(scene)) == scene
+        assert scene.joints[0].kind == joint["kind"]
+
+
+def test_limits_are_told_by_component_of_the_motion():
+    assert RevoluteJoint(arm="a", limits=(-1, 2)).free_limits == {5: (-1, 2)}
+    assert PrismaticJoint(arm="a", limits=(-1, 2)).free_limits == {2: (-1, 2)}
+    assert CylindricalJoint(arm="a", turn_limits=(0, 2)).free_limits == {5: (0, 2)}
+    both = CylindricalJoint(arm="a", turn_limits=(0, 2), slide_limits=(-3, 0))
+    assert both.free_limits == {2: (-3, 0), 5: (0, 2)}
+    assert RevoluteJoint(arm="a").free_limits == BallJoint(arm="a").free_limits == {}
+
+
+def distance_from_a_ball(p):
+    return (p @ p) ** 0.5 - 0.1
+
+
+class Shape:
+    def distance(self, p):
+        return distance_from_a_ball(p)
+
+    def __call__(self, p):
+        return distance_from_a_ball(p)
+
+
+def with_functions(**surface):
+    contact = {"arm": {"point": [0, 0, 0.1]}, "object": {"surface": surface}}
+    return scene_with("joints.1", {"arm": "right", "kind": "contacts", "contacts": [contact]})
+
+
+def test_functions_given_in_python_are_written_by_name():
+    scene = parse_scene(with_functions(distance=distance_from_a_ball))
+    surface = scene.joints[1].contacts[0].object.surface
+    assert surface.distance is distance_from_a_ball
+    again = parse_scene(dump_scene(scene))
+    written = again.joints[1].contacts[0].object.surface.distance
+    assert written == f"{__name__}:distance_from_a_ball"
+    assert again == scene
+    assert scene.replace(name="other").joints[1].contacts[0].object.surface == surface
+
+
+@pytest.mark.parametrize(
+    ("function", "name"),
+    [
+        (lambda p: 0.0, "<lambda>"),
+        (Shape().distance, "<Shape.distance>"),
+        (Shape(), "<Shape object>"),
+    ],
+    ids=["lambda", "method", "object"],
+)
+def test_functions_without_a_name_are_written_in_angle_brackets(function, name):
+    assert function_text(function) == f"{__name__}:{name}"
+    scene = parse_scene(with_functions(distance=function))
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+def test_functions_of_the_running_script_are_written_with_its_file(monkeypatch):
+    monkeypatch.setattr(distance_from_a_ball, "__module__", "__main__")
+    monkeypatch.setattr("__main__.__file__", "/some/script.py", raising=False)
+    assert function_text(distance_from_a_ball) == "/some/script.py:distance_from_a_ball"
+
+
+def test_files_of_functions_start_at_the_scene(tmp_path):
+    scene = Scene.from_mapping(with_functions(distance="shapes.py:blob"), tmp_path)
+    surface = scene.joints[1].contacts[0].object.surface
+    assert surface.distance == f"{tmp_path.resolve()}/shapes.py:blob"
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+def test_numbers_such_as_1e_6_are_numbers():
+    scene = parse_scene(yaml.safe_dump(TWO_ARMS) + "\nrun: {accuracy: 1e-8, duration: 2E0}\n")
+    assert scene.run.accuracy == 1e-8
+    assert scene.run.duration == 2.0
+
+
+def test_a_run_that_names_nothing_aims_at_1e_6():
+    assert parse_scene(TWO_ARMS).run.accuracy == 1e-6
+    stepped = parse_scene(scene_with("run", {"integrator": "rk4", "step": 0.01}))
+    assert stepped.run.accuracy is None
+
+
+def test_relative_paths_start_at_the_scene(tmp_path):
+    robot = ROOT / "robots" / "planar_2r" / "planar_2r.urdf"
+    (tmp_path / "arm.urdf").write_text(robot.read_text())
+    data = {
+        "object": {"shape": {"sphere": 0.1}, "mass": 1},
+        "arms": {"a": {"urdf": "arm.urdf", "tip": "tip"}},
+        "joints": [{"arm": "a", "kind": "weld"}],
+    }
+    (tmp_path / "my_scene.yaml").write_text(yaml.safe_dump(data))
+    scene = load_scene(tmp_path / "my_scene.yaml")
+    assert scene.arms["a"].urdf == tmp_path.resolve() / "arm.urdf"
+    assert scene.folder == tmp_path.resolve()
+    assert scene.name == "my scene"
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+def test_replace_validates_again():
+    scene = parse_scene(TWO_ARMS)
+    assert scene.replace(run={"duration": 3.0}).run.duration == 3.0
+    with pytest.raises(SceneError, match=r"\$\.run\.duration"):
+        scene.replace(run={"duration": -3.0})
+
+
+def test_scenes_are_frozen():
+    with pytest.raises(Exception, match="frozen"):
+        parse_scene(TWO_ARMS).name = "other"
+
+
+# --- geometry and inertia ----------------------------------------------------------------------
+
+
+def test_rpy_is_the_fixed_axis_convention_of_urdf():
+    pin = pytest.importorskip("pinocchio")
+    rpy = (0.3, -0.7, 1.9)
+    pose = Pose(xyz=(1, 2, 3), rpy=rpy)
+    np.testing.assert_allclose(pose.matrix()[:3, :3], pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
+    np.testing.assert_array_equal(pose.matrix()[:3, 3], [1, 2, 3])
+    np.testing.assert_array_equal(pose.matrix()[3], [0, 0, 0, 1])
+
+
+def test_quaternion_is_scalar_last_and_of_any_length():
+    quarter_turn = Pose(quaternion_xyzw=(0, 0, 3, 3)).rotation()
+    np.testing.assert_allclose(quarter_turn, Pose(rpy=(0, 0, np.pi / 2)).rotation(), atol=1e-15)
+
+
+def test_uniform_inertia_is_the_integral_over_the_body():
+    rng = np.random.default_rng(1)
+    n = 200_000
+    u = rng.uniform(-0.5, 0.5, (n, 3))
+    angle, root = 2 * np.pi * u[:, 0], np.sqrt(u[:, 1] + 0.5)
+    ball = rng.normal(size=(n, 3))
+    ball *= 0.3 * ((u[:, 2] + 0.5) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
+    bodies = [
+        ({"box": [1.2, 0.6, 0.4]}, u * [1.2, 0.6, 0.4]),
+        (
+            {"cylinder": {"radius": 0.3, "height": 0.8}},
+            np.c_[0.3 * root * np.cos(angle), 0.3 * root * np.sin(angle), 0.8 * u[:, 2]],
+        ),
+        ({"sphere": 0.3}, ball),
+    ]
+    for shape, points in bodies:
+        expected = 7.0 * (np.mean(points**2) * 3 * np.eye(3) - points.T @ points / n)
+        inertia = ObjectSpec(shape=shape, mass=7.0).inertia_matrix()
+        np.testing.assert_allclose(inertia, expected, atol=6 * np.trace(expected) / np.sqrt(n))
+
+
+def test_three_forms_of_inertia_mean_the_same():
+    shape = {"box": [1, 1, 1]}
+    full = [[1.0, 0.1, -0.2], [0.1, 1.3, 0.05], [-0.2, 0.05, 1.1]]
+    by_matrix = ObjectSpec(shape=shape, mass=1, inertia=np.array(full))
+    by_entries = ObjectSpec(shape=shape, mass=1, inertia=[1.0, 0.1, -0.2, 1.3, 0.05, 1.1])
+    assert by_matrix == by_entries
+    diagonal = ObjectSpec(shape=shape, mass=1, inertia=[1, 2, 2.5]).inertia_matrix()
+    np.testing.assert_array_equal(diagonal, np.diag([1, 2, 2.5]))
+
+
+def test_an_object_of_known_inertia_needs_no_shape():
+    """Its motion is that of a box of this inertia, and the replay shows that box."""
+    box = ObjectSpec(shape={"box": [1.2, 0.6, 0.4]}, mass=20)
+    bare = ObjectSpec(mass=20, inertia=box.inertia_matrix())
+    from multiarm.viewer.shapes import object_mesh
+
+    seen = object_mesh(bare).vertices
+    np.testing.assert_allclose(np.ptp(seen, axis=0), [1.2, 0.6, 0.4], rtol=1e-12)
+    written = yaml.safe_dump({**TWO_ARMS, "object": {"mass": 20, "inertia": [1.0, 2.0, 2.5]}})
+    scene = parse_scene(written)
+    assert parse_scene(dump_scene(scene)) == scene and "shape" not in dump_scene(scene)
+    assert only_fault("object", {"mass": 20}).startswith("$.object: needs its 'shape', or 'iner")
+    floor = {"object": {"mass": 20, "inertia": [1, 2, 2.5]}, "effects": {"floor": {}}}
+    with pytest.raises(SceneError, match=r"the object has no 'shape'; name the points"):
+        ma.compile_system(parse_scene(yaml.safe_dump({**TWO_ARMS, **floor})))
+
+
+@pytest.mark.parametrize(
+    ("inertia", "reason"),
+    [
+        ([1, 1, 5], "no rigid body has this inertia"),
+        ([1, 2, 0, 1, 0, 1], "must be positive definite"),
+        ([[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "must be symmetric"),
+        ([1, 1], "write three principal moments"),
+        ([1, 1, float("nan")], "must be finite"),
+        ([[1, 0], [0, 1], [0, 0]], "write three principal moments"),
+    ],
+)
+def test_inertias_that_no_body_has_are_refused(inertia, reason):
+    fault = only_fault("object.inertia", inertia)
+    assert fault.startswith("$.object.inertia")
+    assert reason in fault
+
+
+# --- faults of single values -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "expected"),
+    [
+        ("object.mass", -2, "$.object.mass: must be greater than 0, got -2"),
+        ("object.mass", "heavy", "$.object.mass: must be a number, got 'heavy'"),
+        ("object.mass", True, "$.object.mass: must be a number, got True"),
+        ("object.mass", float("inf"), "$.object.mass: must be finite, got inf"),
+        ("gravity", [0, 0], "$.gravity: must be a list of 3 numbers, got [0, 0]"),
+        ("gravity", [0, 0, "g"], "$.gravity[2]: must be a number, got 'g'"),
+        ("object.shape", {"box": [1, 1, 0]}, "must be greater than 0"),
+        ("object.shape", {"sphere": 1, "box": [1, 1, 1]}, "needs exactly one of"),
+        ("object.shape", {"cone": 1}, "unknown shape 'cone'"),
+        ("object.shape", {"mesh": {"file": "a.stl"}}, "a mesh needs 'inertia'"),
+        ("object.pose", {"quaternion_xyzw": [0, 0, 0, 0]}, "the identity is [0, 0, 0, 1]"),
+        ("object.pose", {"rpy": [1, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}, "keep one of them"),
+        ("object.color", "blueish", "unknown colour 'blueish'"),
+        ("object.twist", [0] * 5, "must be a list of 6 numbers"),
+        ("arms.left.robot", None, "'urdf' (a file) or 'mjcf' (a MuJoCo file), got neither"),
+        ("arms.left.urdf", "x.urdf", "got both"),
+        ("arms.left.tip", "tol", "$.arms.left.tip: unknown link 'tol'; did you mean 'tool'?"),
+        ("arms.left.robot", "ur6", "unknown robot 'ur6'; did you mean 'ur5'?"),
+        ("arms.left.posture", [0, 1], "2 values for 6 movable joints"),
+        ("arms.left.posture", {"joint_7": 1}, "$.arms.left.posture.joint_7: unknown joint"),
+        ("arms.left.velocity", [0] * 7, "7 values for 6 movable joints"),
+        ("arms.left.posture", [0, 0, 0, 0, 0, "x"], "$.arms.left.posture[5]: must be a number"),
+        ("arms.left.lock", {"finger": 0}, "$.arms.left.lock.finger: unknown joint 'finger'"),
+        ("arms.left.tol", {}, "unknown key 'tol'; did you mean 'tool'?"),
+        ("joints.0.kind", "hing", "$.joints[0].kind: unknown joint kind 'hing'; kinds are 'weld'"),
+        ("joints.0.kind", ["weld"], "$.joints[0].kind: unknown joint kind \"['weld']\""),
+        ("joints.0.arm", "lefd", "$.joints[0].arm: unknown arm 'lefd'; did you mean 'left'?"),
+        ("joints.1.axis", [0, 0, 1], "$.joints[1].axis: unknown key 'axis'; keys are"),
+        ("joints.1.size", 0, "$.joints[1].size: must be greater than 0"),
+        ("joints.1.at", {"xzy": [0, 0, 0]}, "$.joints[1].at.xzy: unknown key 'xzy'; did you mean"),
+        ("control", {"kind": "pd"}, "$.control.kind: unknown control kind 'pd'"),
+        ("control", {"stiffness": 3}, "$.control: 'kind' is missing; kinds are 'none', 'constant'"),
+        ("control", {"kind": "constant"}, "$.control.torques: is missing"),
+        ("control", {"kind": "constant", "torques": {"leg": 1}}, "unknown arm 'leg'"),
+        ("control", {"kind": "constant", "torques": {"left": [1]}}, "1 values for 6 movable"),
+        ("effects", {"wind": 3}, "$.effects.wind: unknown effect 'wind'; effects are"),
+        ("effects", {"joint_damping": -1}, "must not be negative"),
+        ("effects", {"joint_damping": {"left": {"joint_9": 1}}}, "unknown joint 'joint_9'"),
+        ("run", {"duration": 0}, "$.run.duration: must be greater than 0"),
+        ("run", {"accuracy": 1e-6, "step": 0.1}, "'accuracy' and 'step' exclude each other"),
+        ("run", {"integrator": "rk4"}, "add 'step'"),
+        ("run", {"integrator": "rk5", "step": 0.1}, "unknown method 'rk5'; did you mean 'rk4'?"),
+        ("run", {"integrator": "dopri5", "step": 0.1}, "chooses its own steps"),
+        ("run", {"integrator": "rk4", "accuracy": 1e-3}, "cannot aim at 'accuracy'"),
+        ("run", {"step": 0.1}, "'step' needs an integrator of fixed step"),
+        (
+            "run",
+            {"stabilization": "springs"},
+            "$.run.stabilization.kind: unknown stabilization 'springs'",
+        ),
+        ("arms", {}, "a scene needs at least one arm"),
+        ("joints", {"left": "weld"}, "$.joints: must be a list"),
+        ("objet", 1, "$.objet: unknown key 'objet'; did you mean 'object'?"),
+    ],
+)
+def test_each_fault_is_told_at_its_place_with_a_way_out(path, value, expected):
+    faults = faults_of(scene_with(path, value))
+    assert any(expected in fault for fault in faults), faults
+    assert all(fault.startswith("$") for fault in faults)
+
+
+@pytest.mark.parametrize(
+    ("joint", "expected"),
+    [
+        ({"kind": "corner_gripper", "faces": ["x", "y", "z"]}, "4 points and 4 faces"),
+        ({"kind": "corner_gripper", "faces": ["x", "y", "z", "x"]}, "point 0"),
+        ({"kind": "point_on_cylinder"}, "radius: is missing"),
+        (
+            {"kind": "point_on_sphere", "radius": 0.1, "inside": True, "tip_radius": 0.2},
+            "does not fit into a hollow sphere",
+        ),
+        ({"kind": "revolute", "axis": [0, 0, 0]}, "must have a direction"),
+        ({"kind": "contacts", "contacts": []}, "is empty"),
+        (
+            {"kind": "contacts", "contacts": [{"arm": {"point": [0, 0, 0]}, "object": {}}]},
+            "$.joints[0].contacts[0].object: needs exactly one of",
+        ),
+        (
+            {
+                "kind": "contacts",
+                "contacts": [{"arm": {"point": [0, 0, 0]}, "object": {"point": [0, 0, 0]}}],
+            },
+            "make no point contact",
+        ),
+    ],
+)
+def test_faults_of_joints_are_told(joint, expected):
+    fault = only_fault("joints.0", {"arm": "left", **joint})
+    assert fault.startswith("$.joints[0]")
+    assert expected in fault
+
+
+BALL = {"sphere": {"radius": 0.1}}
+ROD = {"cylinder": {"radius": 0.1}}
+FACE = {"plane": {"normal": [0, 0, 1]}}
+EGG = {"ellipsoid": {"semi_axes": [0.3, 0.2, 0.1]}}
+RING = {"torus": {"circle_radius": 0.3, "tube_radius": 0.1}}
+HORN = {"cone": {"half_angle": 0.3}}
+BLOB = {"surface": {"distance": "shapes:blob"}}
+
+
+def hollow(geometry, **changes):
+    ((shape, value),) = geometry.items()
+    return {shape: {**value, "inside": True, **changes}}
+
+
+@pytest.mark.parametrize(
+    ("arm", "body", "expected"),
+    [
+        (FACE, FACE, "along a line or a face; use a sphere, a torus or an ellipsoid"),
+        (FACE, ROD, "a plane on the arm and a cylinder of radius 0.1 m on the object make no"),
+        (ROD, FACE, "along a line or a face"),
+        (FACE, HORN, "along a line or a face"),
+        (FACE, hollow(BALL), "a plane is straight and cannot touch a hollow from within"),
+        (ROD, hollow(ROD, radius=0.5), "a cylinder is straight"),
+        (hollow(EGG), HORN, "a cone is straight"),
+        (hollow(BALL), hollow(ROD), "both are touched from within; leave out 'inside'"),
+        (hollow(BLOB), hollow(BALL), "both are touched from within"),
+        (BALL, hollow(BALL), "it does not fit; make the inner surface smaller or the hollow one"),
+        (hollow(ROD), BALL, "a hollow cylinder of radius 0.1 m on the arm and a sphere of radius"),
+        (BALL, hollow(RING), "a hollow torus with a tube of radius 0.1 m"),
+        (EGG, hollow(BALL, radius=0.13), "an ellipsoid on the arm and a hollow sphere"),
+        (RING, hollow(BALL, radius=0.35), "does not fit"),
+        (RING, hollow(ROD, radius=0.1), "does not fit"),
+        ({"point": [0, 0, 0]}, {"point": [0, 0, 0]}, "two points have no normal"),
+        (BALL, {"cone": {"half_angle": 1.6}}, "'half_angle' lies between 0 and pi / 2 rad"),
+        (BALL, {"torus": {"circle_radius": 1, "tube_radius": 1}}, "closes itself"),
+        (BALL, {"ellipsoid": {"semi_axes": [1, 0, 1]}}, "must be greater than 0"),
+        (BALL, {"ellipsoid": {"semi_axes": [1, 1]}}, "semi_axes"),
+        (
+            BALL,
+            {"ellipsoid": {"semi_axes": [1, 1, 1], "rpy": [1, 0, 0], "quaternion_xyzw": [1] * 4}},
+            "object.ellipsoid: gives both 'rpy' and 'quaternion_xyzw'; keep one of them",
+        ),
+        (BALL, {"plane": {"normal": [0, 0, 1], "inside": True}}, "unknown key 'inside'"),
+        (BALL, {"ball": {}}, "unknown surface 'ball'; surfaces are 'point', 'sphere'"),
+        (BALL, {**FACE, **ROD}, "needs exactly one of 'point', 'sphere', 'plane', 'cylinder'"),
+        (BALL, {"surface": {}}, "needs either 'distance' or 'parametrisation', got neither"),
+        (BALL, {"surface": {"distance": 3}}, "must be a Python function, or name one as 'file.py"),
+        (BALL, {"surface": {"distance": "blob"}}, "must be a Python function, or name one"),
+        (BALL, {"surface": {"distance": "a:b", "parametrisation": "a:b"}}, "got both"),
+        (
+            BALL,
+            {"surface": {"distance": "a:b", "u": [0, 1]}},
+            "'u' cannot be given with 'distance'",
+        ),
+        (
+            BALL,
+            {"surface": {"parametrisation": "a:b", "u": [0, 1]}},
+            "needs the ranges 'u' and 'v'",
+        ),
+        (
+            BALL,
+            {"surface": {"parametrisation": "a:b", "u": [1, 0], "v": [0, 1]}},
+            "surface.u: must run from a smaller to a larger number, got [1, 0]",
+        ),
+        (BALL, {"surface": {"distance": "a:b", "length": 0}}, "must be greater than 0"),
+        (BALL, hollow(ROD, radius=1, patch={"min": [0, 0]}), "patch.min: must be a list of 3"),
+        (BALL, hollow(ROD, radius=1, patch={"min": [0, "a", 0]}), "patch.min[1]: must be a number"),
+        (
+            BALL,
+            hollow(ROD, radius=1, patch={"min": [None, 1, 0], "max": [0, 1, None]}),
+            "along y 'min' 1 must be less than 'max' 1",
+        ),
+    ],
+)
+def test_surfaces_that_cannot_be_or_touch_are_refused_with_one_fault(arm, body, expected):
+    contact = {"arm": arm, "object": body}
+    fault = only_fault("joints.0", {"arm": "left", "kind": "contacts", "contacts": [contact]})
+    assert fault.startswith("$.joints[0].contacts[0]")
+    assert expected in fault
+
+
+@pytest.mark.parametrize(
+    ("arm", "body"),
+    [
+        (ROD, ROD),
+        (ROD, HORN),
+        (HORN, HORN),
+        (RING, FACE),
+        (EGG, FACE),
+        (EGG, EGG),
+        (RING, ROD),
+        (BLOB, FACE),
+        (BLOB, hollow(BALL)),
+        (BALL, hollow(HORN)),
+        (EGG, hollow(HORN)),
+        (EGG, hollow(BALL, radius=0.14)),
+        (RING, hollow(ROD, radius=0.11)),
+        (RING, hollow(BALL, radius=0.41)),
+        (ROD, hollow(RING, tube_radius=0.11)),
+        # a shallow dish, cut from an ellipsoid, holds a ball larger than its own depth
+        (BALL, hollow(EGG, semi_axes=[0.3, 0.3, 0.05])),
+        ({"point": [0, 0, 0]}, hollow(EGG)),
+    ],
+)
+def test_surfaces_that_can_touch_in_a_point_are_accepted_either_way_round(arm, body):
+    for contact in ({"arm": arm, "object": body}, {"arm": body, "object": arm}):
+        assert ContactsJoint(arm="a", contacts=[contact]).contacts
+
+
+@pytest.mark.parametrize(
+    ("joint", "expected"),
+    [
+        ({"kind": "wrenches"}, "wrenches: is missing (a list of [fx, fy, fz, mx, my, mz])"),
+        ({"kind": "wrenches", "wrenches": []}, "'wrenches' is empty"),
+        ({"kind": "wrenches", "wrenches": [[1, 0, 0]]}, "wrenches[0]: must be a list of 6 numbers"),
+        ({"kind": "wrenches", "wrenches": [[0] * 6]}, "wrench 1 is zero (counted from 1)"),
+        (
+            {"kind": "wrenches", "wrenches": [[1] * 6], "carried_by": "tip"},
+            "carried_by: unknown value 'tip'; choices are 'object', 'arm'",
+        ),
+        (
+            {
+                "kind": "wrenches",
+                "wrenches": [
+                    [1, 0, 0, 0, 0, 0],
+                    [0, 1, 0, 0, 0, 1],
+                    [0, 0, 1, 0, 0, 0],
+                    [3, -2, 0, 0, 0, -2],
+                    [0, 0, 1e-9, 0, 0, 0],
+                ],
+            },
+            "wrench 4 is a combination of wrenches 1 and 2; wrench 5 is a combination of wrench 3",
+        ),
+        (
+            {"kind": "revolute", "limits": [0.1, 1]},
+            "limits: limits are counted from where the joint's two frames coincide",
+        ),
+        ({"kind": "revolute", "limits": [1, -1]}, "must run from a smaller to a larger number"),
+        ({"kind": "prismatic", "limits": 0.5}, "must be a list of two numbers, from and to"),
+        ({"kind": "cylindrical", "limits": [-1, 1]}, "did you mean 'turn_limits'"),
+        ({"kind": "ball", "limits": [-1, 1]}, "unknown key 'limits'"),
+    ],
+)
+def test_faults_of_wrenches_and_limits_are_told(joint, expected):
+    fault = only_fault("joints.0", {"arm": "left", **joint})
+    assert fault.startswith("$.joints[0]")
+    assert expected in fault
+
+
+def test_a_seventh_wrench_is_always_too_many():
+    rows = np.random.default_rng(3).normal(size=(7, 6)).tolist()
+    fault = only_fault("joints.0", {"arm": "left", "kind": "wrenches", "wrenches": rows})
+    assert "wrench 7 is a combination of wrenches 1, 2, 3, 4, 5 and 6" in fault
+
+
+def test_path_times_must_increase():
+    path = [{"time": 1, "xyz": [0, 0, 1]}, {"time": 1, "xyz": [0, 0, 2]}]
+    control = {"kind": "joint_pd", "stiffness": 1, "damping": 1, "path": path}
+    assert "times of 'path' must increase" in only_fault("control", control)
+
+
+# --- faults of the whole -----------------------------------------------------------------------
+
+
+def test_all_faults_of_all_groups_are_told_at_once():
+    data = copy.deepcopy(TWO_ARMS)
+    data["object"]["mass"] = -1
+    data["arms"]["left"]["tip"] = "tol"
+    data["joints"][1]["arm"] = "rigth"
+    data["joints"][0]["kind"] = "wold"
+    data["effects"] = {"wind": 1}
+    message = "\n".join(faults := faults_of(data))
+    for part in ("object.mass", "arms.left.tip", "joints[1].arm", "joints[0].kind", "effects.wind"):
+        assert f"$.{part}" in message
+    assert "arm 'right' is connected by no joint" in message
+    assert len(faults) == 6
+
+
+def test_message_lists_every_fault_on_its_own_line():
+    with pytest.raises(SceneError) as caught:
+        parse_scene(scene_with("run", {"duration": -1, "output_step": 0}))
+    head, *lines = str(caught.value).splitlines()
+    assert head == "the scene has 2 faults:"
+    assert [line.strip() for line in lines] == caught.value.faults
+
+
+def test_an_arm_without_a_joint_is_a_fault():
+    data = copy.deepcopy(TWO_ARMS)
+    del data["joints"][1]
+    (fault,) = faults_of(data)
+    assert "arm 'right' is connected by no joint" in fault
+    assert "{arm: right, kind: weld}" in fault
+
+
+def test_an_arm_with_two_joints_is_a_fault():
+    data = copy.deepcopy(TWO_ARMS)
+    data["joints"].append({"arm": "left", "kind": "ball"})
+    (fault,) = faults_of(data)
+    assert "arm 'left' has 2 joints" in fault
+    assert "'contacts'" in fault
+
+
+def test_parts_built_in_python_refuse_with_the_same_error():
+    with pytest.raises(SceneError, match=r"Pose\.xyz\[1\]: must be a number"):
+        Pose(xyz=[0, "a", 0])
+    with pytest.raises(SceneError, match="unknown key 'raduis'; did you mean 'radius'"):
+        ObjectSpec(shape={"cylinder": {"raduis": 1, "height": 2}}, mass=1)
+
+
+def test_no_word_of_the_validation_library_reaches_the_user():
+    data = scene_with("joints.0", 3)
+    data["arms"]["left"] = []
+    data["run"] = None
+    data["control"] = [1]
+    data["object"]["shape"] = "box"
+    text = "\n".join(faults_of(data))
+    for word in ("pydantic", "Input should", "input_value", "instance of", "Spec"):
+        assert word not in text
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def test_missing_file_is_told_with_its_neighbours(tmp_path):
+    (tmp_path / "other.yaml").write_text("")
+    with pytest.raises(SceneError, match=r"no scene file at .*scene\.yaml; .* other\.yaml"):
+        load_scene(tmp_path / "scene.yaml")
+    with pytest.raises(SceneError, match="cannot read"):
+        load_scene(tmp_path)
+
+
+def test_broken_yaml_is_told_with_line_and_column(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text("name: x\nobject: {mass: 1\narms: [\n")
+    with pytest.raises(SceneError, match=r"line \d+, column \d+") as caught:
+        load_scene(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_key_that_stands_twice_is_a_fault():
+    text = yaml.safe_dump(TWO_ARMS) + "\ngravity: [0, 0, 0]\n"
+    with pytest.raises(SceneError, match="key 'gravity' stands twice in one table"):
+        parse_scene(text)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "just words"])
+def test_a_text_that_is_no_table_is_refused(text):
+    with pytest.raises(SceneError, match="a scene is a table with the keys name, gravity"):
+        parse_scene(text)
+
+
+def test_binary_file_is_refused(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(SceneError, match="not a text file"):
+        load_scene(path)
+
+
+def test_errors_are_one_family_and_can_be_sent_between_processes():
+    import pickle
+
+    error = SceneError(["$.a: wrong", "$.b: wrong"], source="scene.yaml")
+    assert isinstance(error, MultiarmError)
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.faults, str(again)) == (error.faults, str(error))
+
+
+# --- values per joint --------------------------------------------------------------------------
+
+
+def test_joint_values_in_all_forms():
+    names = ("a", "b", "c")
+    np.testing.assert_array_equal(joint_vector(2.0, names), [2, 2, 2])
+    np.testing.assert_array_equal(joint_vector([1, 2, 3], names), [1, 2, 3])
+    np.testing.assert_array_equal(joint_vector({"b": 5}, names, default=1.0), [1, 5, 1])
+    np.testing.assert_array_equal(joint_vector(None, names), [0, 0, 0])
+    np.testing.assert_array_equal(gain_vector({"left": {"c": 4}}, "left", names), [0, 0, 4])
+    np.testing.assert_array_equal(gain_vector({"left": 4}, "right", names), [0, 0, 0])
+    np.testing.assert_array_equal(gain_vector((1, 2, 3), "left", names), [1, 2, 3])
+    with pytest.raises(ValueError, match="unknown joint 'd'"):
+        joint_vector({"d": 1}, names)
+
+
+# --- whatever is written, the answer is a scene or a SceneError ---------------------------------
+
+_junk = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 3) | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.text(max_size=5) | st.integers(), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+_places = st.sampled_from(
+    [
+        *TWO_ARMS,
+        "run",
+        "control",
+        "effects",
+        "object.shape",
+        "object.inertia",
+        "object.pose",
+        "arms.left",
+        "arms.left.posture",
+        "arms.left.lock",
+        "arms.left.tool",
+        "arms.left.base.rpy",
+        "joints.0",
+        "joints.1.at",
+        "joints.1.contacts.0.object",
+        "joints.1.contacts.0.arm.surface",
+        "joints.1.contacts.0.arm.surface.distance",
+        "joints.1.wrenches",
+        "control.torques",
+        "control.kind",
+        "effects.joint_damping",
+        "run.stabilization",
+    ]
+)
+
+
+@pytest.mark.slow
+@settings(max_examples=300, deadline=None)
+@given(path=_places, value=_junk)
+def test_junk_anywhere_gives_a_scene_or_a_scene_error(path, value):
+    data = with_functions(distance="shapes:blob") if "contacts" in path else scene_with(path, value)
+    if "contacts" in path:
+        contact = data["joints"][1]["contacts"][0]
+        contact["object"], contact["arm"] = contact["arm"], contact["object"]
+        *way, last = path.split(".")[4:]
+        table = contact
+        for part in way:
+            table = table[part]
+        table[last] = value
+    if path == "joints.1.wrenches":
+        data["joints"][1]["kind"] = "wrenches"
+        del data["joints"][1]["at"]
+    if path == "control.torques":
+        data["control"]["kind"] = "constant"
+    try:
+        scene = parse_scene(data)
+    except SceneError as error:
+        assert error.faults
+        assert all(fault.startswith("$") for fault in error.faults)
+    else:
+        assert parse_scene(dump_scene(scene)) == scene
+
+
+@settings(max_examples=100, deadline=None)
+@given(text=st.text(max_size=60))
+def test_any_text_gives_a_scene_error(text):
+    with pytest.raises(SceneError):
+        parse_scene(text)

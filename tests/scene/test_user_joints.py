@@ -1,0 +1,549 @@
+"""Claims about joints and surfaces of one's own: they move as ours do, are found, and refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from importlib import metadata
+from types import SimpleNamespace
+from typing import ClassVar, Literal
+
+import numpy as np
+import pytest
+from commands import multiarm
+from mechanics import kernel_rows, random_pose, ur5_pair
+from sweep_runs import jobs, repeatable
+
+import multiarm as ma
+from multiarm.geometry import (
+    Contact,
+    ParametricSurface,
+    SignedDistanceSurface,
+    plane,
+    point,
+    smooth,
+    sphere,
+)
+from multiarm.scene import (
+    REGISTRIES,
+    Geometry,
+    changed,
+    dump_scene,
+    named_code,
+    parse_scene,
+    registry,
+)
+from multiarm.sweeps.executors import run_in_process, run_in_processes
+from multiarm.sweeps.plan import make_plan
+from multiarm.sweeps.worker import JobContext
+
+RUN = {"duration": 0.1, "accuracy": 1e-6}
+
+
+@pytest.fixture(autouse=True)
+def empty_registries(monkeypatch):
+    """Each test begins with our classes only, and leaves none behind."""
+    for own in REGISTRIES:
+        monkeypatch.setattr(own, "registered", {})
+        monkeypatch.setattr(own, "loaded", {})
+    offered(monkeypatch)
+
+
+def offered(monkeypatch, **classes: str) -> None:
+    """Let an installed package offer these classes: name -> 'group module:class'."""
+    points = [
+        metadata.EntryPoint(name, text.split()[1], f"multiarm.{text.split()[0]}")
+        for name, text in classes.items()
+    ]
+
+    def entry_points(**wanted):
+        return [p for p in points if all(getattr(p, key) == v for key, v in wanted.items())]
+
+    monkeypatch.setattr(registry, "metadata", SimpleNamespace(entry_points=entry_points))
+
+
+class Hitch(ma.Joint):
+    """A ball joint, written as ours is.
+
+    Attributes
+    ----------
+    width : float
+        How wide it looks [m].
+    """
+
+    picture = "the coupling of a trailer"
+    example = "width: 0.2"
+    free = (3, 4, 5)
+
+    kind: Literal["hitch"] = "hitch"
+    width: float = 0.1
+
+    def records(self):
+        """Three planes through one point."""
+        zero, names = np.zeros(3), ("ball 1", "ball 2", "ball 3")
+        return [
+            Contact(name, point(zero), plane(zero, normal))
+            for name, normal in zip(names, np.eye(3), strict=True)
+        ]
+
+
+class Egg(ma.Surface):
+    """An ellipsoid by its parametrisation, whose poles lie on the x axis."""
+
+    name = "egg"
+    picture = "a boiled egg"
+    example = "object: {egg: {half: [0.1, 0.07, 0.05]}}"
+
+    half: tuple[float, float, float]
+
+    def record(self):
+        """Outward normal: x_u x x_v."""
+        a, b, c = self.half
+
+        def at(u, v):
+            return np.array([a * np.sin(v), b * np.cos(u) * np.cos(v), c * np.sin(u) * np.cos(v)])
+
+        return smooth(
+            ParametricSurface(at, (-math.pi, math.pi), (-1.4, 1.4), length=min(self.half))
+        )
+
+
+class Marble(ma.Surface):
+    """A sphere by its signed distance."""
+
+    name = "marble"
+
+    radius: float
+    inside: bool = False
+
+    def record(self):
+        """The distance of its centre, less the radius."""
+
+        def distance(p):
+            return (p @ p) ** 0.5 - self.radius
+
+        return smooth(SignedDistanceSurface(distance, length=self.radius), inside=self.inside)
+
+
+class Rest(ma.Joint):
+    """A fingertip on an egg, both of its own parameters."""
+
+    example = """
+    egg: {half: [0.1, 0.07, 0.05]}
+    at: {xyz: [0, 0, -0.05]}"""
+    drawn_as = "surfaces"
+
+    kind: Literal["rest"] = "rest"
+    egg: Egg
+
+    def records(self):
+        """One contact, which only pushes."""
+        return [Contact("tip", sphere([0, 0, 0], 0.01), self.egg.record(), pushes_only=True)]
+
+    def offset(self):
+        """The egg's centre below the tip."""
+        return np.array([0.0, 0.0, -0.01 - self.egg.half[2]])
+
+
+def scene_of(left: dict, **more):
+    return ur5_pair(left, {"kind": "weld"}, run=RUN, name="two arms", **more)
+
+
+def touching(geometry: dict, **more) -> dict:
+    """A joint of a fingertip on a surface about the joint frame."""
+    contact = {"arm": {"sphere": {"radius": 0.01, "center": [0, 0, 0.06]}}, "object": geometry}
+    return {"kind": "contacts", "at": {"xyz": [-0.6, 0, 0]}, "contacts": [{**contact, **more}]}
+
+
+# --- mechanics ------------------------------------------------------------------------------------
+
+
+def test_a_ball_of_one_s_own_moves_bit_for_bit_as_ours():
+    ma.register_joint(Hitch)
+    own, ours = (
+        ma.simulate(ma.compile_system(scene_of({"kind": kind}))) for kind in ("hitch", "ball")
+    )
+    assert np.ptp(ours.object_position, axis=0).max() > 1e-4, "it moves"
+    assert own.channels == ours.channels and own.events == ours.events
+    for name in ours.channels:
+        np.testing.assert_array_equal(own.read(name), ours.read(name), err_msg=name)
+    assert own.relative_motion_labels == ours.relative_motion_labels
+
+
+@pytest.mark.parametrize(
+    ("own", "ours"),
+    [
+        ({"egg": {"half": [0.1, 0.07, 0.05]}}, {"ellipsoid": {"semi_axes": [0.1, 0.07, 0.05]}}),
+        ({"marble": {"radius": 0.05}}, {"sphere": {"radius": 0.05}}),
+    ],
+    ids=["parametrisation", "signed distance"],
+)
+def test_rows_of_a_surface_of_one_s_own_are_those_of_ours(own, ours, rng):
+    for surface in (Egg, Marble):
+        ma.register_surface(surface)
+    rolling = [scene_of(touching(g, rolling=True)).joints[0].placed(np.eye(4)) for g in (own, ours)]
+    for _ in range(4):
+        X_WO, shift = random_pose(rng), np.eye(4)
+        shift[:3, 3] = rng.uniform(-0.01, 0.01, 3)
+        twists = rng.normal(size=(2, 6))
+        found, exact = (kernel_rows(rows, X_WO @ shift, X_WO, *twists) for rows in rolling)
+        np.testing.assert_allclose(found.W_o, exact.W_o, atol=1e-9)
+        np.testing.assert_allclose(found.phi, exact.phi, atol=1e-12)
+        np.testing.assert_allclose(found.c, exact.c, atol=1e-6 * np.abs(exact.c).max())
+
+
+def test_a_joint_of_one_s_own_on_a_surface_of_one_s_own_moves_as_ours_do():
+    ma.register_joint(Rest)
+    half = [0.1, 0.07, 0.05]
+    own = scene_of({"kind": "rest", "egg": {"half": half}})
+    pose = ma.compile_system(own).model.joints["left"].frame.on_object
+    at = {"xyz": pose[:3, 3].tolist(), "quaternion_xyzw": _quaternion(pose[:3, :3])}
+    tip = {"arm": {"sphere": {"radius": 0.01}}, "object": {"ellipsoid": {"semi_axes": half}}}
+    ours = scene_of({"kind": "contacts", "at": at, "contacts": [{**tip, "name": "tip"}]})
+    found, exact = (ma.simulate(ma.compile_system(scene)) for scene in (own, ours))
+    assert np.ptp(exact.object_position, axis=0).max() > 1e-4, "it moves"
+    np.testing.assert_allclose(found.object_position, exact.object_position, atol=1e-7)
+    force = np.abs(exact.contact_forces["left"]).max()
+    np.testing.assert_allclose(
+        found.contact_forces["left"], exact.contact_forces["left"], atol=1e-4 * force
+    )
+
+
+def _quaternion(rotation) -> list[float]:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_quat().tolist()
+
+
+# --- how they are found ---------------------------------------------------------------------------
+
+
+def test_they_appear_in_the_list_and_in_full(tmp_path):
+    ma.register_joint(Hitch)
+    ma.register_surface(Egg)
+    listed = multiarm("joints", "--json", tmp_path / "all.json")
+    assert listed.exit_code == 0, listed.output
+    for word in ("hitch", "the coupling of a trailer", "egg", "a boiled egg"):
+        assert word in listed.stdout
+    found = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
+    card, ball = found["joints"]["hitch"], found["joints"]["ball"]
+    for key in ("rows", "rank", "free", "made_of", "row_names"):
+        assert card[key] == ball[key]
+    (width,) = card["parameters"]
+    assert width == {
+        "name": "width",
+        "default": "0.1",
+        "meaning": "How wide it looks.",
+        "unit": "m",
+    }
+    assert card["example"].endswith("kind: hitch\n    width: 0.2")
+    assert [p["name"] for p in found["surfaces"]["egg"]["parameters"]] == ["half", "patch"]
+    one = multiarm("joints", "hitch")
+    assert "turn about x, y and z" in one.stdout and "half" not in one.stdout
+
+
+def test_a_kind_whose_free_motions_depend_on_the_scene_is_listed_too():
+    ma.register_joint(Rest)
+    one = multiarm("joints", "rest")
+    assert one.exit_code == 0 and "depend on the scene" in one.stdout
+    assert "1 fingertip on a surface" in one.stdout
+
+
+def test_an_installed_one_is_listed_and_a_broken_one_is_a_warning(monkeypatch):
+    offered(monkeypatch, hitch=f"joints {__name__}:Hitch", bomb="surfaces not_there:Bomb")
+    listed = multiarm("joints")
+    assert listed.exit_code == 0 and "the coupling of a trailer" in listed.stdout
+    assert "surface 'bomb': an installed package (not_there:Bomb) cannot be" in listed.stderr
+
+
+def test_messages_offer_them_and_place_faults_of_their_parameters():
+    ma.register_joint(Hitch)
+    ma.register_surface(Egg)
+    wrong = [
+        (
+            {"kind": "hich"},
+            "$.joints[0].kind: unknown joint kind 'hich'; did you mean 'hitch'?",
+        ),
+        ({}, "$.joints[0]: 'kind' is missing; kinds are 'weld'"),
+        ({"kind": "hitch", "widht": 1}, "$.joints[0].widht: unknown key 'widht'; did you mean 'wi"),
+        ({"kind": "hitch", "width": "b"}, "$.joints[0].width: "),
+        ({"kind": "hitch", "width": math.nan}, "$.joints[0].width: must be finite"),
+        ({"kind": "hitch", "at": {"xyz": [0]}}, "$.joints[0].at.xyz: must be a list of 3 numbers"),
+        (touching({"eg": {}}), "contacts[0].object.eg: unknown surface 'eg'; did you mean 'egg'?"),
+        (touching({"egg": {}}), "$.joints[0].contacts[0].object.egg.half: is missing"),
+        (touching({"egg": {"half": [1, 1]}}), "contacts[0].object.egg.half[2]: is missing"),
+        (touching({"egg": None}), "contacts[0].object: needs exactly one of 'point'"),
+    ]
+    for joint, expected in wrong:
+        with pytest.raises(ma.MultiarmError) as caught:
+            scene_of(joint)
+        (fault,) = caught.value.faults
+        assert expected in fault
+
+
+def test_a_scene_with_them_is_written_read_again_and_changed():
+    ma.register_joint(Hitch)
+    ma.register_surface(Egg)
+    half = [0.1, 0.07, 0.05]
+    for joint in ({"kind": "hitch", "width": 0.3}, touching({"egg": {"half": half}})):
+        scene = scene_of(joint)
+        assert parse_scene(dump_scene(scene)) == scene
+    egg = scene.joints[0].contacts[0].object
+    assert isinstance(egg, Geometry) and egg.value == Egg(half=half) and egg.shape == "egg"
+    longer = changed(scene, {"joints[0].contacts[0].object.egg.half[0]": 0.2})
+    assert longer.joints[0].contacts[0].object.value.half == (0.2, 0.07, 0.05)
+    wider = changed(scene_of({"kind": "hitch"}), {"joints[0].width": 0.2})
+    assert wider.joints[0] == Hitch(arm="left", width=0.2)
+
+
+@pytest.mark.slow
+def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, monkeypatch):
+    ma.register_joint(Hitch)
+    ma.register_surface(Marble)
+    hitch, marble = {"kind": "hitch"}, touching({"marble": {"radius": 0.05}})
+    texts = [dump_scene(scene_of(joint)) for joint in (hitch, marble)]
+    places = "$.joints[0].kind", "$.joints[0].contacts[0].object.marble"
+    for own in REGISTRIES:
+        own.registered.clear()
+    package = {"hitch": f"joints {__name__}:Hitch", "marble": f"surfaces {__name__}:Marble"}
+    offered(monkeypatch, **package)
+    path = tmp_path / "scene.yaml"
+    for text, place in zip(texts, places, strict=True):
+        path.write_text(text, encoding="utf-8")
+        scene = ma.load_scene(path)
+        (code,) = named_code(scene)
+        assert code.place == place and code.arm == "left" and f"({__name__}:" in code.what
+        assert all(own.loaded == {} for own in REGISTRIES)
+        assert dump_scene(scene) == text
+        with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
+            ma.compile_system(ma.load_scene(path, code=False))
+        looked = multiarm("check", path)
+        assert looked.exit_code == 0, looked.output
+        assert code.what.split(" of ")[0] in " ".join(looked.output.split())
+        assert all(own.loaded == {} for own in REGISTRIES)
+        assert ma.compile_system(scene).contacts["left"]
+        for own in REGISTRIES:
+            own.loaded.clear()
+
+
+def test_a_fault_of_an_installed_class_has_its_place_when_it_is_loaded(tmp_path, monkeypatch):
+    ma.register_joint(Hitch)
+    text = dump_scene(scene_of({"kind": "hitch"})).replace("kind: hitch", "kind: hitch, widht: 1")
+    offered(monkeypatch, hitch=f"joints {__name__}:Hitch")
+    registry_of(Hitch).registered.clear()
+    path = tmp_path / "scene.yaml"
+    path.write_text(text, encoding="utf-8")
+    scene = ma.load_scene(path)
+    with pytest.raises(ma.MultiarmError, match=r"\$\.joints\[0\]\.widht: unknown key 'widht'; did"):
+        ma.compile_system(scene)
+
+
+def registry_of(own: type):
+    group = "joints" if issubclass(own, ma.Joint) else "surfaces"
+    return next(one for one in REGISTRIES if one.group == f"multiarm.{group}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("own", "joint"),
+    [(Hitch, {"kind": "hitch"}), (Marble, touching({"marble": {"radius": 0.05}}))],
+    ids=["joint", "surface"],
+)
+def test_a_stored_run_is_looked_at_and_replayed_without_the_class(own, joint, tmp_path):
+    register = ma.register_joint if own is Hitch else ma.register_surface
+    register(own)
+    ma.simulate(ma.compile_system(scene_of(joint))).save(tmp_path / "run.h5")
+    registry_of(own).registered.clear()
+    run = ma.load_trajectory(tmp_path / "run.h5")
+    assert dump_scene(run.scene) == run.scene_text
+    with pytest.warns(UserWarning, match="need the (joint kind|surface) '.*' of a package that is"):
+        ma.replay(run, tmp_path / "run.html", open_browser=False)
+    assert (tmp_path / "run.html").stat().st_size > 1000
+    for code in (None, True):
+        with pytest.raises(ma.MultiarmError, match=r"unknown (joint kind|surface) .* or their pac"):
+            ma.compile_system(run.scene, code=code)
+    register(own)
+    again = ma.load_trajectory(tmp_path / "run.h5").scene
+    assert ma.compile_system(again).contacts["left"]
+
+
+@pytest.mark.slow
+def test_workers_of_a_sweep_know_those_that_were_registered_here():
+    class Loose(Hitch):
+        kind: Literal["loose"] = "loose"
+
+    for own in (Hitch, Loose):
+        ma.register_joint(own)
+    over = {"joints[0].kind": ["hitch", "loose"]}
+    plan = make_plan(scene_of({"kind": "ball"}), over, keep=["final_z"], run=RUN)
+    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    assert len(here) == 2
+    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+def joint_of(records, kind: str = "odd", **body):
+    """A registered kind with these records."""
+    body = {"kind": kind, "__annotations__": {"kind": Literal[kind]}, "records": records, **body}
+    return ma.register_joint(type(f"Own{kind}", (ma.Joint,), {"__module__": __name__, **body}))
+
+
+GOOD = [Contact("a", point(np.zeros(3)), plane(np.zeros(3), [0, 0, 1]))]
+
+
+@pytest.mark.parametrize(
+    ("records", "message"),
+    [
+        (lambda self: 1 / 0, r"joint kind 'odd': records\(\) raised ZeroDivisionError"),
+        (lambda self: 3, r"joint kind 'odd': records\(\) returned int; return a list of"),
+        (lambda self: [3], r"joint kind 'odd': records\(\) returned list; return a list of"),
+        (lambda self: [], r"records\(\) returned no contact; a joint has at least one"),
+        (
+            lambda self: [Contact("a", point([0, 0, math.nan]), GOOD[0].object)],
+            r"returned contact 'a' with a number that is not finite or a direction that is zero",
+        ),
+    ],
+)
+def test_records_that_cannot_be_are_one_clear_error(records, message):
+    joint_of(records)
+    with pytest.raises(ma.MultiarmError, match="joint of arm 'left': .*" + message):
+        ma.compile_system(scene_of({"kind": "odd"}))
+
+
+@pytest.mark.parametrize("offset", [3.0, [0, 0], [0, 0, math.inf]])
+def test_an_offset_is_three_numbers(offset):
+    joint_of(lambda self: GOOD, offset=lambda self: offset)
+    with pytest.raises(ma.MultiarmError, match=r"offset\(\) must return 3 numbers"):
+        ma.compile_system(scene_of({"kind": "odd"}))
+
+
+@pytest.mark.parametrize("name", ["record", "shape", "copy"])
+def test_a_surface_may_have_the_name_of_anything_else(name):
+    ma.register_surface(type("Other", (Marble,), {"name": name}))
+    scene = scene_of(touching({name: {"radius": 0.05}}))
+    assert parse_scene(dump_scene(scene)) == scene
+    assert len(scene.joints[0].placed(np.eye(4))) == 1
+
+
+@pytest.mark.parametrize("free", [(3, 4), (0, 1, 2), (3, 3, 4)])
+def test_motions_that_a_kind_calls_free_are_those_that_its_contacts_leave(free):
+    joint_of(Hitch.records, free=free)
+    with pytest.raises(ma.MultiarmError, match="its contacts leave turn x, turn y, turn z free"):
+        ma.compile_system(scene_of({"kind": "odd"}))
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [(lambda: 1 / 0, "raised ZeroDivisionError"), (lambda: "egg", "returned str; return a surf")],
+)
+def test_a_surface_that_cannot_be_is_one_clear_error(found, message):
+    odd = type("Odd", (ma.Surface,), {"name": "odd", "record": lambda self: found()})
+    ma.register_surface(odd)
+    with pytest.raises(ma.MultiarmError, match=r"surface 'odd': record\(\) " + message):
+        ma.compile_system(scene_of(touching({"odd": {}})))
+
+
+class Nameless(ma.Joint):
+    """Says no kind."""
+
+    def records(self):
+        """Good ones."""
+        return GOOD
+
+
+class Idle(ma.Joint):
+    """Has a kind, and nothing else."""
+
+    kind: Literal["idle"] = "idle"
+
+
+class Vague(Nameless):
+    """Has a field of an unknown type."""
+
+    kind: Literal["vague"] = "vague"
+    size: Nobody  # noqa: F821
+
+
+class Misled(Nameless):
+    """Limits what it does not have."""
+
+    kind: Literal["misled"] = "misled"
+    limited: ClassVar[dict[str, int]] = {"reach": 2}
+
+
+class Flat(ma.Surface):
+    """Has a name, and nothing else."""
+
+    name = "flat"
+
+
+@pytest.mark.parametrize(
+    ("register", "own", "message"),
+    [
+        (ma.register_joint, Nameless, "'kind' must be a word, written as kind: Literal"),
+        (ma.register_joint, Idle, "it does not define 'records'"),
+        (ma.register_joint, Misled, "'limited' names 'reach', which is no field"),
+        (ma.register_joint, Vague, "an annotation names what is not known where the class is def"),
+        (ma.register_joint, dict, "it is no subclass of multiarm.Joint"),
+        (ma.register_joint, Egg, "it is no subclass of multiarm.Joint"),
+        (ma.register_surface, Hitch, "it is no subclass of multiarm.Surface"),
+        (ma.register_surface, Flat, "it does not define 'record'"),
+        (ma.register_surface, ma.Surface, "'name' must be a word that a scene can have as a key"),
+    ],
+)
+def test_a_class_that_lacks_something_cannot_be_registered(register, own, message):
+    with pytest.raises(ma.MultiarmError, match=f"cannot be registered: {message}"):
+        register(own)
+
+
+def test_names_that_are_taken_are_refused():
+    ma.register_joint(Hitch)
+    assert ma.register_joint(Hitch) is Hitch
+    with pytest.raises(ma.MultiarmError, match=r"joint kind 'hitch': .* is registered under that"):
+        joint_of(lambda self: GOOD, "hitch")
+    with pytest.raises(ma.MultiarmError, match="joint kind 'weld': multiarm itself has one"):
+        joint_of(lambda self: GOOD, "weld")
+    with pytest.raises(ma.MultiarmError, match="surface 'cone': multiarm itself has one"):
+        ma.register_surface(type("Cone", (Egg,), {"name": "cone"}))
+
+
+def test_surfaces_of_one_s_own_may_say_how_they_bend_and_whether_they_are_hollow():
+    ma.register_surface(Marble)
+    ring = {
+        "arm": {"marble": {"radius": 1, "inside": True}},
+        "object": {"plane": {"normal": [0, 0, 1]}},
+    }
+    joint = {"kind": "contacts", "contacts": [ring]}
+    assert scene_of(joint).joints[0].contacts[0].arm.value.is_hollow
+
+    class Bent(Marble):
+        name = "marble"
+
+        def curvatures(self):
+            return -1.0 / self.radius, -1.0 / self.radius
+
+    Bent.__qualname__ = Marble.__qualname__
+    ma.register_surface(Bent)
+    with pytest.raises(ma.MultiarmError, match="a hollow marble on the arm and a plane on the obj"):
+        scene_of(joint)
+
+
+def test_an_effect_of_contacts_that_push_asks_the_records():
+    ma.register_joint(Hitch)
+    ma.register_joint(Rest)
+    effects = {"unilateral_contacts": {}}
+    (warning,) = scene_of({"kind": "hitch"}, effects=effects).warnings
+    assert "adds nothing, since no joint has contacts that only push" in warning
+    egg = {"half": [0.1, 0.07, 0.05]}
+    assert scene_of({"kind": "rest", "egg": egg}, effects=effects).warnings == []
+
+
+def test_a_patch_bounds_a_surface_of_one_s_own_too():
+    ma.register_surface(Marble)
+    joint = scene_of(
+        touching({"marble": {"radius": 0.05, "patch": {"min": [0, None, None]}}})
+    ).joints[0]
+    (contact,) = joint.placed(np.eye(4))
+    assert contact.object.patch.excess(np.array([-0.02, 9.0, 9.0])) == pytest.approx(0.02)

@@ -1,0 +1,926 @@
+"""Claims about the study of accuracy: its reference, its points, its ladders, its peers."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanics import scene_of, single_arm, ur5_pair
+from repository import SCENES
+from scipy.spatial.transform import Rotation
+
+import multiarm as ma
+from multiarm.errors import MultiarmError
+from multiarm.problems import ring_of_arms
+from multiarm.scene import find_robot
+from multiarm.studies.mujoco_peer import TorqueTape
+from multiarm.studies.observables import control_torque, sinusoid
+from multiarm.studies.peers import NOT_INSTALLED, make_peers
+from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.work_precision import reference as references
+from multiarm.studies.work_precision import study as studies
+from multiarm.studies.work_precision.choice import (
+    LEVELS,
+    all_series,
+    decades,
+)
+from multiarm.studies.work_precision.plan import STALE
+from multiarm.studies.work_precision.points import (
+    COMPLETED,
+    FAILED,
+    TOO_SLOW,
+    Measured,
+    Point,
+    run_ours,
+    run_peer,
+    too_slow,
+)
+from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
+from multiarm.studies.work_precision.settings import (
+    BY_ACCURACY,
+    COARSEST,
+    OURS,
+    Setting,
+    halved_steps,
+    our_ladders,
+    short,
+)
+from multiarm.studies.work_precision.store import Results, read_results, scene_digest
+from multiarm.studies.work_precision.study import SOLVERS, run_study
+from multiarm.studies.work_precision.words import comparison, described, recommendation
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+
+DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
+MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
+MACHINE = {"processor": "a", "version": "1", "python": "3", "dependencies": {}, "platform": "p"}
+
+
+def ring(kind: str = "weld", duration: float = 0.1):
+    return ring_of_arms(2, kind, duration=duration)
+
+
+@pytest.fixture(scope="module")
+def system():
+    return ma.compile_system(ring())
+
+
+@pytest.fixture(scope="module")
+def reference(system) -> Reference:
+    return make_reference(system)
+
+
+def setting(value: float, method="rk4", kind="projection", knob="step", solver=OURS) -> Setting:
+    return Setting(solver, method, kind, knob, value)
+
+
+def point(wall: float, error: float, **more) -> Point:
+    errors = {"position": error, "rotation": error / 2, "joints": error / 3, "force": 10 * error}
+    about = setting(more.pop("value", wall), **more)
+    return Point(about, COMPLETED, wall_time_s=wall, steps=1, evaluations=4, errors=errors)
+
+
+def results_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Results:
+    """Results of the ring scene with these points."""
+    scene = ring_of_arms(2, duration=1.0, accuracy=accuracy)
+    results = Results.of(scene, MACHINE)
+    quantities = dict.fromkeys(("motion", "position", "rotation", "joints", "force"), digits)
+    about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
+    results.found_reference(Reference(Motion(np.zeros((1, 8))), quantities, 0.01, 0.01, about))
+    for item in points:
+        results.replace(item)
+    return results
+
+
+def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -> Point:
+    return run_ours(system, about, limit_s).against(reference.motion)
+
+
+# --- the reference --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_digits_are_what_another_method_and_the_dense_solver_differ_by(system, reference):
+    check = reference.about["check"]
+    assert check["solver"] == "dense"
+    assert check["integrator"] != reference.about["integrator"]
+    run = ma.simulate(
+        system, solver="dense", integrator=check["integrator"], tolerance=check["tolerance"],
+        stabilization="projection",
+    )  # fmt: skip
+    differ = Motion.of(run).errors(reference.motion)
+    assert {name: reference.digits[name] for name in differ} == differ
+    assert reference.digits["motion"] == max(differ[k] for k in ("position", "rotation", "joints"))
+    # roundings of a tenth of a second in a system of some metres and some hundred newtons
+    assert reference.digits["motion"] < 1e-12
+    assert reference.digits["force"] < 1e-10
+
+
+@pytest.mark.slow
+def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch):
+    heavier = ma.compile_system(ring().replace(gravity=[0.0, 0.0, -9.8101]))
+
+    def wrong(system, limit_s, **options):
+        return limited(heavier if "solver" in options else system, limit_s, **options)
+
+    monkeypatch.setattr(references, "limited", wrong)
+    digits = make_reference(system).digits
+    # holding torques follow the weight: what differs are roundings of nothing but the sinusoids
+    assert digits["force"] == pytest.approx(1e-4 * 5.0, rel=10.0)
+    assert digits["force"] > 1e6 * reference.digits["force"]
+
+
+@pytest.mark.slow
+def test_digits_that_are_known_are_not_found_again(system, reference, monkeypatch):
+    known = {"digits": {"motion": 0.5}, "about": dict(reference.about)}
+    monkeypatch.setattr(references, "_checked", None)
+    assert make_reference(system, known=known).digits == {"motion": 0.5}
+
+
+def test_a_scene_that_cannot_run_has_no_reference(system, monkeypatch):
+    monkeypatch.setattr(references, "PATIENCE", 0.0)
+    with pytest.raises(MultiarmError, match="no reference to compare with: dop853 takes longer"):
+        make_reference(system)
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+def test_errors_of_a_point_are_those_between_two_trajectories(system, reference):
+    about = setting(0.01, kind="none")
+    found = measure_ours(system, about, reference, 10.0)
+    run = ma.simulate(system, integrator="rk4", step=0.01, stabilization="none")
+    exact = ma.simulate(
+        system, integrator=reference.about["integrator"], tolerance=reference.about["tolerance"]
+    )
+    turned = Rotation.from_quat(exact.object_quaternion_xyzw).inv() * Rotation.from_quat(
+        run.object_quaternion_xyzw
+    )
+    off = np.linalg.norm(run.object_position - exact.object_position, axis=1)
+    expected = {
+        "position": off.max(),
+        "rotation": turned.magnitude().max(),
+        "joints": max(
+            np.abs(run.joint_positions[arm] - exact.joint_positions[arm]).max()
+            for arm in run.arm_names
+        ),
+        "force": max(
+            np.abs(run.contact_forces[arm] - exact.contact_forces[arm]).max()
+            for arm in run.arm_names
+        ),
+    }
+    # SciPy's angles of small rotations are right to 1e-16
+    assert found.errors == pytest.approx(expected, rel=1e-6, abs=1e-15)
+    assert found.error("motion") == max(found.errors[k] for k in ("position", "rotation", "joints"))
+    assert found.gap_m == run.position_drift.max() > 1e-12
+    assert found.gap_rate_m_per_s == run.velocity_drift.max()
+    assert found.energy_J == np.abs(run.energy_balance).max()
+    assert (found.steps, found.evaluations) == (10, run.statistics["evaluations"])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 3.0])
+def test_the_angle_between_rotations_is_right_however_small(angle):
+    rng = np.random.default_rng(7)
+    first = Rotation.random(20, random_state=rng)
+    axis = rng.normal(size=(20, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    second = first * Rotation.from_rotvec(angle * axis)
+    rows = [np.column_stack([np.zeros((20, 3)), r.as_quat()]) for r in (first, second)]
+    rows[1][::2, 3:] *= -1.0  # the same rotations
+    found = Motion(rows[1]).errors(Motion(rows[0]))["rotation"]
+    assert found == pytest.approx(angle, rel=1e-6, abs=3e-16)
+
+
+def test_errors_are_those_at_the_worst_time():
+    exact = np.zeros((5, 8))
+    exact[:, 6] = 1.0
+    found = exact.copy()
+    found[2, :3], found[3, 7] = [3.0, 0.0, 4.0], -2.0
+    errors = Motion(found).errors(Motion(exact))
+    assert errors == {"position": 5.0, "rotation": 0.0, "joints": 2.0, "force": None}
+
+
+# --- settings and ladders -------------------------------------------------------------------------
+
+
+def test_every_integrator_is_studied_with_each_stabilisation():
+    ladders = our_ladders(0.01, 1.0, 0.005)
+    methods = {ladder.settings[0].method for ladder in ladders}
+    assert methods == {BY_ACCURACY, *ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS}
+    kinds = {x.settings[0].stabilization for x in ladders if x.settings[0].method == "dop853"}
+    assert kinds == {"projection", "feedback", "none"}
+    keys = [item.key for ladder in ladders for item in ladder.settings]
+    assert len(set(keys)) == len(keys)
+    for ladder in ladders:
+        values = [item.value for item in ladder.settings]
+        assert values == sorted(values, reverse=True)
+        assert len({item.series for item in ladder.settings}) == 1
+
+
+@pytest.mark.parametrize(("output_step", "coarsest"), [(0.01, 0.04), (0.01, 0.003), (0.25, 0.2)])
+def test_fixed_steps_are_halved_from_the_coarsest_and_meet_the_outputs(output_step, coarsest):
+    steps = halved_steps(output_step, coarsest)
+    assert coarsest / 2.0 < steps[0] <= coarsest
+    assert [a / b for a, b in itertools.pairwise(steps)] == [2.0] * (len(steps) - 1)
+    for step in steps:
+        ratio = output_step / step
+        assert ratio == round(ratio) or 1.0 / ratio == round(1.0 / ratio)
+
+
+def test_fixed_steps_follow_from_the_references_own():
+    slow, fast = (our_ladders(0.01, 1.0, average)[-1].settings[0] for average in (1e-2, 1e-4))
+    assert slow.value <= COARSEST * 1e-2 < 2.0 * slow.value
+    assert fast.value <= COARSEST * 1e-4 < 2.0 * fast.value
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1e-6, "1e-6"), (0.0025, "0.0025"), (1.5625e-4, "1.5625e-4"), (0.0, "0")]
+)
+def test_numbers_are_told_as_one_would_type_them(value, text):
+    assert short(value) == text
+    assert float(text) == value
+
+
+def test_failing_settings_are_points_with_a_reason(system, reference):
+    lost = measure_ours(system, setting(1e-18, "dop853", "feedback", "tolerance"), reference, 10.0)
+    assert (lost.status, lost.wall_time_s, lost.error("motion")) == (FAILED, None, None)
+    assert "the step became too small" in lost.message
+    wrong = measure_ours(system, setting(0.5), reference, 10.0)
+    assert wrong.status == FAILED
+    assert "longer than the run" in wrong.message
+    late = measure_ours(system, setting(1e-6), reference, 0.02)
+    assert (late.status, late.message) == (TOO_SLOW, "not done after 0.02 s")
+
+
+def test_points_survive_their_file(system, reference):
+    for about in (setting(0.01), setting(0.5)):
+        found = measure_ours(system, about, reference, 10.0)
+        assert Point.from_dict(found.as_dict()) == found
+
+
+# --- the study ------------------------------------------------------------------------------------
+
+
+class Law:
+    """Makes points by a law instead of runs, and counts them; nothing runs by accuracy."""
+
+    def __init__(self, order: float = 4.0, floor: float = 0.0, seconds: float = 1e-4):
+        self.order, self.floor, self.seconds = order, floor, seconds
+        self.runs: list[Setting] = []
+
+    def __call__(self, system, about: Setting, limit_s: float) -> Measured:
+        if about.method == BY_ACCURACY:
+            return Measured(Point(about, FAILED, "not by accuracy"))
+        self.runs.append(about)
+        error = max(about.value**self.order, self.floor)
+        found = point(self.seconds / about.value, error)
+        return Measured(replace(found, setting=about))
+
+
+@pytest.fixture
+def fast_study(monkeypatch, system, reference):
+    """A study of one ladder of Runge-Kutta steps whose points follow a law."""
+
+    def run(law, results=None, **options):
+        ladder = [our_ladders(0.01, 0.1, 0.005)[-1]]
+        made = replace(reference, wall_time_s=0.0)
+        monkeypatch.setattr(studies, "make_reference", lambda *_: made)
+        monkeypatch.setattr(studies, "our_ladders", lambda *_: ladder)
+        monkeypatch.setattr(studies, "run_ours", law)
+        return run_study(system.scene, results, peers=False, **options)
+
+    return run
+
+
+def values(results: Results) -> list[float]:
+    return sorted((item.setting.value for item in results.points.values()), reverse=True)
+
+
+def halvings(results: Results) -> list[int]:
+    """How often the first step was halved for each setting."""
+    found = values(results)
+    return [round(math.log2(found[0] / value)) for value in found]
+
+
+def test_a_ladder_ends_in_the_digits_of_the_reference(fast_study, reference):
+    results = fast_study(Law(seconds=1e-9))
+    places, digits = halvings(results), reference.digits["motion"]
+    reached = next(k for k in places if (values(results)[0] / 2**k) ** 4 <= digits)
+    assert places[: reached + 1] == list(range(reached + 1))
+    assert places[-1] < reached + studies.STRIDES[0]
+
+
+def test_a_ladder_ends_when_errors_no_longer_fall(fast_study):
+    results = fast_study(Law(floor=1e-6, seconds=1e-9))
+    places = halvings(results)
+    reached = next(k for k in places if (values(results)[0] / 2**k) ** 4 <= 1e-6)
+    assert places[: reached + STALE + 1] == list(range(reached + STALE + 1))
+    assert places[-1] < reached + STALE + studies.STRIDES[0]
+
+
+def test_a_ladder_ends_before_runs_take_too_long(fast_study):
+    results = fast_study(Law(order=1.0, seconds=0.003))
+    last = min(values(results))
+    assert 0.003 / last <= studies.LEAST_PATIENCE < 2 * 0.003 / (last / 2)
+
+
+def test_an_accident_at_the_first_setting_does_not_end_a_ladder(fast_study):
+    law = Law(seconds=1e-9)
+
+    def stalled_once(system, about, limit_s):
+        found = law(system, about, limit_s)
+        return too_slow(about, limit_s) if len(law.runs) == 1 else found
+
+    assert list(fast_study(stalled_once).points) == list(fast_study(Law(seconds=1e-9)).points)
+
+
+def test_quick_settings_are_repeated_and_slow_ones_are_not(fast_study):
+    law = Law(order=1.0, seconds=0.003)
+    results = fast_study(law)
+    for place, item in zip(halvings(results), results.points.values(), strict=False):
+        wall = 0.003 / item.setting.value
+        assert item.repeats == law.runs.count(item.setting)
+        expected = min(studies.REPEATS, max(1, int(studies.REPEAT_BUDGET / wall + 1e-9)))
+        assert item.repeats == (expected if place else max(2, expected))
+
+
+def test_the_fastest_run_counts(fast_study):
+    times = itertools.count()
+
+    def law(system, about, limit_s):
+        return Measured(replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about))
+
+    results = fast_study(law)
+    (found,) = results.points.values()
+    assert (found.repeats, found.wall_time_s) == (studies.REPEATS, 0.01 / 6)
+
+
+def test_every_fourth_setting_comes_first_and_half_of_them_are_quick(fast_study):
+    order = [item.setting.value for item in fast_study(Law(seconds=1e-9)).points.values()]
+    places = [round(math.log2(max(order) / value)) for value in order]
+    strides = [next(s for s in studies.STRIDES if place % s == 0) for place in places]
+    assert strides == sorted(strides, reverse=True)
+    quick = fast_study(Law(seconds=1e-9), quick=True)
+    assert all(place % 2 == 0 for place in halvings(quick))
+    assert {item.repeats for item in quick.points.values()} == {studies.QUICK_REPEATS}
+
+
+def test_a_finished_study_measures_nothing(fast_study, system, tmp_path):
+    path = tmp_path / "study.json"
+    fast_study(Law(seconds=1e-9), Results.of(system.scene, MACHINE, path))
+    law = Law(seconds=1e-9)
+    fast_study(law, read_results(path))
+    assert law.runs == []
+
+
+def test_progress_names_what_is_measured(fast_study):
+    told_: list[tuple[float, float, str]] = []
+    fast_study(Law(seconds=1e-9), progress=lambda *what: told_.append(what))
+    measured = [item for item in told_ if item[1]]
+    assert "step " in measured[0][2]
+    assert all(done <= total for done, total, _ in measured)
+
+
+# --- stages of a study, by a clock that only runs advance -----------------------------------------
+
+DIGITS = {"motion": 1e-12, "position": 1e-12, "rotation": 1e-12, "joints": 1e-12, "force": 1e-9}
+EXACT = Motion(np.full((3, 8), 0.5), np.full((3, 12), 2.0))
+
+
+def random_costs(seed: int) -> dict[str, tuple[float, float]]:
+    """Method -> order and cost of its coarsest run."""
+    rng = np.random.default_rng(seed)
+    names = {ladder.series for ladder in our_ladders(0.01, 0.1, 0.005)}
+    return {name: (rng.uniform(0.5, 6.0), rng.uniform(0.005, 0.1)) for name in sorted(names)}
+
+
+class World:
+    """Runs that follow laws: errors fall and costs rise along each ladder, but for disturbances.
+
+    Every run advances the clock by its cost; one of them, by its number, may be interrupted.  Some
+    quick settings may be ``slowed`` by a factor when they are run for the first time.
+    """
+
+    def __init__(self, seed: int, interrupt_at: int | None = None, slowed: float = 1.0):
+        self.slowed = slowed
+        self.now, self.seed, self.runs, self.calls = 0.0, seed, [], 0
+        self.interrupt_at = interrupt_at
+        self.costs = random_costs(seed)
+        ladders = our_ladders(0.01, 0.1, 0.005)
+        self.places = {s.key: k for ladder in ladders for k, s in enumerate(ladder.settings)}
+
+    def call(self, seconds: float) -> None:
+        self.calls += 1
+        if self.calls == self.interrupt_at:
+            raise KeyboardInterrupt
+        self.now += seconds
+
+    def run(self, system, about: Setting, limit_s: float) -> Measured:
+        order, cost = self.costs[about.series]
+        place = self.places[about.key]
+        rng = np.random.default_rng([self.seed, *about.key.encode()])
+        wall, luck = cost * 1.6**place * rng.uniform(0.9, 1.1), rng.uniform(0.8, 1.25)
+        if rng.random() < 0.3 and self.slowed * wall < 0.2 and about.key not in self.runs:
+            wall *= self.slowed
+        self.call(min(wall, limit_s))
+        self.runs.append(about.key)
+        if wall > limit_s:
+            return too_slow(about, limit_s)
+        error = max(0.1 * 2.0 ** (-order * place), 1e-14) * luck
+        motion = Motion(EXACT.positions.copy(), EXACT.forces + 100.0 * error)
+        motion.positions[:, 0] += error
+        point = Point(about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853")
+        return Measured(point, motion)
+
+    def reference(self, *_) -> Reference:
+        self.call(60.0)
+        about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
+        return Reference(EXACT, DIGITS, 0.005, 1.0, about)
+
+
+@pytest.fixture
+def study_in(monkeypatch, system):
+    """Runs a study in a world; keeps the system, and its peers away."""
+
+    def run(world: World, results=None, **options) -> Results:
+        monkeypatch.setattr(studies, "clock", lambda: world.now)
+        monkeypatch.setattr(studies, "run_ours", world.run)
+        monkeypatch.setattr(studies, "make_reference", world.reference)
+        monkeypatch.setattr(studies, "compile_system", lambda _scene: system)
+        return run_study(system.scene, results, peers=False, **options)
+
+    return run
+
+
+def front(results: Results, quantity: str) -> set[str]:
+    """Settings that no other one beats in both time and error."""
+    rows = [
+        (key, found.wall_time_s, max(found.error(quantity), DIGITS[quantity]))
+        for key, found in results.points.items()
+        if found.completed
+    ]
+    return {
+        key
+        for key, time, error in rows
+        if not any(t <= time and e <= error and (t, e) != (time, error) for _, t, e in rows)
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed):
+    whole = study_in(World(seed), thorough=True)
+    found = study_in(World(seed, slowed=1.0 if seed % 2 else 4.0))
+    assert found.left_out and not whole.left_out
+    assert len(found.points) < 0.85 * len(whole.points)
+    assert set(found.points) <= set(whole.points)
+    for quantity in DIGITS:
+        assert front(whole, quantity) <= set(found.points)
+        assert [d.ours.setting for d in decades(found, quantity)] == [
+            d.ours.setting for d in decades(whole, quantity)
+        ]
+
+
+@pytest.mark.slow
+def test_first_results_come_soon_and_claim_no_error_below_their_uncertainty(study_in):
+    world, shown = World(3), []
+
+    def watch(results):
+        errors = {key: found.error("motion") for key, found in results.points.items()}
+        shown.append((world.now, dict(results.reference), errors, results.planned))
+
+    results = study_in(world, watch=watch)
+    when, first, errors, planned = shown[0]
+    assert when < studies.FIRST_RESULTS + studies.LEAST_PATIENCE
+    assert first["first"]
+    assert first["digits"]["motion"] > 0.0
+    assert {Setting(*key.split("/")[:3], "", 0.0).series for key in errors} == set(world.costs)
+    assert planned > len(errors)
+    later = [item for item in shown if not item[1]["first"]]
+    assert later[0][0] >= when + 60.0, "the reference takes its time"
+    # each run's error is what its law says, once the full reference is there
+    for key, before in errors.items():
+        after = results.points[key].error("motion")
+        assert after > 0.0
+        assert abs(before - after) <= 3.0 * first["digits"]["motion"]
+    assert all(item[3] is not None for item in shown[:-1])
+    assert shown[-1][3] is None is results.planned
+
+
+def test_a_slow_scene_shows_its_runs_by_accuracy_first(study_in):
+    world, when = World(0), []
+    world.costs = {name: (order, 1.0) for name, (order, _) in world.costs.items()}
+    study_in(world, watch=lambda results: when.append((world.now, len(results.points))))
+    assert when[0][0] < 20.0
+    assert when[0][1] >= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [0.0, 0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9])
+def test_an_interrupted_study_goes_on_where_it_was(study_in, system, tmp_path, part):
+    path = tmp_path / "study.json"
+    whole = World(1)
+    expected = study_in(whole)
+    world = World(1, interrupt_at=1 + int(part * whole.calls))
+    with pytest.raises(KeyboardInterrupt):
+        study_in(world, Results.of(system.scene, MACHINE, path))
+    kept = read_results(path)
+    again = World(1)
+    results = study_in(again, read_results(path))
+    assert list(results.points)[: len(kept.points)] == list(kept.points)
+    assert front(results, "motion") == front(expected, "motion")
+    for key, found in results.points.items():
+        assert found.errors == pytest.approx(expected.points.get(key, found).errors)
+        before = kept.points[key].repeats if key in kept.points else 0
+        runs = again.runs.count(key)
+        if kept.reference is None and key == again.runs[0]:
+            runs -= 1  # which only loads what is compiled
+        assert found.repeats == before + runs
+
+
+@pytest.mark.slow
+def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, tmp_path):
+    path, world = tmp_path / "study.json", World(1)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    world.reference = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        study_in(world, Results.of(system.scene, MACHINE, path))
+    kept = read_results(path)
+    assert kept.reference["first"]
+    assert kept.known_reference().motion.positions.shape == EXACT.positions.shape
+    again, shown = World(1), []
+    study_in(again, read_results(path), watch=lambda _: shown.append(again.now))
+    assert shown[0] == 0.0, "what is known is shown at once"
+    assert not read_results(path).reference["first"]
+
+
+@pytest.mark.slow
+def test_files_of_other_formats_are_refused_with_the_remedy(study_in, system, tmp_path):
+    path = tmp_path / "study.json"
+    study_in(World(2), Results.of(system.scene, MACHINE, path))
+    data = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**data, "format": "multiarm accuracy, 1"}), encoding="utf-8")
+    with pytest.raises(MultiarmError, match=r"'multiarm accuracy, 1'.* measure anew: .*--fresh"):
+        read_results(path)
+
+
+def test_results_are_of_a_scene_and_a_machine():
+    scene = ring()
+    one = Results.of(scene, MACHINE)
+    assert one.stale(Results.of(scene, MACHINE)) == ""
+    moved = scene.replace(gravity=[0.0, 0.0, -9.0])
+    assert one.stale(Results.of(moved, MACHINE)) == "the scene has changed"
+    assert one.stale(Results.of(scene, {**MACHINE, "processor": "b"})) == "it is of another machine"
+    assert one.stale(Results.of(scene, {**MACHINE, "version": "2"})) == "versions have changed"
+    # how the scene is run is what the study varies
+    other = scene.replace(run={"duration": 0.1, "integrator": "rk4", "step": 1e-3})
+    assert scene_digest(other) == scene_digest(scene)
+    longer = scene.replace(run={"duration": 0.2})
+    assert scene_digest(longer) != scene_digest(scene)
+
+
+def test_a_changed_robot_is_another_scene(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    text = find_robot("planar_3r").urdf.read_text(encoding="utf-8")
+    urdf.write_text(text, encoding="utf-8")
+    arm = {"urdf": str(urdf), "tip": "tip", "posture": [0.1, 0.2, 0.3]}
+    scene = scene_of({"arm": arm}, [{"arm": "arm", "kind": "weld"}])
+    before = scene_digest(scene)
+    urdf.write_text(text.replace("</robot>", "<!-- another --></robot>"), encoding="utf-8")
+    assert scene_digest(scene) != before
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "multiarm accuracy, 2"}'])
+def test_other_files_are_refused(tmp_path, text):
+    path = tmp_path / "other.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(MultiarmError, match="is not the file of an accuracy study"):
+        read_results(path)
+
+
+# --- what is cheapest -----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_cheapest_of_each_decade_is_that_of_brute_force():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        digits = 10.0 ** rng.uniform(-12, -8)
+        points = [
+            replace(
+                point(wall, 10.0 ** rng.uniform(-12, 0), value=k + 1.0),
+                setting=setting(k + 1.0, solver=OURS if k % 3 else "Drake"),
+                status=COMPLETED if rng.uniform() < 0.8 else FAILED,
+            )
+            for k, wall in enumerate(rng.uniform(0.1, 1.0, size=12))
+        ]
+        found = {decade.level: decade for decade in decades(results_of(points, digits))}
+        for level in LEVELS:
+            able = [
+                item
+                for item in points
+                if item.status == COMPLETED and item.errors["position"] <= level - digits
+            ]
+            ours = [item for item in able if item.setting.solver == OURS]
+            peers = [item for item in able if item.setting.solver != OURS]
+            if level <= digits or not able:
+                assert level not in found
+                continue
+            best = [min(x, key=lambda p: p.wall_time_s, default=None) for x in (ours, peers)]
+            assert [found[level].ours, found[level].peer] == best
+            if all(best):
+                assert found[level].ratio == best[1].wall_time_s / best[0].wall_time_s
+
+
+def test_errors_below_the_digits_are_not_ranked():
+    exact = point(1.0, 0.0)
+    found = decades(results_of([exact], digits=2e-7))
+    assert [decade.level for decade in found][-1] == 1e-6
+
+
+def test_the_recommendation_says_what_to_take_and_what_more_costs():
+    by_accuracy = setting(1e-5, BY_ACCURACY, "", "accuracy")
+    first = replace(point(3.1e-3, 5e-7), setting=by_accuracy, used="dop853")
+    second = point(6.2e-3, 5e-10, method="dop853", kind="none", knob="tolerance")
+    assert recommendation(results_of([first, second])) == (
+        "For errors below 1e-6 take accuracy 1e-5 (dop853, projection): 3.1 ms for 1 s of motion; "
+        "1e-9 costs 2 times that."
+    )
+    assert described(second) == "tolerance 0.0062 (dop853, no stabilization)"
+
+
+def test_the_recommendation_aims_at_the_scenes_accuracy():
+    coarse, fine = point(1e-3, 5e-4), point(2e-3, 5e-7)
+    text = recommendation(results_of([coarse, fine], accuracy=1e-3))
+    assert text.startswith("For errors below 0.001 take step 0.001 s (rk4, projection): 1 ms")
+    assert text.endswith("1e-6 costs 2 times that.")
+
+
+def test_each_quantity_has_the_scenes_own_aim():
+    run = {"duration": 0.1, "accuracy": {"position": 1e-4, "rotation": 1e-5, "force": 1e-2}}
+    about = Results.of(ring().replace(run=run), MACHINE).about["scene"]["accuracy"]
+    assert about == {
+        "motion": 1e-5, "position": 1e-4, "rotation": 1e-5, "joints": 1e-5, "force": 1e-2,
+    }  # fmt: skip
+
+
+def test_the_recommendation_admits_what_cannot_be_had():
+    only = point(1e-3, 5e-3)
+    assert recommendation(results_of([only])) == (
+        "No setting reached 1e-6. For errors below 0.01 take step 0.001 s (rk4, projection): 1 ms "
+        "for 1 s of motion."
+    )
+    failed = replace(only, status=FAILED)
+    assert "nothing can be recommended" in recommendation(results_of([failed]))
+    assert "No setting reached 0.001. For errors below 0.1 N take " in recommendation(
+        results_of([only]), "force"
+    )
+
+
+def test_peers_are_compared_at_two_levels():
+    ours, peer = point(1e-3, 1e-10), point(5e-3, 1e-10, solver="Drake", method="discrete", kind="")
+    assert comparison(results_of([ours, peer])) == (
+        "The best peer takes 5 times our time to reach 1e-6 (Drake, discrete, step 0.005 s), and "
+        "5 times our time to reach 1e-9 (Drake, discrete, step 0.005 s)."
+    )
+    assert comparison(results_of([ours])) == ""
+
+
+def test_series_put_ours_first_and_go_from_coarse_to_fine():
+    peer = point(1e-3, 1e-3, solver="Drake", method="discrete", kind="")
+    found = all_series(results_of([peer, point(2.0, 1e-9, value=0.1), point(1.0, 1e-3, value=0.2)]))
+    assert [(item.name, item.ours) for item in found] == [
+        ("rk4, projection", True), ("Drake, discrete", False),
+    ]  # fmt: skip
+    assert [item.setting.value for item in found[0].points] == [0.2, 0.1]
+    assert found[0].best("motion").setting.value == 0.1
+
+
+# --- peers ----------------------------------------------------------------------------------------
+
+
+def course_of(
+    peers, solver: str, method: str, value: float, reference, system, limit_s: float = 60.0
+) -> Point:
+    about = Setting(solver, method, "", peers[solver].methods[method], value)
+    return run_peer(system, peers[solver], about, limit_s).against(reference.motion)
+
+
+@pytest.fixture(scope="module", params=["weld", "ball", "revolute"])
+def trial(request):
+    """A system, its reference and its peers, for each joint that peers have."""
+    own = ma.compile_system(ring(request.param))
+    return own, make_reference(own), make_peers(own, SOLVERS)[0]
+
+
+@pytest.mark.slow
+def test_pinocchio_converges_to_the_reference(trial):
+    own, reference, peers = trial
+    fine = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, reference, own)
+    # a tolerance of a step, over some ten steps
+    assert fine.status == COMPLETED, fine.message
+    assert fine.error("motion") < 1e-11
+    assert fine.gap_m < 1e-11
+    coarse = [course_of(peers, "Pinocchio", "RK4", h, reference, own) for h in (2.5e-3, 1.25e-3)]
+    order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
+    assert order == pytest.approx(4.0, abs=0.2)
+    assert [item.evaluations for item in coarse] == [160, 320]
+
+
+@pytest.mark.slow
+def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(trial):
+    own, reference, peers = trial
+    if not MUJOCO_IS_HERE:
+        assert make_peers(own, ["MuJoCo"]) == ({}, {"MuJoCo": NOT_INSTALLED})
+        return
+    coarse = [course_of(peers, "MuJoCo", "RK4", h, reference, own) for h in (5e-3, 2.5e-3)]
+    order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
+    assert order > 3.5
+    assert coarse[1].error("motion") < 1e-6
+    euler = [course_of(peers, "MuJoCo", "Euler", h, reference, own) for h in (5e-3, 2.5e-3)]
+    assert euler[0].error("motion") / euler[1].error("motion") == pytest.approx(2.0, rel=0.2)
+    soft = course_of(peers, "MuJoCo as shipped", "RK4", 2.5e-3, reference, own)
+    assert soft.error("motion") > 100.0 * coarse[1].error("motion")
+    assert soft.gap_m > 1e-6 > coarse[1].gap_m
+
+
+@pytest.mark.slow
+def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
+    own, reference, peers = trial
+    if not DRAKE_IS_HERE:
+        assert make_peers(own, ["Drake"]) == ({}, {"Drake": NOT_INSTALLED})
+        return
+    found = [course_of(peers, "Drake", "discrete", h, reference, own) for h in (2e-3, 1e-3)]
+    errors = [item.error("motion") for item in found]
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
+    assert errors[1] < 5e-3
+
+
+@pytest.mark.slow
+def test_peers_follow_a_feedback_controller_and_damping():
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 1,
+               "path": [{"time": 0.1, "xyz": [0, 0, 0.51]}]}  # fmt: skip
+    scene = ur5_pair(
+        {"kind": "weld"}, {"kind": "ball"}, control=control, effects={"joint_damping": 3.0},
+        run={"duration": 0.1},
+    )  # fmt: skip
+    own = ma.compile_system(scene)
+    assert sinusoid(own) is None
+    reference, (peers, _) = make_reference(own), make_peers(own, SOLVERS)
+    allowed = {("Pinocchio", "SciPy DOP853", 1e-10): 1e-8}
+    if MUJOCO_IS_HERE:
+        allowed["MuJoCo", "RK4", 2.5e-3] = 1e-5
+    if DRAKE_IS_HERE:
+        allowed["Drake", "discrete", 1e-3] = 1e-3
+    for (solver, method, value), bound in allowed.items():
+        found = course_of(peers, solver, method, value, reference, own)
+        assert found.error("motion") < bound, solver
+
+
+@pytest.mark.slow
+def test_pinocchio_follows_joints_that_turn_without_end():
+    scene = single_arm(
+        "kinova", "j2s6s200_end_effector", [1.0, 2.5, 1.5, 0.3, 0.4, 0.5], {"kind": "ball"},
+        run={"duration": 0.1},
+    )  # fmt: skip
+    own = ma.compile_system(scene)
+    peers, _ = make_peers(own, ["Pinocchio"])
+    found = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, make_reference(own), own)
+    assert found.error("motion") < 1e-10, found.message
+
+
+def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "point_on_plane"}))
+    able, refusals = make_peers(system, SOLVERS)
+    assert able == {}
+    assert set(refusals) == set(SOLVERS)
+    missing = {"Drake": DRAKE_IS_HERE, "MuJoCo": MUJOCO_IS_HERE}
+    for solver, reason in refusals.items():
+        here = missing.get(solver.split()[0], True)
+        assert ("point_on_plane" in reason) == here
+        assert reason.startswith("cannot express it: ") == here
+
+
+def test_effects_that_no_peer_has_are_named():
+    dragged = ring().replace(effects={"drag": {"quadratic": 0.5}, "joint_damping": 1.0})
+    able, refusals = make_peers(ma.compile_system(dragged), SOLVERS)
+    assert able == {}
+    assert refusals == dict.fromkeys(SOLVERS, "cannot express drag")
+
+
+def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
+    for name in ("mujoco_peer", "drake_peer"):
+        monkeypatch.delitem(sys.modules, f"multiarm.studies.{name}", raising=False)
+    for name in ("mujoco", "pydrake", "pydrake.multibody.plant"):
+        monkeypatch.setitem(sys.modules, name, None)
+    able, refusals = make_peers(system, SOLVERS)
+    assert set(able) == {"Pinocchio"}
+    assert set(refusals.values()) == {"not installed: pip install multiarm[peers]"}
+
+
+def test_what_a_peer_raises_is_a_failed_point(system, reference):
+    peers, _ = make_peers(system, ["Pinocchio"])
+
+    def broken(*_):
+        raise RuntimeError("the tree is broken\nsecond line")
+
+    peers["Pinocchio"].follow = broken
+    found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
+    assert (found.status, found.message) == (FAILED, "RuntimeError: the tree is broken")
+
+
+def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
+    peers, _ = make_peers(system, ["Pinocchio"])
+    late = course_of(peers, "Pinocchio", "RK4", 1e-5, reference, system, limit_s=0.02)
+    assert late.status == TOO_SLOW
+
+    def diverging(series, start, *_):
+        lost = start.copy()
+        lost.velocity[:] = np.inf
+        assert [series.record(state) for state in (start, start, lost)] == [True, True, False]
+
+    peers["Pinocchio"].follow = diverging
+    found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
+    assert found.message == "the state is no longer finite after 0.01 s"
+
+
+def test_sinusoidal_torques_are_the_scenes(system):
+    found = sinusoid(system)
+    state = system.initial_state()
+    for t in (0.0, 0.013, 0.4):
+        expected = control_torque(system, t, state)
+        assert found.at(np.array([t]))[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_tape_plays_row_by_row_and_stays_at_its_end():
+    target = np.zeros(3)
+    tape = TorqueTape(target)
+    rows = np.arange(6.0).reshape(2, 3)
+    tape.load(rows)
+    for row in (0, 1, 1):
+        tape.play(0, 0)
+        assert target.tolist() == rows[row].tolist()
+
+
+@pytest.mark.slow
+def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
+    if not MUJOCO_IS_HERE:
+        assert NOT_INSTALLED in make_peers(system, SOLVERS)[1].values()
+        return
+    drive, grid = sinusoid(system), Grid.of(system.scene.run)
+    peer = make_peers(system, ["MuJoCo"])[0]["MuJoCo"]
+    for method in peer.methods:
+        ends = []
+        for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
+            series = TimeSeries(grid)
+            peer.follow(series, system.initial_state(), method, 0.005, torques)
+            ends.append(series.states[-1].position)
+        # roundings of torques end Newton's method an iteration earlier or later
+        assert ends[0] == pytest.approx(ends[1], abs=1e-8), method
+
+
+def test_the_clock_does_not_count_what_is_off_it():
+    grid = Grid(0.1, 1)
+    series = TimeSeries(grid)
+    series.start()
+    series.off_the_clock(lambda: [None] * 200_000)()
+    with_it = series.wall_time_s
+    series.stop()
+    assert with_it < 0.0 <= series.wall_time_s
+    late = TimeSeries(grid, limit_s=0.0)
+    late.start()
+    with pytest.raises(OutOfTime):
+        late.stop()
+
+
+# --- the common scene -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["weld", "ball"])
+def test_the_shipped_scene_is_the_ring_of_the_benchmark(kind):
+    def flat(value, path=""):
+        if isinstance(value, dict):
+            for key, item in value.items():
+                yield from flat(item, f"{path}/{key}")
+        elif isinstance(value, list | tuple):
+            for key, item in enumerate(value):
+                yield from flat(item, f"{path}/{key}")
+        else:
+            yield path, value
+
+    shipped = dict(flat(ma.load_scene(SCENES / f"ring_{kind}.yaml").model_dump(mode="json")))
+    built = dict(flat(ring_of_arms(2, kind).model_dump(mode="json")))
+    assert shipped.keys() == built.keys()
+    for path, value in shipped.items():
+        if isinstance(value, float):
+            assert value == pytest.approx(built[path], abs=1e-15), path
+        else:
+            assert value == built[path], path

@@ -1,0 +1,488 @@
+"""Claims about who carries out many runs: the same rows whoever it is, and none is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mechanics import ur5_pair
+from repository import SCENES
+from sweep_runs import (
+    FUNCTIONS,
+    GRIP,
+    KEEP,
+    LIFT,
+    MASS,
+    OVER,
+    RUN,
+    jobs,
+    repeatable,
+    same,
+    statuses,
+)
+
+import multiarm as ma
+from multiarm.errors import SweepError
+from multiarm.scene import changed
+from multiarm.sweeps import worker
+from multiarm.sweeps.executors import MOST_JOBS, TARGET, Batches, run_in_process, run_in_processes
+from multiarm.sweeps.plan import Job, Record, make_plan
+from multiarm.sweeps.worker import JobContext, run_job, simulate_run
+
+NOTES = """
+from pathlib import Path
+
+def noted(trajectory):
+    with open(Path(__file__).parent / "notes", "a") as notes:
+        notes.write("x")
+    return 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ur5_pair({"kind": "weld"}, {"kind": "weld"})
+
+
+@pytest.fixture(scope="module")
+def plan(scene):
+    return make_plan(scene, OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
+
+
+@pytest.fixture(scope="module")
+def expected(plan):
+    return repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+
+
+@pytest.fixture
+def functions(tmp_path):
+    file = tmp_path / "functions.py"
+    file.write_text(FUNCTIONS)
+    return file
+
+
+# --- a run --------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, plan, expected):
+    for run in (1, 12):
+        values = plan.values(run)
+        own = scene.replace(
+            object={**vars(scene.object), "mass": values[MASS]},
+            arms={
+                **scene.arms,
+                "left": {**vars(scene.arms["left"]), "base": {"xyz": [-1.1, 0, values[LIFT]]}},
+            },
+            run=RUN,
+        )
+        alone = ma.simulate(ma.compile_system(own))
+        number, status, message, stored, quantities = expected[run - 1]
+        assert (number, status, message, stored) == (run, alone.status, alone.message, values)
+        assert quantities == {
+            "final_x": alone.object_position[-1, 0],
+            "final_z": alone.object_position[-1, 2],
+            "largest_contact_force": max(alone.summary()["contact_force_max_N"].values()),
+            "energy_balance": np.abs(alone.energy_balance).max(),
+            "estimated_error": alone.certificate["estimated_error"]["position_m"],
+        }
+        again = simulate_run(plan, run)
+        np.testing.assert_array_equal(again.read("object/position"), alone.object_position)
+    assert len({row[4]["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
+
+
+@pytest.mark.slow
+def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
+    backwards = run_in_process(JobContext.of(plan), jobs(plan, lambda runs: runs[::-1]))
+    assert repeatable(backwards) == expected
+    lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
+    between = [job for pair in zip(jobs(plan), jobs(lighter), strict=True) for job in pair]
+    mixed = [
+        run_job(JobContext.of(plan if k % 2 == 0 else lighter), job)
+        for k, job in enumerate(between)
+    ]
+    assert [same(row) for row in mixed[::2]] == expected
+    assert mixed[0].quantities != mixed[1].quantities
+    alone = [
+        run_job(JobContext.of(plan, session=str(k)), job) for k, job in enumerate(jobs(plan)[:2])
+    ]
+    assert list(map(same, alone)) == expected[:2]
+
+
+def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
+    found: list[list[Record]] = []
+    shared = JobContext.of(plan)
+    threads = [
+        threading.Thread(target=lambda part=part: found.append(worker.run_jobs(shared, part)))
+        for part in (jobs(plan)[:6], jobs(plan)[6:])
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert repeatable(found) == expected
+
+
+def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
+    def fussy(trajectory):
+        return 1.0 / (trajectory.scene.object.mass - 10.0)
+
+    over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
+    plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
+    rows = [row for rows in run_in_process(JobContext.of(plan), jobs(plan)) for row in rows]
+    assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
+    assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
+    assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
+    assert rows[3].message.startswith("the run could not begin: ")
+    assert rows[3].quantities == {"steps": None, "fussy": None}
+
+
+def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
+    broken = changed(scene, {GRIP: {"xyz": [-3.0, 0, 0]}})
+    plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
+    rows = [row for rows in run_in_process(JobContext.of(plan), jobs(plan)) for row in rows]
+    assert [row.status for row in rows] == ["completed", "failed"]
+    assert "does not satisfy the joint of arm 'left'" in rows[1].message
+    assert rows[1].quantities == {"steps": None}
+
+
+def test_another_version_of_the_program_is_refused(plan, monkeypatch):
+    begun = JobContext.of(plan)
+    monkeypatch.setattr(worker, "program_version", lambda: "0.0.1")
+    with pytest.raises(SweepError, match=r"has multiarm 0\.0\.1, the sweep was begun by"):
+        worker.run_jobs(begun, jobs(plan)[:1])
+
+
+# --- batches ------------------------------------------------------------------------------------
+
+
+def timed(run, wall):
+    return Record(run, "completed", "", {}, {}, wall, "")
+
+
+def test_batches_take_about_the_same_time_however_long_a_run_takes():
+    batches = Batches(Job(run, {}) for run in range(1, 2001))
+    assert len(next(batches)) == 1
+    for wall in (1e-2, 10.0, 1e-6):
+        fresh = Batches(Job(run, {}) for run in range(1, 2001))
+        fresh.learn([timed(1, wall)])
+        expected = min(max(int(TARGET / wall), 1), MOST_JOBS)
+        assert len(next(fresh)) == expected
+    assert [job.run for job in next(batches)] == [2]
+
+
+def test_towards_the_end_batches_become_short_so_that_workers_end_together():
+    batches = Batches((Job(run, {}) for run in range(1, 101)), count=100)
+    batches.workers = 2
+    batches.learn([timed(0, 0.01)])
+    sizes = [len(batch) for batch in batches]
+    assert sum(sizes) == 100
+    assert sizes == sorted(sizes, reverse=True) and sizes[-1] == 1
+    # no batch is longer than what is left after it makes for each worker
+    assert all(size <= max(1, sum(sizes[k:]) / 2) for k, size in enumerate(sizes))
+    assert sizes[0] == 12
+
+
+@pytest.mark.slow
+def test_jobs_are_made_when_they_are_asked_for(plan):
+    asked = []
+
+    def endless():
+        for run in range(1, 10**9):
+            asked.append(run)
+            yield Job(run, plan.values(1))
+
+    coming = run_in_process(JobContext.of(plan), endless())
+    next(coming)
+    assert asked == [1]
+    coming.close()
+    asked.clear()
+    coming = run_in_processes(JobContext.of(plan), endless(), 2)
+    next(coming)
+    time.sleep(0.3)
+    assert len(asked) <= 6 * MOST_JOBS  # those under way, and those that wait beside them
+    coming.close()
+
+
+# --- processes ----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_rows(plan, expected):
+    batches = list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+    assert repeatable(batches) == expected
+    workers = {row.worker for rows in batches for row in rows}
+    assert len(workers) == 2
+    assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
+
+
+@pytest.mark.slow
+def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
+    plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
+    found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+    assert (functions.parent / "died").exists()
+    assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
+
+
+@pytest.mark.slow
+def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
+    over = {MASS: [5.0, 10.0, 20.0, 30.0]}
+    plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
+    found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+    assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
+    assert found[2][1].startswith("its worker died 3 times")
+
+
+@pytest.mark.slow
+def test_a_single_run_that_kills_its_worker_does_not_kill_its_caller(scene, functions, tmp_path):
+    """Asked for two workers, and there is only one run: it still has a process of its own."""
+    asked = {"over": {MASS: [10.0]}, "keep": [f"{functions}:always"], "certificate": False}
+    found = ma.sweep(scene, asked, out=tmp_path / "one.h5", workers=2, **RUN)
+    assert found.status_counts == {"failed": 1}
+    assert "its worker died 3 times" in found.row(1).message
+
+
+def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
+    def leaving(trajectory):
+        raise SystemExit(3)
+
+    asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
+    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=[leaving], workers=1, **RUN)
+    assert found.status_counts == {"failed": 2}
+    assert "SystemExit" in found.row(2).message
+
+
+def test_a_cluster_that_does_not_answer_costs_no_rows(scene, tmp_path, monkeypatch):
+    """Not even when the sweep shall begin anew."""
+
+    def silent(dask):
+        raise SweepError("the cluster does not answer")
+
+    out = tmp_path / "s.h5"
+    asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
+    ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    monkeypatch.setattr("multiarm.sweeps.executors.connected", silent)
+    with pytest.raises(SweepError, match="does not answer"):
+        ma.sweep(scene, asked, out=out, dask="tcp://127.0.0.1:1", resume=False, **RUN)
+    assert len(ma.load_sweep(out)) == 2
+
+
+@pytest.fixture
+def by_file(scene, tmp_path):
+    """The scene with an arm from a file beside it, which is named by a relative path."""
+    import shutil
+
+    from multiarm.scene import dump_scene, find_robot, load_scene
+
+    shutil.copy(find_robot("textbook_6r").urdf, tmp_path / "own.urdf")
+    text = dump_scene(ma.load_scene(SCENES / "corner_grippers_block.yaml"))
+    (tmp_path / "scene.yaml").write_text(text)
+    return load_scene(tmp_path / "scene.yaml"), tmp_path / "own.urdf"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, workers, tmp_path):
+    scene, _ = by_file
+    over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
+    asked = {"over": over, "certificate": False, "keep": ["final_z"]}
+    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", workers=workers, **RUN)
+    assert found.status_counts == {"completed": 2}
+
+
+def own_arm(scene, urdf):
+    """The left arm, from a file."""
+    table = scene.arms["left"].model_dump(mode="json", exclude_defaults=True)
+    del table["robot"]
+    return {**table, "urdf": urdf}
+
+
+@pytest.mark.slow
+def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
+    scene, urdf = by_file
+    over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
+    asked = {"over": over, "certificate": False, "keep": ["final_z"]}
+    out = tmp_path / "s.h5"
+    found = ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    assert ma.sweep(scene, asked, out=out, workers=1, **RUN).complete  # nothing else changed
+    urdf.write_text(urdf.read_text().replace("</robot>", "<!-- another -->\n</robot>"))
+    with pytest.raises(SweepError, match=r"own\.urdf' has changed, or is missing"):
+        ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    with pytest.warns(UserWarning, match=r"may give other numbers than its row has: the file"):
+        found.trajectory(1)
+
+
+def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another_ones(
+    scene, tmp_path
+):
+    """A trajectory does not depend on what is kept of it."""
+    asked = {"over": {MASS: [5.0]}, "certificate": False}
+    kept = [lambda trajectory: 1.0]
+    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=kept, workers=1, **RUN)
+    assert ma.load_sweep(tmp_path / "s.h5").trajectory(1).status == "completed"
+    assert found.trajectory(1).status == "completed"
+
+
+@pytest.mark.slow
+def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
+
+    class Pull(ma.Effect):
+        name = "pull"
+
+        class Spec(ma.Effect.Spec):
+            force: float = 0.0
+
+        def forces(self, t, state):
+            return ma.Loads(object_wrench=[0, 0, self.spec.force, 0, 0, 0])
+
+    ma.register_effect(Pull)
+    plan = make_plan(
+        scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
+    )
+    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    assert here[0][4] != here[1][4]
+    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
+
+
+CALLER = """
+from mechanics import ur5_pair
+from multiarm.sweeps.executors import run_in_processes
+from multiarm.sweeps.plan import Job, make_plan
+from multiarm.sweeps.worker import JobContext
+weld = {"kind": "weld"}
+over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
+plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
+for rows in run_in_processes(JobContext.of(plan), (Job(*one) for one in plan.runs()), 2):
+    print(rows[0].worker.rpartition(":")[2], flush=True)
+"""
+
+
+def alive(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.slow
+def test_workers_end_when_their_caller_was_killed():
+    here = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", CALLER]
+    with subprocess.Popen(command, env=here, stdout=subprocess.PIPE, text=True) as caller:
+        workers = {caller.stdout.readline().strip()}
+        while len(workers) < 2:
+            workers.add(caller.stdout.readline().strip())
+        assert all(map(alive, workers))
+        caller.kill()
+    until = time.monotonic() + 60.0
+    while any(map(alive, workers)) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not any(map(alive, workers))
+
+
+def test_what_cannot_be_sent_to_workers_is_told(scene):
+    lock = threading.Lock()
+    plan = make_plan(scene, {MASS: [5.0]}, keep=[lambda trajectory: lock and 1.0], run=RUN)
+    with pytest.raises(SweepError, match=r"the workers cannot be given the work"):
+        list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+
+
+# --- the whole ----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path):
+    told = []
+
+    def stop(done, count, failed):
+        told.append((done, count, failed))
+        if done:
+            raise KeyboardInterrupt
+
+    (tmp_path / "own.py").write_text(NOTES)
+    keep = [*KEEP, f"{tmp_path}/own.py:noted"]
+    asked = {"repeat": 4, "seed": 7, "keep": keep, "out": tmp_path / "s.h5", **RUN}
+    part = ma.sweep(scene, OVER, workers=1, progress=stop, **asked)
+    early = {row.run: row for row in part.rows()}
+    assert told == [(0, 12, 0), (1, 12, 0)]
+    assert len(part) == 1 and not part.complete
+    whole = ma.sweep(scene, OVER, workers=2, **asked)
+    rows = list(whole.rows())
+    assert [(*same(row)[:4], {k: row.quantities[k] for k in KEEP}) for row in rows] == expected
+    # what was done is not done again
+    assert {row.run: row for row in rows if row.run in early} == early
+    assert len((tmp_path / "notes").read_text()) == 12
+    told.clear()
+    ma.sweep(scene, OVER, workers=2, progress=lambda *done: told.append(done), **asked)
+    assert told == [(12, 12, 0)]
+    fresh = ma.sweep(scene, OVER, workers=1, resume=False, **asked)
+    assert list(map(same, fresh.rows())) == list(map(same, rows))
+    assert len((tmp_path / "notes").read_text()) == 24
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99], ids=["run", "check", "end of check"])
+def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, share, monkeypatch):
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
+    calls, when = [], [None]
+
+    class Press(ma.Effect):
+        name = "press"
+
+        def forces(self, t, state):
+            calls.append(t)
+            if len(calls) == when[0]:
+                signal.raise_signal(signal.SIGINT)
+            return ma.Loads()
+
+    ma.register_effect(Press)
+    plan = make_plan(scene, {"effects.press": [{}]}, keep=["estimated_error"], run=RUN)
+    (job,), own = jobs(plan), JobContext.of(plan)
+    run_job(own, job)
+    calls.clear()
+    whole = run_job(own, job)
+    assert whole.quantities["estimated_error"] > 0.0
+    when[0] = int(share * len(calls))
+    calls.clear()
+    with pytest.raises(KeyboardInterrupt):
+        run_job(own, job)
+    assert same(run_job(own, job)) == same(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
+    timer = threading.Timer(0.2, signal.raise_signal, [signal.SIGINT])
+
+    def begun(done, count, failed):
+        if done and timer.ident is None:
+            timer.start()
+
+    found = ma.sweep(
+        scene, {MASS: {"linspace": [5, 6, 5000]}}, workers=workers, out=tmp_path / "s.h5",
+        progress=begun, keep=["final_z"], certificate=False, **RUN,
+    )  # fmt: skip
+    timer.join()
+    assert 0 < len(found) < 5000
+    assert {row.status for row in found.rows()} == {"completed"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "text"),
+    [
+        ({"workers": 0}, "workers: must be a number from 1 on, got 0"),
+        ({"workers": 2.5}, "workers: must be a number from 1 on, got 2.5"),
+        ({"workers": 2, "dask": "tcp://here:1"}, "workers and dask exclude each other"),
+        ({"duraton": 1.0}, r"\$\.run\.duraton: unknown key 'duraton'"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_before_anything_is_written(scene, asked, text, tmp_path):
+    with pytest.raises(SweepError, match=text):
+        ma.sweep(scene, {MASS: [5.0]}, out=tmp_path / "s.h5", **asked)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,261 @@
+"""Replays of real runs, looked at with a real browser."""
+
+import re
+
+import numpy as np
+import pytest
+from replay_pages import POSE, SCENE, SEEK, opened
+from sample_run import rows_of
+
+import multiarm as ma
+from multiarm.errors import ReplayError
+from multiarm.results.sinks import MemorySink
+from multiarm.scene import find_robot, parse_scene
+from multiarm.viewer import replay
+from multiarm.viewer.animate import animate
+from multiarm.viewer.animation import rotations
+
+# Where every corner of every shape is in the picture: x, y, z in -1..1 if it is seen.
+IN_PICTURE = """() => {
+  const {THREE} = MeshCat, world = viewer.scene_tree.find(["world"]).object, seen = [];
+  viewer.scene.updateMatrixWorld(true);
+  viewer.camera.updateMatrixWorld(true);
+  for (const branch of world.children) {
+    if (!["object", "arms", "contacts", "forces", "joints"].includes(branch.name)) continue;
+    branch.traverse((node) => {
+      if (!node.isMesh) return;
+      node.geometry.computeBoundingBox();
+      const {min, max} = node.geometry.boundingBox;
+      for (let i = 0; i < 8; i++) {
+        const corner = new THREE.Vector3(
+          i & 1 ? min.x : max.x, i & 2 ? min.y : max.y, i & 4 ? min.z : max.z);
+        seen.push(node.localToWorld(corner).project(viewer.camera).toArray());
+      }
+    });
+  }
+  return seen;
+}"""
+
+LINKS = """(arm) => Object.keys(viewer.scene_tree.find(["world", "arms", arm]).children)"""
+
+
+@pytest.fixture(scope="module")
+def trajectory():
+    scene = parse_scene(SCENE, folder=None)
+    return ma.simulate(ma.compile_system(scene), duration=0.5, accuracy=1e-5)
+
+
+@pytest.fixture(scope="module")
+def exported(trajectory, tmp_path_factory):
+    path = tmp_path_factory.mktemp("replay") / "beam.html"
+    assert replay(trajectory, path) == path
+    return path
+
+
+def shortened(trajectory, samples, status, message, **changes):
+    """The first samples of a run, as if it had ended there; `changes` are channels."""
+    sink, channels = MemorySink(), list(trajectory.channels.values())
+    sink.open(channels, trajectory.provenance)
+    if samples:
+        block = {name: trajectory.read(name, 0, samples) for name in trajectory.channels}
+        sink.append(rows_of(channels, {**block, **changes}))
+    return sink.finish(status, message, {})
+
+
+def robot_text(name):
+    return find_robot(name).urdf.read_text()
+
+
+@pytest.mark.slow
+def test_exported_page_shows_the_run_without_network_or_complaints(view, exported, trajectory):
+    page = opened(view, exported)
+    page.wait_for_function("viewer.animator.time > 0.05", timeout=60_000)  # it plays by itself
+    assert view.complaints == []
+    assert view.requests == [exported.as_uri()]
+    assert page.inner_text("#about h1") == "two arms swing <a beam>"
+    assert page.inner_text("#note") == ""
+    assert page.evaluate("viewer.animator.duration") == pytest.approx(trajectory.time[-1])
+
+
+@pytest.mark.slow
+def test_object_and_tips_move_as_computed(view, exported, trajectory):
+    page = opened(view, exported)
+    system = ma.compile_system(trajectory.scene)
+    positions = []
+    for row in (0, len(trajectory) // 2, len(trajectory) - 1):
+        time = trajectory.time[row]
+        page.evaluate(SEEK, time - trajectory.time[0])
+        pose = page.evaluate(POSE, ["world", "object"])
+        positions.append(pose["position"])
+        # Frames are a thirtieth of a second apart, and the beam moves smoothly in between.
+        np.testing.assert_allclose(pose["position"], trajectory.object_position[row], atol=2e-3)
+        alignment = np.dot(pose["quaternion"], trajectory.object_quaternion_xyzw[row])
+        assert abs(alignment) > 1 - 1e-4
+        tip = system.arms["right"].tip_pose(trajectory.joint_positions["right"][row])[:3, 3]
+        contact = page.evaluate(POSE, ["world", "contacts", "right", "1"])["position"]
+        assert np.linalg.norm(np.subtract(contact, tip)) < 0.2
+    assert np.linalg.norm(np.subtract(positions[2], positions[0])) > 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(480, 800), (1200, 450)])
+def test_whole_scene_is_in_the_picture_all_the_time(view, exported, trajectory, size):
+    view.page.set_viewport_size({"width": size[0], "height": size[1]})
+    page = opened(view, exported)
+    for time in np.linspace(0, trajectory.time[-1], 4):
+        page.evaluate(SEEK, float(time))
+        corners = np.array(page.evaluate(IN_PICTURE))
+        assert len(corners) > 100
+        assert np.abs(corners).max() < 1
+    assert np.ptp(corners[:, :2], axis=0).max() > 0.6  # and not lost in it
+
+
+@pytest.mark.slow
+def test_time_bar_and_layers_work(view, exported):
+    page = opened(view, exported)
+    page.evaluate(SEEK, 0.3)
+    page.wait_for_function("!viewer.animator.playing")
+    page.fill("#seek", "0.2")
+    page.wait_for_function("document.querySelector('#clock').textContent === '0.20 / 0.50 s'")
+    page.click("#play")
+    page.wait_for_function("viewer.animator.playing")
+    page.uncheck("#layers input >> nth=0")
+    assert page.evaluate("viewer.scene_tree.find(['world', 'forces']).object.visible") is False
+
+
+def test_links_stand_where_the_joint_angles_put_them(trajectory):
+    animation = animate(trajectory, fps=1000, speed=1, meshes=True)
+    link = next(body for body in animation.bodies if body.name == "arms/left/link_2_1")
+    shoulder, upper_arm, middle = [-0.9, 0, 0.1 + 0.3], [0, 0.1, 0.1], [0, 0.045, 0.225]
+    for row, angles in enumerate(trajectory.joint_positions["left"]):
+        about_z, about_y = np.eye(3), np.eye(3)
+        (c, s), (c2, s2) = ((np.cos(a), np.sin(a)) for a in angles[:2])
+        about_z[:2, :2] = [[c, -s], [s, c]]
+        about_y[::2, ::2] = [[c2, s2], [-s2, c2]]
+        expected = shoulder + about_z @ (upper_arm + about_y @ middle)
+        np.testing.assert_allclose(link.position[row], expected, atol=1e-12)
+        turn = rotations(link.quaternion_xyzw[row : row + 1])[0]
+        np.testing.assert_allclose(turn, about_z @ about_y, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_failed_run_is_shown_up_to_where_it_came(view, trajectory, tmp_path):
+    cut = shortened(trajectory, 30, "failed", "the joints cannot follow; take smaller steps")
+    page = opened(view, replay(cut, tmp_path / "cut.html"))
+    assert page.evaluate("viewer.animator.duration") == pytest.approx(trajectory.time[29])
+    assert page.inner_text("#note") == "failed: the joints cannot follow; take smaller steps"
+
+
+@pytest.mark.slow
+def test_single_sample_is_a_still_picture(view, trajectory, tmp_path):
+    page = opened(view, replay(shortened(trajectory, 1, "failed", "at once"), tmp_path / "1.html"))
+    assert view.complaints == []
+    assert not page.is_visible("#bar")
+    pose = page.evaluate(POSE, ["world", "object"])
+    np.testing.assert_allclose(pose["position"], trajectory.object_position[0])
+
+
+def test_run_without_samples_is_refused_in_words(trajectory, tmp_path):
+    with pytest.raises(ReplayError, match="no samples"):
+        replay(shortened(trajectory, 0, "failed", "at once"), tmp_path / "nothing.html")
+
+
+def test_run_that_ended_in_a_singular_posture_is_shown(trajectory):
+    angles = trajectory.read("arms/right/joint_position", 0, 20).copy()
+    angles[-1] = [0, 0.4, 0, 0, 0, 0]  # stretched: it cannot follow a weld in all directions
+    end = {"arms/right/joint_position": angles}
+    run = shortened(trajectory, 20, "failed", "the posture is singular", **end)
+    system = ma.compile_system(run.scene)
+    state = system.state(joint_positions={"right": angles[-1]})
+    assert "right" in ma.evaluate(system, 0.0, state).coupled_arms
+    animation = animate(run, fps=1000, speed=1, meshes=False)
+    assert len(animation.time) == 20
+    assert all(np.isfinite(contacts.point).all() for contacts in animation.contacts)
+
+
+@pytest.mark.slow
+def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        re.sub(
+            r"<geometry>.*?</geometry>",
+            '<geometry><mesh filename="lost.stl"/></geometry>',
+            robot_text("textbook_6r"),
+            flags=re.DOTALL,
+        )
+    )
+    text = SCENE.replace("left: {robot: textbook_6r", f"left: {{urdf: '{urdf}'")
+    run = ma.simulate(ma.compile_system(parse_scene(text, folder=None)), duration=0.02)
+    with pytest.warns(UserWarning, match="lost.stl"):
+        path = replay(run, tmp_path / "bars.html")
+    page = opened(view, path)
+    names = page.evaluate(LINKS, "left")
+    assert len(names) >= 5 and all(name.endswith("_bar") for name in names)
+    assert not any(name.endswith("_bar") for name in page.evaluate(LINKS, "right"))
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "fault"),
+    [("lost.stl", None, "there is no such file"), ("bad.obj", b"hello", "no mesh of a known")],
+)
+def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
+    tmp_path, trajectory, file, content, fault
+):
+    urdf, text = tmp_path / "arm.urdf", robot_text("textbook_6r")
+    if content is not None:
+        (tmp_path / file).write_bytes(content)
+    link = re.search(r'<link name="link_3">.*?</link>', text, re.DOTALL).group()
+    geometry = f'<geometry><mesh filename="{file}"/></geometry>'
+    urdf.write_text(
+        text.replace(link, re.sub(r"<geometry>.*?</geometry>", geometry, link, flags=re.S))
+    )
+    scene = SCENE.replace("left: {robot: textbook_6r", f"left: {{urdf: '{urdf}'")
+    run = ma.simulate(ma.compile_system(parse_scene(scene, folder=None)), duration=0.02)
+    with pytest.warns(UserWarning, match=f"{file} of link 'link_3' .*{fault}"):
+        bodies = animate(run, fps=1000, speed=1, meshes=True).bodies
+    whole = animate(trajectory, fps=1000, speed=1, meshes=True).bodies
+    left, healthy = (
+        [body.name for body in shown if "arms/left" in body.name] for shown in (bodies, whole)
+    )
+    assert left == [*(name for name in healthy if "link_3" not in name), "arms/left/joint_3_bar"]
+
+
+@pytest.mark.slow
+def test_without_meshes_the_file_is_small(trajectory, tmp_path):
+    text = SCENE.replace("robot: textbook_6r", "robot: ur5").replace("tip: tool,", "tip: tool0,")
+    run = ma.simulate(ma.compile_system(parse_scene(text, folder=None)), duration=0.02)
+    full = replay(run, tmp_path / "full.html").stat().st_size
+    small = replay(run, tmp_path / "small.html", meshes=False).stat().st_size
+    assert small + 500_000 < full < 5_000_000
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"fps": 0}, "fps must be a number greater than 0, got 0"),
+        ({"speed": float("nan")}, "speed must be a number greater than 0"),
+        ({"path": "."}, "is a folder"),
+        ({"path": "no/such/folder/a.html"}, "there is no folder no/such/folder"),
+    ],
+)
+def test_unusable_options_are_named(trajectory, options, said):
+    with pytest.raises(ReplayError, match=said):
+        replay(trajectory, **{"path": "never.html", **options})
+
+
+@pytest.mark.slow
+def test_live_viewer_shows_the_same_scene(browser, trajectory):
+    visualizer = replay(trajectory, open_browser=False, fps=20)
+    page = browser.new_page(viewport={"width": 600, "height": 400})
+    try:
+        page.goto(visualizer.url())
+        page.wait_for_function("viewer.animator && viewer.animator.duration > 0", timeout=60_000)
+        page.evaluate(SEEK, float(trajectory.time[-1]))
+        pose = page.evaluate(POSE, ["world", "object"])
+        np.testing.assert_allclose(pose["position"], trajectory.object_position[-1], atol=1e-6)
+        # the camera's place comes over the wire like everything else, maybe a place later
+        framed = f"Math.max(...({IN_PICTURE})().flat().map(Math.abs)) < 1"
+        page.wait_for_function(framed, timeout=30_000)
+    finally:
+        page.close()
+        visualizer.window.close()
