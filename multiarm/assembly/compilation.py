@@ -181,14 +181,31 @@ def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[Syste
     scene, left = without_code(_with_arms(scene, arms))
     if not any(code.arm for code in left):
         return compile_system(scene), left
+    return geometry_of(scene), left
+
+
+def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
+    """Build what says where a scene's arms and contacts are: without control, not assembled.
+
+    The free motions of joints are those that their kinds fix.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its functions loaded, or without what needs them.
+    start : mapping, optional
+        Arguments of :meth:`multiarm.System.state`, in place of the start as written, for which
+        missing postures are sought.
+    """
     scene = with_bases(scene)
-    robots = load_robots(scene)
+    robots = load_robots(scene, seek=start is None)
     joints = scene_joints(scene, robots)
     rows = contact_rows(scene, robots, joints)
     draft = draft_model(scene, robots, joints, rows, arm_backends(scene, robots))
-    start = written_start(scene, robots, rows.layout)
-    model = replace(draft, pair_places=locate_pairs(draft.data(), start))
-    return System(scene, model, StartReport(), start), left
+    system = System(scene, draft, StartReport(), written_start(scene, robots, rows.layout))
+    state = system.state(**start or {})
+    model = replace(draft, pair_places=locate_pairs(draft.data(), state))
+    return System(scene, model, StartReport(), state)
 
 
 def _with_arms(scene: Scene, arms: str | None) -> Scene:

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.assembly.compilation import compile_for_inspection, compile_system
+from multiarm.assembly.compilation import geometry_of
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
+from multiarm.scene import with_code, without_code
 from multiarm.scene.control import NoControl
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
 from multiarm.viewer.commands import rgb
@@ -104,12 +105,16 @@ def animate(
 
 
 def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
-    """The system to be drawn, and a message about contacts that need code to be drawn."""
+    """What is to be drawn, at the run's first sample, and what needs code to be drawn."""
     # without its control, whose tables need not exist any more
     scene = trajectory.simulated_scene.model_copy(update={"control": NoControl()})
-    if code:
-        return compile_system(scene, code=True), []
-    system, left = compile_for_inspection(scene)
+    start = {
+        "object_position": trajectory.object_position[0],
+        "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[0],
+        "joint_positions": {arm: own[0] for arm, own in trajectory.joint_positions.items()},
+    }
+    scene, left = (with_code(scene, True), []) if code else without_code(scene)
+    system = geometry_of(scene, start)
     unseen = [one for one in left if one.arm]
     if not unseen:
         return system, []

@@ -139,6 +139,19 @@ def test_links_stand_where_the_joint_angles_put_them(trajectory):
 
 
 @pytest.mark.slow
+def test_a_replay_seeks_no_posture_assembles_no_start_and_has_no_control(monkeypatch, trajectory):
+    def refuse(*given, **more):
+        raise AssertionError("all that is recorded")
+
+    expected = animate(trajectory, fps=30, speed=1.0, meshes=False)
+    for name in ("find_postures", "assembled_start", "control_law"):
+        monkeypatch.setattr(f"multiarm.assembly.compilation.{name}", refuse)
+    found = animate(trajectory, fps=30, speed=1.0, meshes=False)
+    np.testing.assert_array_equal(found.contacts[0].point, expected.contacts[0].point)
+    np.testing.assert_array_equal(found.bodies[1].position, expected.bodies[1].position)
+
+
+@pytest.mark.slow
 def test_failed_run_is_shown_up_to_where_it_came(view, trajectory, tmp_path):
     cut = shortened(trajectory, 30, "failed", "the joints cannot follow; take smaller steps")
     page = opened(view, replay(cut, tmp_path / "cut.html"))
