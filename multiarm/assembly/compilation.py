@@ -21,7 +21,7 @@ from multiarm.assembly.start import assemble as close_start
 from multiarm.assembly.start import check_patches, check_unilateral, unassembled
 from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
-from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
+from multiarm.contacts.unilateral import UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import control_program
 from multiarm.control.program import (
     ControlContext,
@@ -72,7 +72,7 @@ from multiarm.scene import (
 )
 from multiarm.scene.faults import shown
 from multiarm.scene.joints import BUILT_IN
-from multiarm.scene.values import SOLVE
+from multiarm.scene.values import SOLVE, SURROUNDINGS
 from multiarm.spatial import matrix_to_quaternion
 
 # Functions of an evaluation: compiled at once, and when first called.

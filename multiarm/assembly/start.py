@@ -37,7 +37,7 @@ from multiarm.assembly.loop_closure import (
 )
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import JointRow
-from multiarm.contacts.unilateral import LIMIT, SURROUNDINGS, Constraint
+from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.diagnosis import failure_text, lost_contact
@@ -50,6 +50,7 @@ from multiarm.integration.monitors import contacts_off_patch
 from multiarm.integration.projection import project_velocities
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
+from multiarm.scene.values import SURROUNDINGS
 from multiarm.spatial import difference
 
 # Gaps below this part of the scene's size count as touching.

@@ -154,7 +154,7 @@ def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
 
 def _posture(arm: ArmFacts) -> Text:
     if arm.verdict is None:
-        return Text("not judged by the dense solver", "dim")
+        return Text("not judged", "dim")
     good = arm.verdict == "good"
     text = Text(f"{arm.verdict} ({arm.conditioning:.2g})", "green" if good else "bold yellow")
     return text.append("".join(f"; {words}" for words in arm.lost_motions))

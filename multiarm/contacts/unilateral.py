@@ -26,10 +26,9 @@ from multiarm.geometry.records import Contact, Patch, plane, sphere
 from multiarm.scene import Mesh, Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
+from multiarm.scene.values import SURROUNDINGS
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
-# Owner of the contacts of the object with its surroundings.
-SURROUNDINGS = "floor"
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,9 @@ def _columns_of(
                 text = unknown("joint", name, joints)
                 raise _fault(f"{path}, column {name!r}: {text}; `columns` selects and maps columns")
         if not chosen:
-            raise _fault(f"{path} has no column but {control.time!r}; add one named 'arm/joint'")
+            raise _fault(
+                f"{path} has no column of numbers but {control.time!r}; add one named 'arm/joint'"
+            )
         return chosen
     for joint, name in control.columns.items():
         if name not in names:

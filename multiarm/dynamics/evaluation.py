@@ -22,7 +22,6 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
-from multiarm.contacts.unilateral import SURROUNDINGS
 from multiarm.dynamics.arrays import OK, Variables
 from multiarm.dynamics.contact_geometry import (
     constraint_matrix,
@@ -47,6 +46,7 @@ from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
 from multiarm.public import facts_html, public_names
+from multiarm.scene.values import SURROUNDINGS
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
 Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)

@@ -37,7 +37,7 @@ from multiarm.contacts.table import (
     JointRow,
     pack,
 )
-from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
+from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import (
     ALWAYS,
     CALLBACK_FAILED,
@@ -66,6 +66,7 @@ from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
 from multiarm.public import public_names
 from multiarm.scene import ResolvedArm
+from multiarm.scene.values import SURROUNDINGS
 
 
 @dataclass(frozen=True)

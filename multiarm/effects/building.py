@@ -20,6 +20,8 @@ from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.scene import EFFECTS, JointOutline, Scene, joint_vector
+from multiarm.scene.faults import shown
+from multiarm.scene.registry import called
 
 
 class Link(NamedTuple):
@@ -170,13 +172,10 @@ def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKer
             f"effects.{name}: the package of this effect is not installed; install it, or register "
             "its class with multiarm.register_effect"
         )
-    try:
-        found = effect(spec).build(context)
-    except SystemExit as error:
-        raise ModelError(f"effects.{name}: build raised SystemExit: {error}") from error
+    who = f"effects.{name}: build"
+    found = called(lambda: effect(spec).build(context), who)
     if not isinstance(found, list) or not all(isinstance(k, EffectKernel) for k in found):
         raise ModelError(
-            f"effects.{name}: build returned {type(found).__name__}; return a list of "
-            "multiarm.effects.EffectKernel"
+            f"{who} returned {shown(found)}; return a list of multiarm.effects.EffectKernel"
         )
     return found

@@ -213,6 +213,23 @@ class Contact:
         """
         return self.mapped(lambda s: s.moved(rotation, translation), lambda s: s)
 
+    def fault(self) -> str:
+        """What is wrong with its fields, in words; empty when nothing is."""
+        if not isinstance(self.name, str) or not self.name:
+            return f"{self.name!r} as its name, which is no text"
+        if self.mu is not None and not (np.isfinite(self.mu) and self.mu >= 0.0):
+            return f"mu = {self.mu}; a coefficient of friction is not negative"
+        for side in ("arm", "object"):
+            surface = getattr(self, side)
+            if not isinstance(surface, Surface):
+                return f"{surface!r} as its surface on the {side}; make one by plane, sphere, ..."
+            numbers = [*surface.origin, *surface.axes.flat, *surface.sizes, self.weight]
+            if not np.all(np.isfinite(numbers)):
+                return "a number that is not finite or a direction that is zero"
+            if surface.kind in (SPHERE, CYLINDER, TORUS, ELLIPSOID) and min(surface.sizes) < 0.0:
+                return f"a negative size of its surface on the {side}"
+        return "" if self.minus is None else self.minus.fault()
+
     @property
     def is_combined(self) -> bool:
         """Whether the row is a multiple or a difference of contacts."""

@@ -33,7 +33,7 @@ from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.motion import Motion
 from multiarm.gradients.segments import SHORTEST, TINY, Panel, Segment
-from multiarm.gradients.variation import Parameter, Variation, variation
+from multiarm.gradients.variation import Parameter, Variation, state_columns, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
@@ -284,9 +284,19 @@ class Along:
         rate, slope = 0.0, np.zeros(self.size)
         if self._integrand is not None:
             rate, slope = self._integrand(t, state)
-        found = Variation(*variation(D), beta, D.motions, offset, slope, rate)
+        A, B = variation(D)
+        scale = self._scale(D.evaluation.accelerations)
+        found = Variation(A, B, beta, D.motions, offset, slope, rate, scale)
         if len(self._values) * found.numbers < MOST_KEPT:
             self._values[t] = found
+        return found
+
+    def _scale(self, accelerations: np.ndarray) -> np.ndarray:
+        """What the derivatives of the accelerations by parameters are as a rule, shape (D, P)."""
+        largest = np.abs(np.append(accelerations, self.system.scene.gravity or 0.0)).max()
+        at, found = state_columns(self.layout), np.zeros((self.size, len(self.parameters)))
+        for velocity in ("object_twist", "joint_velocities"):
+            found[at[velocity]] = [largest / parameter.size for parameter in self.parameters]
         return found
 
     def _derivatives(self, t: float, state: State) -> Derivatives:

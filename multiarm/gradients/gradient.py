@@ -26,14 +26,16 @@ from multiarm.control.recorded import DEGREES, polynomials
 from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
-from multiarm.errors import ModelError
+from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
 from multiarm.gradients.along import Along, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.segments import (
     RICHARDSON,
-    SHORTEST,
+    ROUNDING,
     TINY,
+    WHOLE,
     Coefficients,
+    Halving,
     Panel,
     Piece,
     Segment,
@@ -67,7 +69,8 @@ class Gradient:
     trajectory : Trajectory
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.motion`).
     error : float
-        Estimated error of the derivatives along this run, relative to the largest.
+        Estimated error of the derivatives along this run, relative to the largest; of those by
+        numbers of the scene relative to each, or where these are roundings, to their terms.
     times : ndarray, shape (K,)
         Nodes of a quadrature over the run [s], with ``weights`` (K,) [s].
     torque_density : ndarray, shape (K, n)
@@ -116,7 +119,7 @@ class Gradient:
         ModelError, SceneError
             When the times do not increase, or the interpolation is unknown.
         """
-        rows = increasing_times(np.asarray(times, dtype=float))
+        rows = increasing_times(times, "times")
         if interpolation not in DEGREES or len(rows) < 2:
             few = "a table needs two rows or more"
             fault = few if len(rows) < 2 else unknown("interpolation", interpolation, DEGREES)
@@ -204,6 +207,9 @@ def gradient(
     start = None if state is None else system.checked(state)
     if final is None and running is None:
         raise ModelError("gradient: give `final` or `running`, the scalar to be differentiated")
+    for name, own in (("final", final), ("running", running)):
+        if own is not None and not callable(own):
+            raise ModelError(f"gradient: `{name}` is a function f(t, state), got {shown(own)}")
     begin, duration = require_time(start_time), positive("duration", duration)
     integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
@@ -235,6 +241,7 @@ class _Solved(NamedTuple):
     start: np.ndarray  # (d,), the adjoint
     integrals: np.ndarray  # (1 + P,)
     magnitudes: np.ndarray  # (1 + P,), of the integrands
+    terms: np.ndarray  # (1 + P,), of the products that integrands are sums of
     torque_density: np.ndarray  # (s, n)
     start_error: np.ndarray  # (d,)
     integral_errors: np.ndarray  # (1 + P,)
@@ -249,7 +256,7 @@ class _Backward:
         self._along, count = along, 1 + len(along.parameters)
         self._mu, self._error = slope, np.zeros_like(slope)
         self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
-        self._magnitudes = np.zeros(count)
+        self._magnitudes, self._terms = np.zeros(count), np.zeros(count)
         self._integrals[0], self._magnitudes[0] = value, abs(value)
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
@@ -265,7 +272,7 @@ class _Backward:
                     own[k] += added
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(along.count - k)
-        sizes, admissible = np.maximum(self._magnitudes, TINY), along.admissible
+        sizes, admissible = self._sizes(self._magnitudes, self._terms), along.admissible
         start = admissible @ self._mu
         of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
         self._pieces.reverse()
@@ -291,7 +298,7 @@ class _Backward:
         self._integral_errors[1:] += self._error @ n
         self._mu, self._error = self._mu @ E, self._error @ E
 
-    def _over(self, piece: Piece) -> tuple[float, np.ndarray]:
+    def _over(self, piece: Piece, halving: Halving = WHOLE) -> tuple[float, np.ndarray]:
         """Solve over one piece, or over parts of it.
 
         Returns what the series' error adds: relative to the adjoint, and to the integrals.
@@ -305,22 +312,30 @@ class _Backward:
         missed_integrals = (panel.length * WEIGHTS @ integrand - integrals) / RICHARDSON
         magnitudes = late.magnitudes + early.magnitudes
         part = panel.length / (along.end - along.begin)
-        sizes = np.maximum(magnitudes, part * self._magnitudes) + TINY
+        terms = late.terms + early.terms
+        sizes = np.maximum(magnitudes, part * self._magnitudes)
+        sizes = self._sizes(sizes, np.maximum(terms, part * self._terms))
         wrong = np.abs(missed).max() / (part * np.abs(early.start).max(initial=TINY))
         wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
-        if wrong > along.panel_tolerance and part > SHORTEST:
-            (later, later_integrals), (own, own_integrals) = self._over(second), self._over(first)
+        if wrong > along.panel_tolerance and (finer := halving.next(wrong, part)):
+            later, later_integrals = self._over(second, finer)
+            own, own_integrals = self._over(first, finer)
             return later + own, later_integrals + own_integrals
         self._mu, self._error = early.start, early.start_error + missed
         self._integrals += integrals
         self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
         self._magnitudes += magnitudes
+        self._terms += terms
         densities = late.torque_density, early.torque_density
         self._pieces += zip((second.panel, first.panel), densities, strict=True)
         return (
             late.series_error + early.series_error,
             late.series_integrals + early.series_integrals,
         )
+
+    def _sizes(self, magnitudes: np.ndarray, terms: np.ndarray) -> np.ndarray:
+        """What errors of integrals are relative to: with smaller sizes they would be roundings."""
+        return np.maximum(magnitudes, ROUNDING / self._along.tolerance * terms) + TINY
 
 
 def _adjoint(piece: Piece, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -339,10 +354,14 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
     start_error, error_stages = piece.collocation.backward(error, wrong)
     of_series = _integrand(defect, stages) + defect.rates
+    terms = np.zeros_like(integrand)
+    usual = np.maximum(np.abs(at.beta), piece.scale)
+    terms[:, 1:] = np.einsum("id,idp->ip", np.abs(stages), usual)
     return _Solved(
         start,
         weights @ integrand,
         weights @ np.abs(integrand),
+        weights @ terms,
         np.einsum("idn,id->in", at.B, stages),
         start_error,
         weights @ (_integrand(at, error_stages) + of_series),
@@ -361,16 +380,30 @@ def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:
     """The value of a user's function and its derivatives by a displacement, shape (D,)."""
     size = 12 + 2 * state.layout.joints
-    found = function(t, state.copy())
+    found = _scalar(function, t, state.copy())
     if isinstance(found, tuple):
         value, slope = found
         return _number(value), checked_vector("the derivatives of a scalar", slope, size)
     steps = DISPLACEMENT * np.eye(size)
     changes = [
-        _number(function(t, displaced(state, step))) - _number(function(t, displaced(state, -step)))
+        _number(_scalar(function, t, displaced(state, step)))
+        - _number(_scalar(function, t, displaced(state, -step)))
         for step in steps
     ]
     return _number(found), np.array(changes) / (2.0 * DISPLACEMENT)
+
+
+def _scalar(function: Scalar, t: float, state: State) -> object:
+    """What a user's function returns."""
+    try:
+        return function(t, state)
+    except MultiarmError:
+        raise
+    except USER_FAULTS as error:
+        raise ModelError(
+            f"gradient: the scalar, f(t, state), raised {type(error).__name__} at t = {t:.9g} s: "
+            f"{error}"
+        ) from error
 
 
 def _number(value: object) -> float:

@@ -23,10 +23,15 @@ of order p, the result of the halves is wrong by
 
 Counted on is the order of the stages, p = 5, which long panels and strong damping leave of nine.
 Panels for which that is too much are divided.
+
+*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of their terms: of what
+they are as a rule, and of products that cancel.  Smaller ones, such as those that vanish by
+symmetry, are not resolved any finer.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -43,6 +48,10 @@ from multiarm.gradients.variation import Variation
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
 RICHARDSON = 2.0**COUNT - 1.0
+# Panels are divided so many times more where that lessens their error by less than this factor.
+PATIENCE, LESSENED = 6, 0.5
+# Of derivatives by parameters, relative to their terms.
+ROUNDING = 1e-9
 # In place of sizes that are zero.
 TINY = 1e-300
 
@@ -67,6 +76,21 @@ class Panel(NamedTuple):
         """The panel in equal parts."""
         times = np.linspace(self.begin, self.end, count + 1).tolist()
         return [Panel(*pair) for pair in pairwise(times)]
+
+
+class Halving(NamedTuple):
+    """How panels have been divided so far: as long as that lessens their error, or nearly so."""
+
+    error: float = math.inf
+    vain: int = 0
+
+    def next(self, error: float, part: float) -> Halving | None:
+        """After one more error, of a panel of this part of the run; None: it stays as it is."""
+        vain = self.vain + 1 if error > LESSENED * self.error else 0
+        return Halving(error, vain) if part > SHORTEST and vain < PATIENCE else None
+
+
+WHOLE = Halving()
 
 
 class Coefficients(NamedTuple):
@@ -108,6 +132,8 @@ class Segment:
         The whole of it.
     basis : ndarray, shape (D, d)
         R.
+    scale : ndarray, shape (d, P)
+        What derivatives by the parameters are as a rule, for each coordinate.
     defect, error : float
         Of the series, relative to its largest value; the error that it alone may make, relative to
         a displacement.  Twice the degree about squares the first.
@@ -119,7 +145,7 @@ class Segment:
     """
 
     def __init__(self, panel: Panel, values: Sequence[Variation]) -> None:
-        A, B, beta, motions, offset, slope, rate = zip(*values, strict=True)
+        A, B, beta, motions, offset, slope, rate, scale = zip(*values, strict=True)
         bases = free_bases(motions)
         if len({own.shape for own in bases}) > 1:
             raise SolverError(
@@ -129,6 +155,7 @@ class Segment:
         A, B, beta, offset, slope, N = map(np.stack, (A, B, beta, offset, slope, bases))
         self.panel, self.basis = panel, bases[len(bases) // 2]
         to, self._joints, (_, d) = self.basis.T, B.shape[2], self.basis.shape
+        self.scale = np.abs(to) @ np.max(scale, axis=0)
         E = N @ np.linalg.inv(to @ N)
         n = offset - E @ (to @ offset)
         own = np.zeros((len(values), d + 1, d + self._joints + beta.shape[2] + 1))
@@ -185,10 +212,12 @@ class Piece:
     at, defect : Coefficients
         At its nodes, and their defects.
     collocation : Collocation
+    scale : ndarray, shape (d, P)
+        That of the segment.
     """
 
     def __init__(self, segment: Segment, panel: Panel) -> None:
-        self._segment, self.panel = segment, panel
+        self._segment, self.panel, self.scale = segment, panel, segment.scale
         self.at, self.defect = segment.at(panel.nodes)
         self.collocation = Collocation(self.at.A, panel.length)
 

@@ -22,7 +22,15 @@ from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SceneError
 from multiarm.gradients.along import Along, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
-from multiarm.gradients.segments import RICHARDSON, SHORTEST, TINY, Coefficients, Piece
+from multiarm.gradients.segments import (
+    RICHARDSON,
+    ROUNDING,
+    TINY,
+    WHOLE,
+    Coefficients,
+    Halving,
+    Piece,
+)
 from multiarm.gradients.variation import state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -148,7 +156,7 @@ def sensitivities(
     """
     system = require_system(system, "ma.sensitivities(system, times)")
     start, begin = None if state is None else system.checked(state), require_time(start_time)
-    at = increasing_times(np.asarray(times, dtype=float))
+    at = increasing_times(times, "times")
     if at[0] < begin or not at[-1] > begin:
         raise SceneError(
             f"'times' must be after the start of the run at {begin:.9g} s, got {at[0]:.9g} s"
@@ -191,8 +199,10 @@ class _Forward:
             segment = along.segment(k)
             if k == 0:  # columns that begin with nothing grow to about this size
                 at, _ = segment.at([segment.panel.nodes[1]])
-                grown = (along.end - along.begin) * np.abs(at.beta).max(axis=(0, 1))
-                self._grown[along.size :] = grown
+                duration, of_all = along.end - along.begin, slice(along.size, None)
+                self._grown[of_all] = duration * np.abs(at.beta).max(axis=(0, 1))
+                least = ROUNDING / along.tolerance * duration * segment.scale.max(axis=0, initial=0)
+                self._sizes[of_all] = np.maximum(self._sizes[of_all], least)
             to = segment.basis.T
             self._S, self._error = to @ self._S, to @ self._error
             for piece in segment.pieces(along.bounds):
@@ -206,7 +216,7 @@ class _Forward:
         error = max((self._worst / self._sizes).max(), of_series.sum())
         return _Walk(float(error), of_series, self._at)
 
-    def _over(self, piece: Piece, share: np.ndarray) -> None:
+    def _over(self, piece: Piece, share: np.ndarray, halving: Halving = WHOLE) -> None:
         """Solve over one piece, or over parts of it; adds the errors of the series, (C,)."""
         along, panel, S, error = self._along, piece.panel, self._S, self._error
         whole, _, _ = _solved(piece, S, error)
@@ -218,9 +228,9 @@ class _Forward:
         sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
         part = panel.length / (along.end - along.begin)
         wrong = np.abs(missed).max(axis=0) / (part * np.maximum(sizes, self._grown))
-        if wrong.max() > along.panel_tolerance and part > SHORTEST:
+        if wrong.max() > along.panel_tolerance and (finer := halving.next(wrong.max(), part)):
             for half in piece.halves:
-                self._over(half, share)
+                self._over(half, share, finer)
             return
         self._S, self._error, self._sizes = S, error + missed, sizes
         self._worst = np.maximum(self._worst, np.abs(self._error).max(axis=0))

@@ -69,6 +69,8 @@ class Variation(NamedTuple):
         Derivatives of an integrand; zero without one.
     rate : float
         The integrand.
+    scale : ndarray, shape (D, P)
+        What ``beta`` is as a rule: the largest acceleration, or gravity, over a parameter's size.
     """
 
     A: np.ndarray
@@ -77,7 +79,8 @@ class Variation(NamedTuple):
     motions: Motions
     offset: np.ndarray
     slope: np.ndarray
-    rate: float = 0.0
+    rate: float
+    scale: np.ndarray
 
     @property
     def numbers(self) -> int:
@@ -135,6 +138,11 @@ class Parameter:
         A change of the number that changes motions as a whole; a thousandth of it is tried.  The
         number itself when left out.
 
+    Attributes
+    ----------
+    path : str
+    size : float
+
     Raises
     ------
     SceneError
@@ -152,8 +160,8 @@ class Parameter:
             )
         if size is None:
             size = abs(value) if abs(value) > ROUNDING else 1.0
-        step = PART * positive(f"parameters[{path!r}]", size)
-        self.path, self._start = path, system.initial_state()
+        self.path, self.size = path, positive(f"parameters[{path!r}]", size)
+        self._start, step = system.initial_state(), PART * self.size
         self._systems = {
             weight / step: _with_value(system, path, value + offset * step)
             for offset, weight in OFFSETS.items()

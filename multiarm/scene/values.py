@@ -238,6 +238,8 @@ WorldAxes = Annotated[
 """Three numbers for the world's axes, or one for all of them; not negative."""
 
 
+SURROUNDINGS = "floor"
+"""Owner of contacts between the object and what stands still, beside the arms."""
 _ARM_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.\-]*"
 _HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
 
@@ -248,6 +250,8 @@ def _arm_name(value: Any) -> str:
             f"{shown(value)} cannot name an arm; use letters, digits, '_', '-' and '.' "
             "(names become parts of paths such as 'left/elbow_joint')"
         )
+    if value == SURROUNDINGS:
+        raise fault(f"no arm can be named {value!r}: results have the floor's forces there")
     return value
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
@@ -141,8 +141,8 @@ def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) 
     return RunSpec(**data)
 
 
-def increasing_times(values: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Output times as an array (K,) [s].
+def increasing_times(values: ArrayLike, name: str = "output_times") -> np.ndarray:
+    """Times that a caller gives under a name, as an array (K,) [s].
 
     Raises
     ------
@@ -154,12 +154,12 @@ def increasing_times(values: Sequence[float] | np.ndarray) -> np.ndarray:
     except (TypeError, ValueError):
         times = np.empty(0)
     if times.ndim != 1 or not times.size or not np.all(np.isfinite(times)):
-        raise SceneError(f"'output_times' must be a list of times [s], got {shown(values)}")
+        raise SceneError(f"{name!r} must be a list of times [s], got {shown(values)}")
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         k = late[0]
         raise SceneError(
-            f"'output_times' must increase; {times[k + 1]:.9g} s comes after {times[k]:.9g} s"
+            f"{name!r} must increase; {times[k + 1]:.9g} s comes after {times[k]:.9g} s"
         )
     return times
 

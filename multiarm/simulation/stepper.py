@@ -163,11 +163,13 @@ class Stepper:
 
         Raises
         ------
+        ModelError
+            When ``state`` is none of this system.
         SolverError, ControlError
             When the start cannot be evaluated.
         """
         if state is not None:
-            self._task = replace(self._task, state=state.copy())
+            self._task = replace(self._task, state=self._task.system.checked(state))
         self._broken = ""
         # times are multiples of equal durations, so that they do not add up roundings
         self._from, self._count, self._duration = 0.0, 0, 0.0

@@ -171,7 +171,9 @@ def test_the_error_of_a_series_is_solved_for_with_the_solution():
     def variation(t):
         A = np.array([[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]])
         beta, slope = np.array([[0.0], [np.sin(25.0 * t)]]), np.array([np.cos(20.0 * t), 0.0])
-        return Variation(A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope)
+        return Variation(
+            A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope, 0.0, np.zeros((2, 1))
+        )
 
     class Free:
         """All displacements of one coordinate and its rate are free."""
@@ -362,6 +364,22 @@ def test_numbers_that_move_the_joints_move_the_run_with_them():
         SolverError, match=r"joints\[1\].at.xyz\[2\] moves the joints.*leave it out"
     ):
         ma.gradient(system, T, final=height, parameters=[path], state=system.initial_state())
+
+
+@pytest.mark.parametrize("accuracy", [1e-6, 1e-9])
+@pytest.mark.parametrize("path", ["gravity[0]", "arms.left.base.xyz[2]"])
+def test_derivatives_that_vanish_are_found_without_ever_shorter_panels(path, accuracy):
+    """By symmetry a sideways pull does not lift; joints written at the arms' tips go with them."""
+    servo = {"kind": "joint_pd", "stiffness": 300, "damping": 20, "gravity_compensation": False}
+    system = ma.compile_system(ma.load_scene(SCENES / "two_ur5_box.yaml").replace(control=servo))
+    told = {"parameters": ["object.mass", path], "accuracy": accuracy}
+    found = ma.gradient(system, 0.05, final=lambda t, state: state.object_position[2], **told)
+    assert abs(found.parameters[path]) < 1e-9 * abs(found.parameters["object.mass"])
+    assert found.error <= max(accuracy, 1e-8)
+    assert len(found.times) < 100
+    forward = ma.sensitivities(system, [0.05], **told)
+    assert abs(forward.object_pose.d_parameter(path)[0, 2]) < 1e-9
+    assert forward.error <= max(accuracy, 1e-8)
 
 
 def test_forward_and_backward_agree_at_a_later_start():

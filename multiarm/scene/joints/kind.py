@@ -18,7 +18,7 @@ from typing_extensions import Self
 from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis
-from multiarm.scene.faults import fault
+from multiarm.scene.faults import fault, shown
 from multiarm.scene.registry import OwnKind, called
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
@@ -166,17 +166,16 @@ class Joint(OwnKind):
         found = called(self.records, who)
         if not isinstance(found, (list, tuple)) or not all(isinstance(c, Contact) for c in found):
             raise ModelError(
-                f"{who} returned {type(found).__name__}; return a list of multiarm.geometry.Contact"
+                f"{who} returned {shown(found)}; return a list of multiarm.geometry.Contact"
             )
         if not found:
             raise ModelError(f"{who} returned no contact; a joint has at least one")
         for contact in found:
-            for surface in (contact.arm, contact.object):
-                if not np.all(np.isfinite([*surface.origin, *surface.axes.flat, *surface.sizes])):
-                    raise ModelError(
-                        f"{who} returned contact {contact.name!r} with a number that is not finite "
-                        "or a direction that is zero; correct it"
-                    )
+            wrong = contact.fault()
+            if wrong:
+                raise ModelError(
+                    f"{who} returned contact {shown(contact.name)} with {wrong}; correct it"
+                )
         on_tip = self.at_tip.matrix()
         own = [moved(contact, on_tip, object_pose) for contact in found]
         return own if self.mu is None else _with_friction(own, self.mu)
