@@ -26,7 +26,15 @@ from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.scene.control import NoControl
-from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
+from multiarm.viewer.animation import (
+    Animation,
+    Body,
+    Dial,
+    HingeTracks,
+    along,
+    moving,
+    rotations,
+)
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.contact_tracks import (
     contacts_of,
@@ -35,7 +43,7 @@ from multiarm.viewer.contact_tracks import (
     placed,
     surface_bodies,
 )
-from multiarm.viewer.mesh import Mesh, box, capsule, cylinder, merge
+from multiarm.viewer.mesh import Z_TO_X, Mesh, box, capsule, cylinder, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, mesh_loader, object_mesh
 
 if TYPE_CHECKING:
@@ -140,11 +148,7 @@ def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
         )
         count = MOST_FRAMES
     wanted = np.linspace(time[0], time[-1], count)
-    after = np.clip(np.searchsorted(time, wanted), 1, max(1, len(time) - 1))
-    after = np.minimum(after, len(time) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(wanted - time[before] < time[after] - wanted, before, after)
-    rows = np.unique(nearest)
+    rows = np.unique(np.searchsorted((time[1:] + time[:-1]) / 2, wanted))  # the nearest ones
     return rows[np.diff(time[rows], prepend=-np.inf) > 0]
 
 
@@ -324,7 +328,6 @@ def _distinct(names: list[str]) -> list[str]:
 
 # Joints that are drawn as one thing on the object; a cross has two axles.
 SHAPES = ("axle", "rail", "sleeve", "ball")
-CYCLE = np.eye(4)[[2, 0, 1, 3]]  # its columns are the axes y, z, x: F @ CYCLE has z along F's x
 CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
 
 
@@ -355,7 +358,7 @@ def _hinges(
 ) -> list[HingeTracks]:
     on_object, on_tip = object_poses @ frame.on_object, tip_poses @ frame.on_tip  # (K, 4, 4)
     if joint.drawn_as == "cross":  # about the object's x and the arm's y axis
-        axles = (on_object @ CYCLE, on_tip @ CYCLE.T)
+        axles = (on_object @ Z_TO_X, on_tip @ Z_TO_X.T)  # z along x, and along y
         return [
             HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *placed(axle))
             for k, axle in enumerate(axles, start=1)
@@ -430,8 +433,8 @@ def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body
 
 def lowest(body: Body) -> float:
     """Return the height of a resting body's lowest point [m]."""
-    turned = body.mesh.vertices @ rotations(body.quaternion_xyzw[:1])[0].T
-    return float(body.position[0, 2] + turned[:, 2].min())
+    corners = moving(body.mesh.vertices, body.position[:1], body.quaternion_xyzw[:1])
+    return float(corners[..., 2].min())
 
 
 OPACITY = 0.35
