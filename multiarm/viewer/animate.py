@@ -327,7 +327,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 # Joints that are drawn as one thing on the object; a cross has two axles.
-SHAPES = ("axle", "rail", "sleeve", "ball")
+HINGE_SHAPES = ("axle", "rail", "sleeve", "ball")
 CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
 
 
@@ -340,7 +340,7 @@ def hinges_of(
     object_poses[:, :3, 3] = trajectory.object_position[rows]
     hinges = []
     for joint in system.scene.joints:
-        if joint.drawn_as not in (*SHAPES, "cross"):
+        if joint.drawn_as not in (*HINGE_SHAPES, "cross"):
             continue
         arm, frame = system.arms[joint.arm], system.frames[joint.arm]
         angles = trajectory.joint_positions[joint.arm][rows]
@@ -383,9 +383,9 @@ def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
     return turn
 
 
-COLOR = np.array([0.62, 0.65, 0.69])
+GROUND_COLOR = np.array([0.62, 0.65, 0.69])
 # Thickness of the slab over its shorter side, and its margin over the object's size.
-THICKNESS, MARGIN = 0.02, 3.0
+GROUND_THICKNESS, GROUND_MARGIN = 0.02, 3.0
 # Radius of a column over its height, at least and at most [m]; lower ones are not drawn.
 SLENDER, THINNEST, THICKEST, LOWEST = 0.2, 0.03, 0.1, 0.02
 
@@ -405,13 +405,13 @@ def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list
     if spec.size is None:
         low, high = over.min(axis=0), over.max(axis=0)
         middle[:2] = 0.5 * (low + high)[:2]
-        sides[:2] = (high - low)[:2] + 2.0 * MARGIN * size
+        sides[:2] = (high - low)[:2] + 2.0 * GROUND_MARGIN * size
     else:
         sides[:2] = spec.size
-    sides[2] = THICKNESS * sides[:2].min()
+    sides[2] = GROUND_THICKNESS * sides[:2].min()
     middle[2] = -0.5 * sides[2]
     pose[:3, 3] += pose[:3, :3] @ middle
-    return [Body("floor", box(sides), *placed([pose] * len(rows)), COLOR)]
+    return [Body("floor", box(sides), *placed([pose] * len(rows)), GROUND_COLOR)]
 
 
 def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
@@ -427,7 +427,7 @@ def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body
         mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
         middle = np.eye(4)
         middle[:3, 3] = *foot[:2, 3], floor + 0.5 * height
-        bodies.append(Body(f"columns/{name}", mesh, *placed([middle] * frames), COLOR))
+        bodies.append(Body(f"columns/{name}", mesh, *placed([middle] * frames), GROUND_COLOR))
     return bodies
 
 
@@ -437,10 +437,10 @@ def lowest(body: Body) -> float:
     return float(corners[..., 2].min())
 
 
-OPACITY = 0.35
+REGION_OPACITY = 0.35
 # Height over the face in sizes of the object, so that both are distinct; regions of several
 # contacts on one face lie one over the other.
-LIFT = 1e-3
+REGION_LIFT = 1e-3
 
 
 def scene_grasp(system: System) -> SceneGrasp | None:
@@ -465,8 +465,8 @@ def region_bodies(
         if region is None or grasp.body is None:
             continue
         layers[face] = layers.get(face, 0) + 1
-        mesh = sheet(region, layers[face] * LIFT * grasp.body.size)
-        bodies.append(Body(f"regions/{arm}/{k + 1}", mesh, *poses, colors[arm], OPACITY))
+        mesh = sheet(region, layers[face] * REGION_LIFT * grasp.body.size)
+        bodies.append(Body(f"regions/{arm}/{k + 1}", mesh, *poses, colors[arm], REGION_OPACITY))
     return bodies
 
 

@@ -151,7 +151,7 @@ def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarra
         return contact_places(data, state)
 
 
-OPACITY = 0.45
+SURFACE_OPACITY = 0.45
 # Parts of a surface along its profile, and of a grid along each of its two directions.
 CELLS = 40
 
@@ -189,7 +189,7 @@ def surface_bodies(
                 continue
             met = None if states is None else (states[:, of_it] != OPEN).any(axis=1)
             path = f"surfaces/{name}/{k + 1}_{side}"
-            bodies.append(Body(path, mesh, *poses[side], colors[name], OPACITY, met))
+            bodies.append(Body(path, mesh, *poses[side], colors[name], SURFACE_OPACITY, met))
     return bodies
 
 

@@ -37,11 +37,11 @@ def draw(animation: Animation, speed: float = 1.0) -> list[Command]:
     Everything in the world hangs below the node ``/world``, where poses are those of the animation,
     `speed` seconds of it per second of the viewer.
     """
-    script, points = Script(), animation.extent()
-    marks, hinges = Marks(animation, animation.size()), Hinges(animation, animation.size())
+    script, points, size = Script(), animation.extent(), animation.size()
+    marks, hinges = Marks(animation, size), Hinges(animation, size)
     reach = [hinges.points(hinge) for hinge in animation.hinges]
     view = frame(np.concatenate([points, animation.tails(marks.longest), *reach]))
-    draw_stage(script, view, points, animation.floor)
+    draw_stage(script, view, points, size, animation.floor)
     for i, body in enumerate(animation.bodies):
         _draw_body(body, i % LAYERS, script)
     for contacts in animation.contacts:
@@ -51,7 +51,7 @@ def draw(animation: Animation, speed: float = 1.0) -> list[Command]:
     time = (animation.time - animation.time[0]) / speed
     start = animation.time[0]
     events = [replace(e, time=(e.time - start) / speed) for e in animation.event_places]
-    draw_events(events, time, animation.size(), script)
+    draw_events(events, time, size, script)
     return script.finished(time)
 
 
@@ -86,12 +86,11 @@ DEFAULTS = (
 )  # of Meshcat's own
 
 
-def draw_stage(script: Script, view: Camera, points: np.ndarray, floor: float) -> None:
+def draw_stage(script: Script, view: Camera, points: np.ndarray, size: float, floor: float) -> None:
     """Draw background, lights, floor and world frame around `points`, and set the camera.
 
-    Points, shape (P, 3), and the floor's height are in the world [m].
+    Points, shape (P, 3), and the floor's height are in the world [m], as the scene's `size`.
     """
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
     script.add(*_look(view, size), *_light(points - view.target, size))
     x, y = (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) / 2
     ground = np.array([x, y, floor - 1e-3 * size])  # nothing on the floor flickers through it
