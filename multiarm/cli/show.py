@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, open_result
+from multiarm.cli.files import check_targets
 from multiarm.cli.options import Code, file_option, option, switch
-from multiarm.errors import MultiarmError
+from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.results.files import resolved
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -129,7 +129,7 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
     if SweepReader.matches(resolved(result)):
         trajectory = _run_of_sweep(result, run, code)
     else:
-        trajectory = open_result(result)
+        trajectory = _open_result(result)
         if run is not None:
             raise MultiarmError(f"--run: '{result}' is the result of one run, not of a sweep")
         if code:
@@ -140,6 +140,18 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
     if trajectory.status != "completed":
         print_warnings([f"this run {trajectory.status}: {trajectory.message}"])
     return trajectory
+
+
+def _open_result(path: Path) -> Trajectory:
+    """The trajectory of a finished run; the message about another file recognises a scene."""
+    if path.suffix.lower() in (".yaml", ".yml") and resolved(path).is_file():
+        raise TrajectoryError(
+            f"'{path}' is a scene, not the result of a run; first simulate it: "
+            f"multiarm run {path} --out {path.stem}.h5"
+        )
+    from multiarm.results.trajectory import load_trajectory
+
+    return load_trajectory(path)
 
 
 def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:

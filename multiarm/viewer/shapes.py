@@ -203,10 +203,7 @@ class _Collada:
 
     def _target(self, element: Element, attribute: str) -> Element:
         """Return what an attribute such as ``url="#id"`` refers to."""
-        target = self.by_id.get(_word(element, attribute).removeprefix("#"))
-        if target is None:
-            raise LookupError
-        return target
+        return self.by_id[element.attrib[attribute].removeprefix("#")]
 
     def _walk(self, node: Element, pose: np.ndarray, parts: list[Mesh]) -> None:
         _refuse(node, "instance_node", "instance_controller", "lookat", "skew")
@@ -252,9 +249,9 @@ class _Collada:
 
 def _triangles(group: Element) -> np.ndarray:
     """Return the corners (T, 3) of a group of triangles, or of polygons cut into fans."""
-    width = 1 + max(int(_word(i, "offset")) for i in group.findall("input"))
+    width = 1 + max(int(entry.attrib["offset"]) for entry in group.findall("input"))
     index = _numbers(_child(group, "p"), int).reshape(-1, width)
-    corner = index[:, int(_word(_input(group, "VERTEX"), "offset"))]
+    corner = index[:, int(_input(group, "VERTEX").attrib["offset"])]
     if group.tag == "triangles":
         return corner.reshape(-1, 3)
     counts = _numbers(_child(group, "vcount"), int)
@@ -277,13 +274,6 @@ def _child(parent: Element, path: str) -> Element:
     if child is None:
         raise LookupError
     return child
-
-
-def _word(element: Element, attribute: str) -> str:
-    word = element.get(attribute)
-    if word is None:
-        raise LookupError
-    return word
 
 
 def _input(parent: Element, semantic: str) -> Element:
