@@ -69,7 +69,7 @@ def mesh_object(mesh: Mesh, *materials: dict[str, Any]) -> dict[str, Any]:
     geometry["data"]["groups"] = [
         {"start": 0, "count": len(index), "materialIndex": i} for i in range(len(materials))
     ]
-    return _drawable("Mesh", geometry, list(materials))
+    return _drawable("Mesh", geometry, *materials)
 
 
 def line_object(points: np.ndarray, rgba: np.ndarray) -> dict[str, Any]:
@@ -81,29 +81,15 @@ def line_object(points: np.ndarray, rgba: np.ndarray) -> dict[str, Any]:
             "color": _attribute(np.round(255 * rgba).astype(np.uint8)),
         }
     )
-    return _drawable(
-        "LineSegments",
-        geometry,
-        [_material("LineBasicMaterial", transparent=True, vertexColors=True, depthWrite=False)],
-    )
+    lines = _material("LineBasicMaterial", transparent=True, vertexColors=True, depthWrite=False)
+    return _drawable("LineSegments", geometry, lines)
 
 
 def shadow_catcher(side: float, opacity: float) -> dict[str, Any]:
     """Return a square in the x-y plane that shows only the shadows on it."""
     plane = {"uuid": _uuid(), "type": "PlaneGeometry", "width": side, "height": side}
-    return _drawable(
-        "Mesh",
-        plane,
-        [
-            _material(
-                "ShadowMaterial",
-                color=0x1B2A41,
-                opacity=opacity,
-                transparent=True,
-                depthWrite=False,
-            )
-        ],
-    )
+    look = {"color": 0x1B2A41, "opacity": opacity, "transparent": True, "depthWrite": False}
+    return _drawable("Mesh", plane, _material("ShadowMaterial", **look))
 
 
 def shiny(color: np.ndarray, opacity: float = 1.0, layer: int = 0) -> dict[str, Any]:
@@ -183,7 +169,7 @@ def lowered(value: Any, array: Callable[[np.ndarray], Any]) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[str, Any]:
+def _drawable(kind: str, geometry: Command, *materials: Command) -> dict[str, Any]:
     names = [m["uuid"] for m in materials]
     body = {
         "uuid": _uuid(),
@@ -191,7 +177,7 @@ def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[st
         "geometry": geometry["uuid"],
         "material": names if len(names) > 1 else names[0],
     }
-    return {"geometries": [geometry], "materials": materials, "object": body}
+    return {"geometries": [geometry], "materials": list(materials), "object": body}
 
 
 def _buffer_geometry(attributes: dict[str, Any]) -> dict[str, Any]:

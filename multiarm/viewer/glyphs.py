@@ -218,7 +218,8 @@ class Hinges:
     def _draw_sector(self, node: str, dial: Dial, color: np.ndarray, script: Script) -> None:
         radius = SECTOR * self.length
         rim = radius * _arc(*dial.limits)
-        script.put(f"{node}/sector", commands.mesh_object(_fan(rim), *_glass(color)))
+        glass = commands.shiny(color, 0.45), commands.ghost(color, 0.18)
+        script.put(f"{node}/sector", commands.mesh_object(_fan(rim), *glass))
         outline = _outline(rim, closed=np.ptp(dial.limits) >= FULL_TURN)
         edge = commands.line_object(outline, np.append(DARK * color, 0.9))
         script.put(f"{node}/sector/edge", edge)
@@ -247,10 +248,6 @@ def _draw_pointer(path: str, shape: Mesh, dial: Dial, script: Script) -> None:
     for name, color, seen in (("within", HAND, within), ("beyond", BEYOND, ~within)):
         if seen.any():
             script.put(f"{path}/{name}", seen_through(shape, color), seen)
-
-
-def _glass(color: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
-    return commands.shiny(color, 0.45), commands.ghost(color, 0.18)
 
 
 def _rod(radius: float, low: float, high: float) -> Mesh:
