@@ -56,6 +56,7 @@ class _Commands(TyperGroup):
         """Run a command; other exceptions pass through."""
         try:
             with warnings.catch_warnings():
+                warnings.filterwarnings("default", category=UserWarning, module="multiarm")
                 warnings.showwarning = _print_warning
                 return super().invoke(ctx)
         except MultiarmError as error:

@@ -6,10 +6,10 @@ card says comes from the class: its picture, its parameters, its example.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console, Group, RenderableType
@@ -20,6 +20,9 @@ from multiarm.cli.files import check_targets, write_json
 from multiarm.errors import MultiarmError
 from multiarm.scene.parameters import Parameter, example_of, parameters_of, picture_of
 from multiarm.terminal.console import columns, facts, output, print_warnings
+
+if TYPE_CHECKING:
+    from multiarm.scene.registry import Registry
 
 __all__ = ["Card", "KindName", "Section", "show"]
 
@@ -63,10 +66,9 @@ class Card:
     further: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, name: str, model: Any, parameters: Any = None) -> Card:
-        """The card of a class; of ``parameters``, a model, where these are those of another one."""
-        keys = parameters_of(parameters or model)
-        return cls(name, picture_of(model), keys, example_of(model))
+    def of(cls, name: str, kind: Any, parameters: Any) -> Card:
+        """The card of a class, with the model of its parameters, which may be the class itself."""
+        return cls(name, picture_of(kind), parameters_of(parameters), example_of(kind))
 
     @classmethod
     def of_key(cls, owner: Any, name: str, example: str) -> Card:
@@ -115,6 +117,23 @@ class Section:
     heads: tuple[str, ...] = ("kind", "what it is")
     shared: Mapping[str, tuple[list[Parameter], bool]] = field(default_factory=dict)
     note: str = ""
+
+    @classmethod
+    def of_kinds(
+        cls,
+        title: str,
+        ours: Mapping[str, Any],
+        registry: Registry,
+        card: Callable[[str, Any, Any], Card] = Card.of,
+        **shown: Any,
+    ) -> Section:
+        """Our classes of a sort and the users'; ``shown`` are further attributes."""
+        own, faults = registry.classes()
+        cards = {name: card(name, kind, kind) for name, kind in ours.items()}
+        cards |= {
+            name: card(name, kind, registry.parameters_of(kind)) for name, kind in own.items()
+        }
+        return cls(title, registry.noun, registry.plural, cards, faults, **shown)
 
 
 def show(

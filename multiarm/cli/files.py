@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.errors import MultiarmError
 from multiarm.results.files import atomic_output, create_empty, resolved, temporary_name
 from multiarm.terminal.console import print_loaded, print_warnings
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_targets",
-    "open_result",
     "scene_to_inspect",
     "scene_to_run",
     "write_json",
@@ -132,24 +131,6 @@ def scene_to_inspect(path: Path, code: bool) -> Scene:
     scene = load_scene(path)
     print_warnings(scene.warnings)
     return scene
-
-
-def open_result(path: Path):
-    """Load the trajectory of a finished run.
-
-    Raises
-    ------
-    TrajectoryError
-        The file is no result; the message recognises a scene.
-    """
-    if path.suffix.lower() in (".yaml", ".yml") and resolved(path).is_file():
-        raise TrajectoryError(
-            f"'{path}' is a scene, not the result of a run; first simulate it: "
-            f"multiarm run {path} --out {path.stem}.h5"
-        )
-    from multiarm.results.trajectory import load_trajectory
-
-    return load_trajectory(path)
 
 
 def _fault(target: Path) -> str | None:

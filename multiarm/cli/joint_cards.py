@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -45,13 +46,11 @@ _NOUNS = {
 
 def joint_section() -> Section:
     """The joints between an arm and the object."""
-    cards, faults = joint_cards()
-    return Section(
+    return Section.of_kinds(
         "Joints",
-        "joint kind",
-        "kinds",
-        cards,
-        faults,
+        KINDS,
+        JOINTS,
+        _joint_card,
         heads=("kind", "rows", "what it is"),
         shared={"Parameters of every joint": (parameters_of(Joint), True)},
         note="x, y, z: axes of the joint frame, turned until z is the axis or normal",
@@ -60,36 +59,22 @@ def joint_section() -> Section:
 
 def surface_section() -> Section:
     """The surfaces of contacts."""
-    cards, faults = surface_cards()
     options = [p for p in parameters_of(ContactSpec) if p.name not in ("arm", "object")]
-    return Section(
+    return Section.of_kinds(
         "Surfaces for joints of kind 'contacts'",
-        "surface",
-        "surfaces",
-        cards,
-        faults,
+        SHAPES,
+        SURFACES,
+        _surface_card,
         heads=("surface", "what it is"),
         shared={"Parameters of a contact, besides its two sides": (options, False)},
     )
 
 
-def joint_cards() -> tuple[dict[str, Card], list[str]]:
-    """A card for every kind of joint that a scene may name, and why others cannot be used."""
-    own, faults = JOINTS.classes()
-    return {kind: _joint_card(kind, model) for kind, model in {**KINDS, **own}.items()}, faults
-
-
-def surface_cards() -> tuple[dict[str, Card], list[str]]:
-    """A card for every surface that may take part in a contact, and why others cannot be used."""
-    own, faults = SURFACES.classes()
-    cards = {name: _surface_card(name, model) for name, model in {**SHAPES, **own}.items()}
-    cards["point"] = replace(cards["point"], parameters=[])  # a point is 3 numbers
-    return cards, faults
-
-
-def _surface_card(name: str, model: type[Surface]) -> Card:
+def _surface_card(name: str, model: type[Surface], parameters: Any) -> Card:
     """One surface; its example is one side of a contact, which stands against a simple other."""
-    card = Card.of(name, model)
+    card = Card.of(name, model, parameters)
+    if name == "point":  # 3 numbers
+        card = replace(card, parameters=[])
     if not card.example:
         return card
     sides = ["arm: {point: [0, 0, 0]}", *card.example.splitlines()]
@@ -100,7 +85,7 @@ def _surface_card(name: str, model: type[Surface]) -> Card:
     return replace(card, example=f"{head}      - " + "\n        ".join(sides), listed=listed)
 
 
-def _joint_card(kind: str, model: type[Joint]) -> Card:
+def _joint_card(kind: str, model: type[Joint], parameters: Any) -> Card:
     """One kind of joint; of a list of the user's, rows and motions are those of the example."""
     contacts, motions = _sample(model)
     rows, rank = len(contacts) or None, None if motions is None else motions.rank
@@ -111,7 +96,7 @@ def _joint_card(kind: str, model: type[Joint]) -> Card:
     return Card(
         kind,
         picture_of(model),
-        [p for p in parameters_of(model) if p.name not in Joint.model_fields],
+        [p for p in parameters_of(parameters) if p.name not in Joint.model_fields],
         example_of(model),
         count="any" if model.as_listed else str(rows or ""),
         facts={

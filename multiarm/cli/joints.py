@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from multiarm.cli.catalogue import Card, KindName, Section, show
 from multiarm.cli.options import JsonFile
 from multiarm.scene.parameters import parameters_of
-
-if TYPE_CHECKING:
-    from multiarm.scene.registry import Registry
 
 __all__ = ["controls", "effect_section", "joints", "methods", "shapes"]
 
@@ -64,7 +60,7 @@ def controls(name: KindName = None, json: JsonFile = None) -> None:
     """
     from multiarm.scene.control import BUILT_IN, CONTROLS
 
-    section = _kinds("Controls", "control kind", "kinds", BUILT_IN, CONTROLS)
+    section = Section.of_kinds("Controls", BUILT_IN, CONTROLS, heads=("name", "what it is"))
     show("controls", {"controls": section}, name, json)
 
 
@@ -73,22 +69,13 @@ def effect_section() -> Section:
     from multiarm.scene.effects import BUILT_IN, EFFECTS, EffectsSpec
     from multiarm.scene.effects.drives import JointNumbers
 
-    section = _kinds("Effects", "effect", "effects", BUILT_IN, EFFECTS)
+    section = Section.of_kinds("Effects", BUILT_IN, EFFECTS, heads=("name", "what it is"))
     numbers = {  # some effects are numbers without a table around them
         parameter.name: replace(section.cards[parameter.name], parameters=[parameter])
         for parameter in parameters_of(EffectsSpec)
         if issubclass(BUILT_IN[parameter.name], JointNumbers)
     }
     return replace(section, cards={**section.cards, **numbers})
-
-
-def _kinds(title: str, noun: str, plural: str, ours: Mapping, registry: Registry) -> Section:
-    """A section of our classes and of users'."""
-    own, faults = registry.classes()
-    cards = {name: Card.of(name, kind) for name, kind in ours.items()}
-    for name, kind in own.items():
-        cards[name] = Card.of(name, kind, registry.parameters_of(kind))
-    return Section(title, noun, plural, cards, faults, heads=("name", "what it is"))
 
 
 def methods(name: KindName = None, json: JsonFile = None) -> None:

@@ -129,17 +129,13 @@ class _WithSettings:
             if name == STEPS_CHOSEN_BY[0] and not self._names:
                 others = ", ".join(f"--{other}" for other in STEPS_CHOSEN_BY[1:])
                 text += f" Any of this, {others} replaces the scene's choice of all four."
-            option = typer.Option(
-                help=text,
-                show_default=OF_SCENE,
-                metavar=_metavar(name, text, sort),
-                rich_help_panel=METHOD,
-            )
+            metavar = _metavar(name, text, sort)
+            declared = option(text, metavar, default=OF_SCENE, panel=METHOD)
             found[name] = inspect.Parameter(
                 name,
                 inspect.Parameter.KEYWORD_ONLY,
                 default=None,
-                annotation=Annotated[sort | None, option],
+                annotation=Annotated[sort | None, declared],
             )
         return found
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, open_result
+from multiarm.cli.files import check_targets
 from multiarm.cli.options import Code, file_option, option, switch
-from multiarm.errors import MultiarmError
+from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.results.files import resolved
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -84,8 +81,7 @@ def replay(
         return
     import multiarm
 
-    with _warnings_printed():
-        multiarm.replay(trajectory, html, fps=fps, speed=speed, code=code)
+    multiarm.replay(trajectory, html, fps=fps, speed=speed, code=code)
     print_written("replay", html)
 
 
@@ -114,8 +110,7 @@ def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **opti
     import multiarm
     from multiarm.viewer import InlineReplay
 
-    with _warnings_printed():
-        viewer = multiarm.replay(trajectory, **options)
+    viewer = multiarm.replay(trajectory, **options)
     assert not isinstance(viewer, (Path, InlineReplay)), "without a path the replay is live"
     try:
         if not quiet:
@@ -128,13 +123,16 @@ def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **opti
 
 def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
     """The trajectory in a file, or of a sweep's run; warns if it did not complete."""
-    if _is_sweep(result):
+    from multiarm.scene import named_code
+    from multiarm.sweeps.store import SweepReader
+
+    if SweepReader.matches(resolved(result)):
         trajectory = _run_of_sweep(result, run, code)
     else:
-        trajectory = _only_run(result, run)
+        trajectory = _open_result(result)
+        if run is not None:
+            raise MultiarmError(f"--run: '{result}' is the result of one run, not of a sweep")
         if code:
-            from multiarm.scene import named_code
-
             print_loaded(named_code(trajectory.scene))
     which = f"'{result}'" if run is None else f"run {run} of '{result}'"
     if not len(trajectory):
@@ -144,17 +142,16 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
     return trajectory
 
 
-def _is_sweep(result: Path) -> bool:
-    from multiarm.sweeps.store import SweepReader
+def _open_result(path: Path) -> Trajectory:
+    """The trajectory of a finished run; the message about another file recognises a scene."""
+    if path.suffix.lower() in (".yaml", ".yml") and resolved(path).is_file():
+        raise TrajectoryError(
+            f"'{path}' is a scene, not the result of a run; first simulate it: "
+            f"multiarm run {path} --out {path.stem}.h5"
+        )
+    from multiarm.results.trajectory import load_trajectory
 
-    return SweepReader.matches(resolved(result))
-
-
-def _only_run(result: Path, run: int | None) -> Trajectory:
-    trajectory = open_result(result)
-    if run is not None:
-        raise MultiarmError(f"--run: '{result}' is the result of one run, not of a sweep")
-    return trajectory
+    return load_trajectory(path)
 
 
 def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
@@ -182,16 +179,6 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
                 "result names; if you trust its author, allow it with --code"
             )
         print_loaded(named)
-        with _warnings_printed():
-            return sweep.trajectory(run)
+        return sweep.trajectory(run)
     finally:
         sweep.close()
-
-
-@contextmanager
-def _warnings_printed() -> Iterator[None]:
-    """Print Python's warnings as the commands print theirs."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        yield
-    print_warnings(dict.fromkeys(str(warning.message) for warning in caught))

@@ -11,12 +11,14 @@ faces; that order is right for convex bodies and fair for others.
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
@@ -24,7 +26,7 @@ from matplotlib.patches import FancyArrowPatch, PathPatch
 from matplotlib.path import Path
 
 from multiarm.grasp.seventh_contact import seventh_contact_region
-from multiarm.plots.style import INK, STYLE, family
+from multiarm.plots.style import INK, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,15 +37,14 @@ if TYPE_CHECKING:
 
 PAPER, FACE, REGION = "#ffffff", "#8fa3b8", "#2f9e67"
 """Colours of the ground, of a face and of the region."""
+HUES = (0.579, 0.059, 0.399, 0.859, 0.709, 0.479, 0.969, 0.129)
+"""Of the grippers; further ones are shifted a little."""
 
 
-def colours_of(count: int, grippers: Sequence[Sequence[int]]) -> list[str]:
-    """A colour for each contact: that of its gripper."""
-    colours = [family(0, 1)[0]] * count
-    for k, numbers in enumerate(grippers):
-        for j in numbers:
-            colours[j] = family(k, 1)[0]
-    return colours
+def colour_of(gripper: int) -> str:
+    """The colour of the gripper of some number, and of its contacts."""
+    rounds, place = divmod(gripper, len(HUES))
+    return to_hex(colorsys.hls_to_rgb((HUES[place] + 0.035 * rounds) % 1, 0.464, 0.66))
 
 
 def path_of(outline: np.ndarray, holes: Sequence[np.ndarray]) -> Path:
@@ -157,13 +158,14 @@ def _draw_contacts(
 ) -> None:
     """Arrows that end at the contacts, from outside; numbers keep off those at ``taken`` places."""
     step = LETTER * grasp.body.size
-    colours = colours_of(len(grasp.contacts), [g.contacts for g in grasp.grippers])
+    gripper_of = {j: k for k, gripper in enumerate(grasp.grippers) for j in gripper.contacts}
     back = ARROW * grasp.body.size * grasp.contacts.normals
-    for j, (point, colour) in enumerate(zip(grasp.contacts.points, colours, strict=True)):
+    for j, point in enumerate(grasp.contacts.points):
         if eye.sees(grasp.body.faces[grasp.faces[j]]) != front:
             continue
         tip, tail, beyond = (eye.places(point - s * back[j]) for s in (0.0, 1.0, 1.2))
         strength = 1.0 if front else 0.5 * (1.0 + HIDDEN)
+        colour = colour_of(gripper_of.get(j, 0))
         arrow = FancyArrowPatch(
             tuple(tail), tuple(tip), arrowstyle="-|>", mutation_scale=15 if front else 12,
             color=colour, lw=2.0 if front else 1.4, alpha=strength, shrinkA=0, shrinkB=1.5,
@@ -187,7 +189,7 @@ def _dress(axes: Axes, grasp: Grasp) -> None:
     for k, gripper in enumerate(grasp.grippers):
         numbers = ", ".join(str(j + 1) for j in gripper.contacts)
         label = f"{gripper.name}: contacts {numbers}"
-        keys.append(Line2D([], [], color=family(k, 1)[0], lw=2, label=label))
+        keys.append(Line2D([], [], color=colour_of(k), lw=2, label=label))
     axes.legend(
         handles=keys, loc="upper left", bbox_to_anchor=(0.0, 0.0), ncols=len(keys),
         frameon=False, fontsize=9.5,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import colorsys
 import io
 import re
 import warnings
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
 INK, GRID = "#2b3440", "#d9dee5"
@@ -65,29 +63,6 @@ PREFIXES = {
     1e9: "G", 1e6: "M", 1e3: "k", 1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f",
 }  # fmt: skip
 """Divisor -> the prefix of a unit, the largest first."""
-
-_HUES = (0.59, 0.07, 0.41, 0.87, 0.72, 0.49, 0.98, 0.14)
-
-
-def family(arm: int, members: int) -> list[str]:
-    """Colours of one arm: neighbours in hue, from deep to light.
-
-    Parameters
-    ----------
-    arm : int
-        Number of the arm in the scene.
-    members : int
-        How many lines there are to tell apart.
-    """
-    rounds, place = divmod(arm, len(_HUES))
-    hue = _HUES[place] + 0.035 * rounds
-    shades = np.linspace(0.0, 1.0, members) if members > 1 else [0.4]
-    return [
-        matplotlib.colors.to_hex(
-            colorsys.hls_to_rgb((hue + 0.11 * (s - 0.5)) % 1, 0.38 + 0.21 * s, 0.66)
-        )
-        for s in shades
-    ]
 
 
 def inline_svg(figure: Figure, prefix: str) -> str:

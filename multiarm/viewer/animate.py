@@ -27,7 +27,15 @@ from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.scene import with_code, without_code
 from multiarm.scene.control import NoControl
-from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
+from multiarm.viewer.animation import (
+    Animation,
+    Body,
+    Dial,
+    HingeTracks,
+    along,
+    moving,
+    rotations,
+)
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.contact_tracks import (
     contacts_of,
@@ -36,7 +44,7 @@ from multiarm.viewer.contact_tracks import (
     placed,
     surface_bodies,
 )
-from multiarm.viewer.mesh import Mesh, box, capsule, cylinder, merge
+from multiarm.viewer.mesh import Z_TO_X, Mesh, box, capsule, cylinder, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, mesh_loader, object_mesh
 
 if TYPE_CHECKING:
@@ -145,11 +153,7 @@ def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
         )
         count = MOST_FRAMES
     wanted = np.linspace(time[0], time[-1], count)
-    after = np.clip(np.searchsorted(time, wanted), 1, max(1, len(time) - 1))
-    after = np.minimum(after, len(time) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(wanted - time[before] < time[after] - wanted, before, after)
-    rows = np.unique(nearest)
+    rows = np.unique(np.searchsorted((time[1:] + time[:-1]) / 2, wanted))  # the nearest ones
     return rows[np.diff(time[rows], prepend=-np.inf) > 0]
 
 
@@ -328,8 +332,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 # Joints that are drawn as one thing on the object; a cross has two axles.
-SHAPES = ("axle", "rail", "sleeve", "ball")
-CYCLE = np.eye(4)[[2, 0, 1, 3]]  # its columns are the axes y, z, x: F @ CYCLE has z along F's x
+HINGE_SHAPES = ("axle", "rail", "sleeve", "ball")
 CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
 
 
@@ -342,7 +345,7 @@ def hinges_of(
     object_poses[:, :3, 3] = trajectory.object_position[rows]
     hinges = []
     for joint in system.scene.joints:
-        if joint.drawn_as not in (*SHAPES, "cross"):
+        if joint.drawn_as not in (*HINGE_SHAPES, "cross"):
             continue
         arm, frame = system.arms[joint.arm], system.frames[joint.arm]
         angles = trajectory.joint_positions[joint.arm][rows]
@@ -360,7 +363,7 @@ def _hinges(
 ) -> list[HingeTracks]:
     on_object, on_tip = object_poses @ frame.on_object, tip_poses @ frame.on_tip  # (K, 4, 4)
     if joint.drawn_as == "cross":  # about the object's x and the arm's y axis
-        axles = (on_object @ CYCLE, on_tip @ CYCLE.T)
+        axles = (on_object @ Z_TO_X, on_tip @ Z_TO_X.T)  # z along x, and along y
         return [
             HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *placed(axle))
             for k, axle in enumerate(axles, start=1)
@@ -385,9 +388,9 @@ def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
     return turn
 
 
-COLOR = np.array([0.62, 0.65, 0.69])
+GROUND_COLOR = np.array([0.62, 0.65, 0.69])
 # Thickness of the slab over its shorter side, and its margin over the object's size.
-THICKNESS, MARGIN = 0.02, 3.0
+GROUND_THICKNESS, GROUND_MARGIN = 0.02, 3.0
 # Radius of a column over its height, at least and at most [m]; lower ones are not drawn.
 SLENDER, THINNEST, THICKEST, LOWEST = 0.2, 0.03, 0.1, 0.02
 
@@ -407,13 +410,13 @@ def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list
     if spec.size is None:
         low, high = over.min(axis=0), over.max(axis=0)
         middle[:2] = 0.5 * (low + high)[:2]
-        sides[:2] = (high - low)[:2] + 2.0 * MARGIN * size
+        sides[:2] = (high - low)[:2] + 2.0 * GROUND_MARGIN * size
     else:
         sides[:2] = spec.size
-    sides[2] = THICKNESS * sides[:2].min()
+    sides[2] = GROUND_THICKNESS * sides[:2].min()
     middle[2] = -0.5 * sides[2]
     pose[:3, 3] += pose[:3, :3] @ middle
-    return [Body("floor", box(sides), *placed([pose] * len(rows)), COLOR)]
+    return [Body("floor", box(sides), *placed([pose] * len(rows)), GROUND_COLOR)]
 
 
 def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
@@ -429,20 +432,20 @@ def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body
         mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
         middle = np.eye(4)
         middle[:3, 3] = *foot[:2, 3], floor + 0.5 * height
-        bodies.append(Body(f"columns/{name}", mesh, *placed([middle] * frames), COLOR))
+        bodies.append(Body(f"columns/{name}", mesh, *placed([middle] * frames), GROUND_COLOR))
     return bodies
 
 
 def lowest(body: Body) -> float:
     """Return the height of a resting body's lowest point [m]."""
-    turned = body.mesh.vertices @ rotations(body.quaternion_xyzw[:1])[0].T
-    return float(body.position[0, 2] + turned[:, 2].min())
+    corners = moving(body.mesh.vertices, body.position[:1], body.quaternion_xyzw[:1])
+    return float(corners[..., 2].min())
 
 
-OPACITY = 0.35
+REGION_OPACITY = 0.35
 # Height over the face in sizes of the object, so that both are distinct; regions of several
 # contacts on one face lie one over the other.
-LIFT = 1e-3
+REGION_LIFT = 1e-3
 
 
 def scene_grasp(system: System) -> SceneGrasp | None:
@@ -467,8 +470,8 @@ def region_bodies(
         if region is None or grasp.body is None:
             continue
         layers[face] = layers.get(face, 0) + 1
-        mesh = sheet(region, layers[face] * LIFT * grasp.body.size)
-        bodies.append(Body(f"regions/{arm}/{k + 1}", mesh, *poses, colors[arm], OPACITY))
+        mesh = sheet(region, layers[face] * REGION_LIFT * grasp.body.size)
+        bodies.append(Body(f"regions/{arm}/{k + 1}", mesh, *poses, colors[arm], REGION_OPACITY))
     return bodies
 
 

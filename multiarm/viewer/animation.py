@@ -128,8 +128,7 @@ class Animation:
         """Return points whose hull holds every body and contact at every frame, shape (P, 3)."""
         points = [c.point.reshape(-1, 3) for c in self.contacts]
         for body in self.bodies:
-            R = rotations(body.quaternion_xyzw)  # (K, 3, 3)
-            corners = np.einsum("kij,cj->kci", R, body.mesh.bounds()) + body.position[:, None]
+            corners = moving(body.mesh.bounds(), body.position, body.quaternion_xyzw)
             points.append(corners.reshape(-1, 3))
         return np.concatenate(points)
 
@@ -149,6 +148,11 @@ class Animation:
 def rotations(quaternion_xyzw: np.ndarray) -> np.ndarray:
     """Return the rotation matrices, shape (K, 3, 3), of unit quaternions, shape (K, 4)."""
     return Rotation.from_quat(quaternion_xyzw).as_matrix()
+
+
+def moving(points: np.ndarray, position: np.ndarray, quaternion_xyzw: np.ndarray) -> np.ndarray:
+    """Return points (P, 3) of a body, whose poses are (K, 3) and (K, 4), in the world (K, P, 3)."""
+    return np.einsum("kij,pj->kpi", rotations(quaternion_xyzw), points) + position[:, None]
 
 
 def continuous(quaternion_xyzw: np.ndarray) -> np.ndarray:

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.viewer.mesh import ShadedMesh
+from multiarm.viewer.animation import continuous
+from multiarm.viewer.mesh import Mesh
 
 Command = dict[str, Any]
 FOREVER = 10**9  # repetitions of an animation
@@ -52,55 +53,43 @@ def set_animation(time: np.ndarray, tracks: dict[str, dict[str, np.ndarray]]) ->
     return {"type": "set_animation", "path": "", "animations": animations, "options": options}
 
 
-def mesh_object(mesh: ShadedMesh, *materials: dict[str, Any]) -> dict[str, Any]:
+def mesh_object(mesh: Mesh, *materials: dict[str, Any]) -> dict[str, Any]:
     """Return a mesh; several materials are drawn one over the other."""
-    kind = np.uint16 if len(mesh.vertices) < 2**16 else np.uint32
-    index = mesh.triangles.reshape(-1).astype(kind)
+    shaded = mesh.shaded
+    kind = np.uint16 if len(shaded.vertices) < 2**16 else np.uint32
+    index = shaded.triangles.reshape(-1).astype(kind)
     geometry = _buffer_geometry(
         {
-            "position": _attribute(mesh.vertices.astype(np.float32)),
-            "normal": _attribute(np.round(127 * mesh.normals).astype(np.int8)),
-            "color": _attribute(np.round(255 * mesh.colors).astype(np.uint8)),
+            "position": _attribute(shaded.vertices.astype(np.float32)),
+            "normal": _attribute(np.round(127 * shaded.normals).astype(np.int8)),
+            "color": _attribute(np.round(255 * shaded.colors).astype(np.uint8)),
         }
     )
     geometry["data"]["index"] = {"type": array_type(index), "array": index}
     geometry["data"]["groups"] = [
         {"start": 0, "count": len(index), "materialIndex": i} for i in range(len(materials))
     ]
-    return _drawable("Mesh", geometry, list(materials))
+    return _drawable("Mesh", geometry, *materials)
 
 
 def line_object(points: np.ndarray, rgba: np.ndarray) -> dict[str, Any]:
-    """Return separate line segments through pairs of `points` (2 L, 3); `rgba` (2 L, 4), 0..1."""
+    """Return line segments between pairs of `points` (2 L, 3); `rgba` (2 L, 4) or (4,), 0..1."""
+    rgba = np.broadcast_to(rgba, (len(points), 4))
     geometry = _buffer_geometry(
         {
             "position": _attribute(points.astype(np.float32)),
             "color": _attribute(np.round(255 * rgba).astype(np.uint8)),
         }
     )
-    return _drawable(
-        "LineSegments",
-        geometry,
-        [_material("LineBasicMaterial", transparent=True, vertexColors=True, depthWrite=False)],
-    )
+    lines = _material("LineBasicMaterial", transparent=True, vertexColors=True, depthWrite=False)
+    return _drawable("LineSegments", geometry, lines)
 
 
 def shadow_catcher(side: float, opacity: float) -> dict[str, Any]:
     """Return a square in the x-y plane that shows only the shadows on it."""
     plane = {"uuid": _uuid(), "type": "PlaneGeometry", "width": side, "height": side}
-    return _drawable(
-        "Mesh",
-        plane,
-        [
-            _material(
-                "ShadowMaterial",
-                color=0x1B2A41,
-                opacity=opacity,
-                transparent=True,
-                depthWrite=False,
-            )
-        ],
-    )
+    look = {"color": 0x1B2A41, "opacity": opacity, "transparent": True, "depthWrite": False}
+    return _drawable("Mesh", plane, _material("ShadowMaterial", **look))
 
 
 def shiny(color: np.ndarray, opacity: float = 1.0, layer: int = 0) -> dict[str, Any]:
@@ -180,7 +169,7 @@ def lowered(value: Any, array: Callable[[np.ndarray], Any]) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[str, Any]:
+def _drawable(kind: str, geometry: Command, *materials: Command) -> dict[str, Any]:
     names = [m["uuid"] for m in materials]
     body = {
         "uuid": _uuid(),
@@ -188,7 +177,7 @@ def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[st
         "geometry": geometry["uuid"],
         "material": names if len(names) > 1 else names[0],
     }
-    return {"geometries": [geometry], "materials": materials, "object": body}
+    return {"geometries": [geometry], "materials": list(materials), "object": body}
 
 
 def _buffer_geometry(attributes: dict[str, Any]) -> dict[str, Any]:
@@ -234,9 +223,14 @@ class Script:
         """Append commands as they are."""
         self._commands += given
 
-    def put(self, path: str, thing: dict[str, Any]) -> None:
-        """Put an object, made by a function of `commands`, at a path."""
+    def put(self, path: str, thing: dict[str, Any], seen: np.ndarray | None = None) -> None:
+        """Put an object, made by a function of `commands`, at a path.
+
+        It is visible in all frames, or in those of `seen`, (K,) of truth values.
+        """
         self.add(set_object(f"{ROOT}/{path}", thing))
+        if seen is not None:
+            self.set(path, "scale", np.where(seen, 1.0, HAIR)[:, None] * np.ones(3))
 
     def set(self, path: str, name: str, values: np.ndarray) -> None:
         """Give a property its values (K, n): the first now, all in the animation if they differ."""
@@ -245,14 +239,10 @@ class Script:
         if np.ptp(values, axis=0).max() > STILL:
             self._tracks.setdefault(node, {})[name] = values
 
-    def show(self, path: str, seen: np.ndarray) -> None:
-        """Show a node in some frames only, (K,) of truth values."""
-        self.set(path, "scale", np.where(seen, 1.0, HAIR)[:, None] * np.ones(3))
-
     def move(self, path: str, position: np.ndarray, quaternion_xyzw: np.ndarray) -> None:
         """Move a node through positions (K, 3) [m] and orientations (K, 4)."""
         self.set(path, "position", position)
-        self.set(path, "quaternion", quaternion_xyzw)
+        self.set(path, "quaternion", continuous(quaternion_xyzw))
 
     def finished(self, time: np.ndarray) -> list[Command]:
         """Return all commands; frame k is shown `time[k]` [s] after the start."""

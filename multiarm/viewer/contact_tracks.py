@@ -30,7 +30,7 @@ from multiarm.geometry.smooth_surfaces import ParametricSurface
 from multiarm.results.channels import OPEN, TOUCHING, channels_of
 from multiarm.results.event_log import Event, family_of, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
-from multiarm.viewer.mesh import Mesh
+from multiarm.viewer.mesh import Mesh, revolve
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
@@ -151,8 +151,8 @@ def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarra
         return contact_places(data, state)
 
 
-OPACITY = 0.45
-# Squares of a grid along each of its two directions.
+SURFACE_OPACITY = 0.45
+# Parts of a surface along its profile, and of a grid along each of its two directions.
 CELLS = 40
 
 
@@ -189,7 +189,7 @@ def surface_bodies(
                 continue
             met = None if states is None else (states[:, of_it] != OPEN).any(axis=1)
             path = f"surfaces/{name}/{k + 1}_{side}"
-            bodies.append(Body(path, mesh, *poses[side], colors[name], OPACITY, met))
+            bodies.append(Body(path, mesh, *poses[side], colors[name], SURFACE_OPACITY, met))
     return bodies
 
 
@@ -217,11 +217,10 @@ def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh |
     body's frame.
     """
     around = surface.axes.T @ (touched - surface.origin)
-    points = _grid(surface, around, 0.5 * extent)
-    if points is None:
+    whole = _unplaced(surface, around, 0.5 * extent)
+    if whole is None:
         return None
-    vertices = points.reshape(-1, 3) @ surface.axes.T + surface.origin
-    triangles = _triangles()
+    vertices, triangles = whole.vertices @ surface.axes.T + surface.origin, whole.triangles
     if surface.patch is not None:
         inside = np.array([surface.patch.excess(p) <= 0.0 for p in vertices])
         triangles = triangles[inside[triangles].all(axis=1)]
@@ -230,41 +229,38 @@ def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh |
     return Mesh(vertices, triangles[:, ::-1] if surface.inside else triangles)
 
 
-def _grid(surface: Surface, around: np.ndarray, reach: float) -> np.ndarray | None:
-    """Return points of a surface in its own frame, shape (CELLS + 1, CELLS + 1, 3)."""
+def _unplaced(surface: Surface, around: np.ndarray, reach: float) -> Mesh | None:
+    """Return a surface in its own frame, `reach` [m] to each side of a point if it is unbounded."""
     a, b, c = surface.sizes
     line = np.linspace(-1.0, 1.0, CELLS + 1)
-    turn, tilt = np.meshgrid(np.pi * line, 0.5 * np.pi * line, indexing="ij")
-    _, along = np.meshgrid(line, line, indexing="ij")
-    cosine, sine = np.cos(turn), np.sin(turn)
     if surface.kind == PLANE:
-        x, y = np.meshgrid(line, line, indexing="ij")
-        return np.stack([around[0] + reach * x, around[1] + reach * y, np.zeros_like(x)], -1)
+        x, y = np.meshgrid(around[0] + reach * line, around[1] + reach * line, indexing="ij")
+        return _grid(np.stack([x, y, np.zeros_like(x)], -1))
     if surface.kind == CYLINDER:
-        return np.stack([a * cosine, a * sine, around[2] + reach * along], -1)
+        return revolve(np.column_stack([np.full_like(line, a), around[2] + reach * line]))
     if surface.kind == CONE:
-        way = 0.5 * (1.0 + along) * (np.linalg.norm(around) + reach)
-        return np.stack([way * a * cosine, way * a * sine, way * b], -1)
+        way = 0.5 * (1.0 + line) * (np.linalg.norm(around) + reach)
+        return revolve(np.column_stack([a * way, b * way]))
     if surface.kind == TORUS:
-        out = a + b * np.cos(2.0 * tilt)
-        return np.stack([out * cosine, out * sine, b * np.sin(2.0 * tilt)], -1)
+        angle = np.pi * line
+        return revolve(np.column_stack([a + b * np.cos(angle), b * np.sin(angle)]))
     if surface.kind in (SPHERE, ELLIPSOID):
-        semi = (a, a, a) if surface.kind == SPHERE else (a, b, c)
         if not a > 0.0:
             return None  # a point: its contact has a mark of its own
-        unit = np.stack([np.cos(tilt) * cosine, np.cos(tilt) * sine, np.sin(tilt)], -1)
-        return unit * np.array(semi)
+        angle = 0.5 * np.pi * line
+        ball = revolve(np.column_stack([np.cos(angle), np.sin(angle)]))
+        return ball.scaled(np.array([a, a, a] if surface.kind == SPHERE else [a, b, c]))
     if isinstance(surface.function, ParametricSurface):
-        return surface.function.grid(CELLS)
+        return _grid(surface.function.grid(CELLS))
     return None
 
 
-def _triangles() -> np.ndarray:
-    """Two triangles for each square of a grid."""
-    i, j = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
-    a = i * (CELLS + 1) + j
-    b, c, d = a + CELLS + 1, a + CELLS + 2, a + 1
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+def _grid(points: np.ndarray) -> Mesh:
+    """Return two triangles for each square of a grid of points, (CELLS + 1, CELLS + 1, 3)."""
+    corner = np.arange((CELLS + 1) ** 2).reshape(CELLS + 1, CELLS + 1)
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+    triangles = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    return Mesh(points.reshape(-1, 3), triangles.reshape(-1, 3))
 
 
 def _touched(system: System, name: str) -> dict[str, np.ndarray]:

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.viewer import commands
-from multiarm.viewer.animation import Animation, Body, continuous
+from multiarm.viewer.animation import Animation, Body
 from multiarm.viewer.commands import ROOT, Command, Script
 from multiarm.viewer.glyphs import Hinges, Marks, arrow, draw_events
-from multiarm.viewer.mesh import Mesh, ShadedMesh, merge, shade, sharp_edges
+from multiarm.viewer.mesh import Z_TO_X, Mesh, merge, sharp_edges
 
 FAINT = 0.3  # of a surface's opacity, while nothing touches it
 TINT = 0.8  # of a body's own colour; the rest is light, which keeps dark parts readable
@@ -37,15 +37,13 @@ def draw(animation: Animation, speed: float = 1.0) -> list[Command]:
     Everything in the world hangs below the node ``/world``, where poses are those of the animation,
     `speed` seconds of it per second of the viewer.
     """
-    script, points = Script(), animation.extent()
-    marks, hinges = Marks(animation, animation.size()), Hinges(animation, animation.size())
+    script, points, size = Script(), animation.extent(), animation.size()
+    marks, hinges = Marks(animation, size), Hinges(animation, size)
     reach = [hinges.points(hinge) for hinge in animation.hinges]
     view = frame(np.concatenate([points, animation.tails(marks.longest), *reach]))
-    draw_stage(script, view, points, animation.floor)
-    shapes = {id(body.mesh): body.mesh for body in animation.bodies}  # arms of a kind share meshes
-    shaded = {key: shade(mesh) for key, mesh in shapes.items()}
+    draw_stage(script, view, points, size, animation.floor)
     for i, body in enumerate(animation.bodies):
-        _draw_body(body, shaded[id(body.mesh)], i % LAYERS, script)
+        _draw_body(body, i % LAYERS, script)
     for contacts in animation.contacts:
         marks.draw(contacts, script)
     for hinge in animation.hinges:
@@ -53,33 +51,25 @@ def draw(animation: Animation, speed: float = 1.0) -> list[Command]:
     time = (animation.time - animation.time[0]) / speed
     start = animation.time[0]
     events = [replace(e, time=(e.time - start) / speed) for e in animation.event_places]
-    draw_events(events, time, animation.size(), script)
+    draw_events(events, time, size, script)
     return script.finished(time)
 
 
-def _draw_body(body: Body, shape: ShadedMesh, layer: int, script: Script) -> None:
-    if body.touched is None or body.touched.all():
-        _put_shape(body.name, body, shape, layer, 1.0, script)
-        script.move(body.name, body.position, continuous(body.quaternion_xyzw))
-        return
-    script.move(body.name, body.position, continuous(body.quaternion_xyzw))
-    for name, strength, seen in (("touched", 1.0, body.touched), ("open", FAINT, ~body.touched)):
-        if seen.any():
-            path = f"{body.name}/{name}"
-            _put_shape(path, body, shape, layer, strength, script)
-            script.show(path, seen)
-
-
-def _put_shape(
-    path: str, body: Body, shape: ShadedMesh, layer: int, strength: float, script: Script
-) -> None:
-    opacity = strength * body.opacity
-    material = commands.shiny(1 - TINT * (1 - body.color), opacity, layer)
-    script.put(path, commands.mesh_object(shape, material))
-    if opacity < 1:  # glass needs its outline
-        ends = sharp_edges(body.mesh).reshape(-1, 3)
-        rgba = np.tile(np.append(0.45 * body.color, 0.9 * strength), (len(ends), 1))
-        script.put(f"{path}/edges", commands.line_object(ends, rgba))
+def _draw_body(body: Body, layer: int, script: Script) -> None:
+    shown: list[tuple[str, float, np.ndarray | None]] = [(body.name, 1.0, None)]
+    if body.touched is not None and not body.touched.all():
+        shown = [(f"{body.name}/open", FAINT, ~body.touched)]
+        if body.touched.any():
+            shown = [(f"{body.name}/touched", 1.0, body.touched), *shown]
+    for path, strength, seen in shown:
+        opacity = strength * body.opacity
+        material = commands.shiny(1 - TINT * (1 - body.color), opacity, layer)
+        script.put(path, commands.mesh_object(body.mesh, material), seen)
+        if opacity < 1:  # glass needs its outline
+            ends = sharp_edges(body.mesh).reshape(-1, 3)
+            rgba = np.append(0.45 * body.color, 0.9 * strength)
+            script.put(f"{path}/edges", commands.line_object(ends, rgba))
+    script.move(body.name, body.position, body.quaternion_xyzw)
 
 
 TOP_COLOR, BOTTOM_COLOR = [0.80, 0.85, 0.90], [0.97, 0.97, 0.96]
@@ -96,20 +86,18 @@ DEFAULTS = (
 )  # of Meshcat's own
 
 
-def draw_stage(script: Script, view: Camera, points: np.ndarray, floor: float) -> None:
+def draw_stage(script: Script, view: Camera, points: np.ndarray, size: float, floor: float) -> None:
     """Draw background, lights, floor and world frame around `points`, and set the camera.
 
-    Points, shape (P, 3), and the floor's height are in the world [m].
+    Points, shape (P, 3), and the floor's height are in the world [m], as the scene's `size`.
     """
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
     script.add(*_look(view, size), *_light(points - view.target, size))
     x, y = (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) / 2
     ground = np.array([x, y, floor - 1e-3 * size])  # nothing on the floor flickers through it
     script.put("floor/shadows", commands.shadow_catcher(8 * size, 0.17))
     script.set("floor/shadows", "position", ground[None])
     script.put("floor/grid", _grid(ground, size))
-    frame = shade(_axes(0.06 * size))
-    script.put("frame", commands.mesh_object(frame, commands.flat(np.ones(3))))
+    script.put("frame", commands.mesh_object(_axes(0.06 * size), commands.flat(np.ones(3))))
 
 
 def _look(view: Camera, size: float) -> list[Command]:
@@ -194,8 +182,7 @@ def _round_length(length: float) -> float:
 def _axes(length: float) -> Mesh:
     """Return the world frame: x red, y green, z blue."""
     z = arrow(length, 0.25 * length, 0.02 * length)
-    cycle = np.eye(4)[[2, 0, 1, 3]]  # z -> x -> y -> z
-    x, y = z.moved(cycle.T), z.moved(cycle)
+    x, y = z.moved(Z_TO_X.T), z.moved(Z_TO_X)
     colors = ([0.83, 0.29, 0.27], [0.35, 0.64, 0.34], [0.25, 0.44, 0.78])
     return merge([m.painted(np.array(c)) for m, c in zip((x, y, z), colors, strict=True)])
 

@@ -39,11 +39,11 @@ from multiarm.viewer.animation import (
     EventPlace,
     HingeTracks,
     along,
-    continuous,
+    moving,
     rotations,
 )
 from multiarm.viewer.commands import HAIR, Script
-from multiarm.viewer.mesh import Mesh, ShadedMesh, box, cylinder, merge, revolve, shade, sphere
+from multiarm.viewer.mesh import Z_TO_X, Mesh, box, cylinder, merge, revolve, sphere
 
 NORMAL_COLOR = np.array([0.25, 0.28, 0.33])
 FAINT = 0.25  # opacity of the mark of an open contact
@@ -63,8 +63,8 @@ class Marks:
         full = arrow(self.longest, HEAD * self.longest, WIDTH * self.longest)
         down = np.array([1.0, -1.0, -1.0])  # half a turn about x
         self._dot, self._states = sphere(dot), _state_shapes(dot)
-        self._push = shade(full.moved(_lifted(-self.longest)))
-        self._pull = shade(full.scaled(down))
+        self._push = full.shifted([0, 0, -self.longest])
+        self._pull = full.scaled(down)
 
     def draw(self, contacts: ContactTracks, script: Script) -> None:
         """Draw the contacts of one arm."""
@@ -89,9 +89,9 @@ class Marks:
         parts = {TOUCHING: [], **{state: [shape] for state, shape in self._states.items()}}
         marks = {}
         for state, extra in parts.items():
-            mark = shade(merge([dot, *([] if state == RESTING else [self._needle]), *extra]))
+            mark = merge([dot, *([] if state == RESTING else [self._needle]), *extra])
             marks[state] = seen_through(mark, np.ones(3))
-        open_mark = shade(self._states[RESTING].painted(np.ones(3)))
+        open_mark = self._states[RESTING].painted(np.ones(3))
         marks[OPEN] = commands.mesh_object(open_mark, commands.ghost(contacts.color, FAINT))
         return marks
 
@@ -122,9 +122,7 @@ def _draw_mark(
         script.put(path, marks[TOUCHING])
         return
     for code in np.unique(states):
-        node = f"{path}/{CONTACT_STATES[code]}"
-        script.put(node, marks[int(code)])
-        script.show(node, states == code)
+        script.put(f"{path}/{CONTACT_STATES[code]}", marks[int(code)], states == code)
 
 
 def arrow(length: float, head: float, radius: float) -> Mesh:
@@ -133,13 +131,13 @@ def arrow(length: float, head: float, radius: float) -> Mesh:
     return revolve([(0, 0), (radius, 0), (radius, neck), (3 * radius, neck), (0, length)])
 
 
-def seen_through(shape: ShadedMesh, color: np.ndarray) -> dict[str, Any]:
+def seen_through(shape: Mesh, color: np.ndarray) -> dict[str, Any]:
     """Return a shape that shines faintly through bodies in front of it."""
     return commands.mesh_object(shape, commands.shiny(color), commands.ghost(color, 0.38))
 
 
 def _draw_force(
-    path: str, shape: ShadedMesh, length: np.ndarray, color: np.ndarray, script: Script
+    path: str, shape: Mesh, length: np.ndarray, color: np.ndarray, script: Script
 ) -> None:
     """Draw an arrow of changing `length` (K,), 1 being the longest."""
     if length.max() < HAIR:
@@ -171,15 +169,13 @@ class Hinges:
             wide = [[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]
             around = HAND_LENGTH * SECTOR * self.length * np.array(wide)
             corners = np.concatenate([corners, around + [0, 0, self._upper_end(hinge)]])
-        R = rotations(hinge.quaternion_xyzw)  # (K, 3, 3)
-        world = np.einsum("kij,cj->kci", R, corners) + hinge.position[:, None]
-        return world.reshape(-1, 3)
+        return moving(corners, hinge.position, hinge.quaternion_xyzw).reshape(-1, 3)
 
     def draw(self, hinge: HingeTracks, script: Script) -> None:
         """Draw one joint."""
         node = f"joints/{hinge.name}"
-        script.move(node, hinge.position, continuous(hinge.quaternion_xyzw))
-        script.put(f"{node}/axis", seen_through(shade(self._axis(hinge)), DARK * hinge.color))
+        script.move(node, hinge.position, hinge.quaternion_xyzw)
+        script.put(f"{node}/axis", seen_through(self._axis(hinge), DARK * hinge.color))
         for dial in hinge.dials:
             if dial.turns:
                 script.set(f"{node}/turn", "position", np.array([[0, 0, self._upper_end(hinge)]]))
@@ -213,8 +209,8 @@ class Hinges:
             return merge([_rod(thin, low, high), *heads])
         neck = 2.5 * wide
         head = revolve([(0, -neck), (wide, -neck), (0, 0)])
-        parts = [_rod(thin, low + neck, high - neck), head.moved(_lifted(high))]
-        parts.append(head.scaled(-np.ones(3)).moved(_lifted(low)))
+        parts = [_rod(thin, low + neck, high - neck), head.shifted([0, 0, high])]
+        parts.append(head.scaled(-np.ones(3)).shifted([0, 0, low]))
         if hinge.shape == "sleeve":
             parts.append(_rod(wide, -1.5 * wide, 1.5 * wide))
         return merge(parts)
@@ -222,12 +218,12 @@ class Hinges:
     def _draw_sector(self, node: str, dial: Dial, color: np.ndarray, script: Script) -> None:
         radius = SECTOR * self.length
         rim = radius * _arc(*dial.limits)
-        script.put(f"{node}/sector", commands.mesh_object(shade(_fan(rim)), *_glass(color)))
+        glass = commands.shiny(color, 0.45), commands.ghost(color, 0.18)
+        script.put(f"{node}/sector", commands.mesh_object(_fan(rim), *glass))
         outline = _outline(rim, closed=np.ptp(dial.limits) >= FULL_TURN)
-        rgba = np.tile(np.append(DARK * color, 0.9), (len(outline), 1))
-        script.put(f"{node}/sector/edge", commands.line_object(outline, rgba))
-        to_x = np.eye(4)[[2, 0, 1, 3]]  # z -> x
-        hand = arrow(HAND_LENGTH * radius, 0.25 * radius, 0.025 * radius).moved(to_x)
+        edge = commands.line_object(outline, np.append(DARK * color, 0.9))
+        script.put(f"{node}/sector/edge", edge)
+        hand = arrow(HAND_LENGTH * radius, 0.25 * radius, 0.025 * radius).moved(Z_TO_X)
         _draw_pointer(f"{node}/hand", hand, dial, script)
         zero, half = 0 * dial.value, dial.value / 2
         turns = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
@@ -238,7 +234,7 @@ class Hinges:
         (low, high), stop = dial.limits, wide / 4
         stops = [_rod(1.6 * wide, low - 2 * stop, low), _rod(1.6 * wide, high, high + 2 * stop)]
         rail = merge([_rod(wide / 2, low, high), *stops])
-        script.put(f"{node}/rail", seen_through(shade(rail), color))
+        script.put(f"{node}/rail", seen_through(rail, color))
         _draw_pointer(f"{node}/bead", _rod(1.2 * wide, -0.5 * wide, 0.5 * wide), dial, script)
         zero = 0 * dial.value
         script.set(f"{node}/bead", "position", np.column_stack([zero, zero, dial.value]))
@@ -251,22 +247,11 @@ def _draw_pointer(path: str, shape: Mesh, dial: Dial, script: Script) -> None:
     within = (dial.value >= low - slack) & (dial.value <= high + slack)
     for name, color, seen in (("within", HAND, within), ("beyond", BEYOND, ~within)):
         if seen.any():
-            script.put(f"{path}/{name}", seen_through(shade(shape), color))
-            script.show(f"{path}/{name}", seen)
-
-
-def _glass(color: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
-    return commands.shiny(color, 0.45), commands.ghost(color, 0.18)
+            script.put(f"{path}/{name}", seen_through(shape, color), seen)
 
 
 def _rod(radius: float, low: float, high: float) -> Mesh:
-    return cylinder(radius, high - low).moved(_lifted((low + high) / 2))
-
-
-def _lifted(height: float) -> np.ndarray:
-    pose = np.eye(4)
-    pose[2, 3] = height
-    return pose
+    return cylinder(radius, high - low).shifted([0, 0, (low + high) / 2])
 
 
 def _arc(low: float, high: float) -> np.ndarray:
@@ -307,7 +292,7 @@ def draw_events(
         own = [event for event in events if event.family is family]
         for slot, (position, scale) in enumerate(event_tracks(own, time)):
             path = f"events/{k}_{slot}"
-            shape = shade(_shape(family, RADIUS * size))
+            shape = _shape(family, RADIUS * size)
             color = commands.rgb(family.colour)
             glow = commands.flat(color), commands.ghost(color, 0.5)
             script.put(path, commands.mesh_object(shape, *glow))

@@ -12,6 +12,7 @@ sharp, whatever normals a file carries or lacks.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,8 @@ from numpy.typing import ArrayLike
 CREASE_ANGLE = np.deg2rad(40.0)  # [rad]
 SEGMENTS = 40  # around the axis of a solid of revolution
 WELD_DIGITS = 7  # vertices closer than about 1e-7 of the mesh's size are one vertex
+Z_TO_X = np.eye(4)[[2, 0, 1, 3]]  # turns z -> x -> y -> z
+_CUBE = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])  # corners of the unit cube
 
 
 @dataclass(frozen=True)
@@ -32,12 +35,15 @@ class Mesh:
     def bounds(self) -> np.ndarray:
         """Return the eight corners of the axis-aligned bounding box, shape (8, 3) [m]."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        pick = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
-        return np.where(pick, high, low)
+        return np.where(_CUBE, high, low)
 
     def moved(self, pose: np.ndarray) -> Mesh:
         """Return the mesh under a homogeneous transform `pose`, shape (4, 4)."""
         return Mesh(self.vertices @ pose[:3, :3].T + pose[:3, 3], self.triangles, self.colors)
+
+    def shifted(self, offset: ArrayLike) -> Mesh:
+        """Return the mesh moved by `offset`, shape (3,) [m]."""
+        return Mesh(self.vertices + np.asarray(offset, float), self.triangles, self.colors)
 
     def scaled(self, factors: np.ndarray) -> Mesh:
         """Return the mesh scaled by `factors`, shape (3,); a mirror image keeps its outside."""
@@ -48,13 +54,17 @@ class Mesh:
         """Return the mesh in one `color`, shape (3,), sRGB in 0..1."""
         return Mesh(self.vertices, self.triangles, np.tile(color, (len(self.triangles), 1)))
 
+    @cached_property
+    def shaded(self) -> ShadedMesh:
+        """The mesh with its normals, computed once: arms of a kind share meshes."""
+        return shade(self)
+
 
 def box(lengths: ArrayLike) -> Mesh:
     """Return a box with full side `lengths`, shape (3,) [m], centred at the origin."""
-    corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) - 0.5
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    return Mesh(corners * np.asarray(lengths, float), np.array(triangles))
+    return Mesh((_CUBE - 0.5) * np.asarray(lengths, float), np.array(triangles))
 
 
 def cylinder(radius: float, height: float) -> Mesh:

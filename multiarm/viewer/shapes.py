@@ -49,10 +49,8 @@ def load_mesh(path: Path, scale: np.ndarray) -> Mesh:
     fault = mesh_fault(path)
     if fault:
         raise ValueError(fault)
-    colored = read_collada(path) if path.suffix.lower() == ".dae" else None
-    if colored is not None:
-        return usable(colored.scaled(scale))
-    return usable(_mesh_of_bvh(coal.MeshLoader().load(str(path), np.asarray(scale, float))))
+    colored = _colored(path, scale)
+    return usable(colored or _mesh_of_bvh(coal.MeshLoader().load(str(path), scale)))
 
 
 def usable(mesh: Mesh) -> Mesh:
@@ -84,7 +82,8 @@ def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
     ValueError
         It has no triangles of finite size.
     """
-    mesh = usable(_visual_file(item) or _mesh_of_geometry(item.geometry))
+    colored = _colored(Path(item.meshPath), item.meshScale)
+    mesh = usable(colored or _mesh_of_geometry(item.geometry))
     if item.overrideMaterial:
         mesh = mesh.painted(item.meshColor[:3])
     colors = PLAIN + 0 * mesh.triangles if mesh.colors is None else mesh.colors
@@ -123,10 +122,10 @@ def object_mesh(spec: ObjectSpec) -> Mesh:
     return _inertia_box(spec.mass, spec.inertia_matrix())
 
 
-def _visual_file(item: pin.GeometryObject) -> Mesh | None:
-    path = Path(item.meshPath)
-    colored = read_collada(path) if path.suffix.lower() == ".dae" else None
-    return None if colored is None else colored.scaled(item.meshScale)
+def _colored(path: Path, scale: np.ndarray) -> Mesh | None:
+    """Return the scaled mesh of a file that carries colours, None of any other."""
+    mesh = read_collada(path) if path.suffix.lower() == ".dae" else None
+    return None if mesh is None else mesh.scaled(scale)
 
 
 def _mesh_of_geometry(geometry: coal.CollisionGeometry) -> Mesh:
@@ -145,9 +144,7 @@ def _mesh_of_geometry(geometry: coal.CollisionGeometry) -> Mesh:
             return cone(geometry.radius, 2 * geometry.halfLength)
     geometry.computeLocalAABB()
     low, high = geometry.aabb_local.min_, geometry.aabb_local.max_
-    pose = np.eye(4)
-    pose[:3, 3] = (low + high) / 2
-    return box(high - low).moved(pose)
+    return box(high - low).shifted((low + high) / 2)
 
 
 def _mesh_of_bvh(model: coal.BVHModelBase) -> Mesh:
@@ -169,10 +166,6 @@ def _inertia_box(mass: float, inertia: np.ndarray) -> Mesh:
 GREY = np.array([0.8, 0.8, 0.8])
 
 
-class _UnsupportedError(Exception):
-    """The file uses, or lacks, something outside the reader's subset."""
-
-
 def read_collada(path: Path) -> Mesh | None:
     """Return the coloured triangles of a Collada file [m], or None if it cannot be read so."""
     try:
@@ -185,12 +178,13 @@ def read_collada(path: Path) -> Mesh | None:
         return _Collada(root).mesh()
     except (ElementTree.ParseError, OSError, ValueError, LookupError, RecursionError):
         return None
-    except _UnsupportedError:
-        return None
 
 
 class _Collada:
-    """One parsed document: look-up by id, then a walk over its visual scene."""
+    """One parsed document: look-up by id, then a walk over its visual scene.
+
+    What is missing, or outside the reader's subset, raises a LookupError.
+    """
 
     def __init__(self, root: Element) -> None:
         self.root = root
@@ -204,15 +198,12 @@ class _Collada:
         for node in scene.findall("node"):
             self._walk(node, np.diag([meter, meter, meter, 1.0]), parts)
         if not parts:
-            raise _UnsupportedError
+            raise LookupError
         return merge(parts)
 
     def _target(self, element: Element, attribute: str) -> Element:
         """Return what an attribute such as ``url="#id"`` refers to."""
-        target = self.by_id.get(_word(element, attribute).removeprefix("#"))
-        if target is None:
-            raise _UnsupportedError
-        return target
+        return self.by_id[element.attrib[attribute].removeprefix("#")]
 
     def _walk(self, node: Element, pose: np.ndarray, parts: list[Mesh]) -> None:
         _refuse(node, "instance_node", "instance_controller", "lookat", "skew")
@@ -231,7 +222,7 @@ class _Collada:
         for group in mesh.findall("triangles") + mesh.findall("polylist"):
             triangles, positions = _triangles(group), self._positions(group)
             if len(triangles) and triangles.max() >= len(positions):
-                raise _UnsupportedError
+                raise LookupError
             if len(triangles):
                 color = self._color(materials.get(group.get("material")))
                 parts.append(Mesh(positions, triangles).painted(color))
@@ -241,7 +232,7 @@ class _Collada:
         vertices = self._target(_input(group, "VERTEX"), "source")
         source = self._target(_input(vertices, "POSITION"), "source")
         if _child(source, "technique_common/accessor").get("stride") != "3":
-            raise _UnsupportedError
+            raise LookupError
         return _numbers(_child(source, "float_array"), float).reshape(-1, 3)
 
     def _color(self, instance: Element | None) -> np.ndarray:
@@ -258,14 +249,14 @@ class _Collada:
 
 def _triangles(group: Element) -> np.ndarray:
     """Return the corners (T, 3) of a group of triangles, or of polygons cut into fans."""
-    width = 1 + max(int(_word(i, "offset")) for i in group.findall("input"))
+    width = 1 + max(int(entry.attrib["offset"]) for entry in group.findall("input"))
     index = _numbers(_child(group, "p"), int).reshape(-1, width)
-    corner = index[:, int(_word(_input(group, "VERTEX"), "offset"))]
+    corner = index[:, int(_input(group, "VERTEX").attrib["offset"])]
     if group.tag == "triangles":
         return corner.reshape(-1, 3)
     counts = _numbers(_child(group, "vcount"), int)
     if counts.sum() != len(corner):
-        raise _UnsupportedError
+        raise LookupError
     starts = np.cumsum(counts) - counts
     fans = [
         (s, s + k, s + k + 1) for s, n in zip(starts, counts, strict=True) for k in range(1, n - 1)
@@ -275,21 +266,14 @@ def _triangles(group: Element) -> np.ndarray:
 
 def _refuse(parent: Element, *tags: str) -> None:
     if any(parent.find(tag) is not None for tag in tags):
-        raise _UnsupportedError
+        raise LookupError
 
 
 def _child(parent: Element, path: str) -> Element:
     child = parent.find(path)
     if child is None:
-        raise _UnsupportedError
+        raise LookupError
     return child
-
-
-def _word(element: Element, attribute: str) -> str:
-    word = element.get(attribute)
-    if word is None:
-        raise _UnsupportedError
-    return word
 
 
 def _input(parent: Element, semantic: str) -> Element:

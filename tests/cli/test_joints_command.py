@@ -11,7 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 from multiarm.cli import app
-from multiarm.cli.joint_cards import joint_cards, surface_cards
+from multiarm.cli.joint_cards import joint_section, surface_section
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, Joint, parse_scene
 from multiarm.scene.joints import BUILT_IN
@@ -50,12 +50,12 @@ def flowing(text: str) -> str:
 
 @pytest.fixture(scope="module")
 def cards():
-    return joint_cards()[0]
+    return joint_section().cards
 
 
 def test_every_kind_and_surface_of_the_schema_is_in_the_catalogue(cards):
     assert set(cards) == set(BUILT_IN)
-    assert list(surface_cards()[0]) == SURFACES
+    assert list(surface_section().cards) == SURFACES
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -72,7 +72,7 @@ arms: {left: {robot: textbook_6r, tip: tool}}
 
 @pytest.mark.parametrize("name", sorted(SURFACES))
 def test_every_example_of_a_surface_is_a_contact_with_it(name):
-    (joint,) = yaml.safe_load(surface_cards()[0][name].example)["joints"]
+    (joint,) = yaml.safe_load(surface_section().cards[name].example)["joints"]
     (written,) = joint["contacts"]
     contact = ContactSpec.model_validate(written)
     shapes = {contact.arm.shape, contact.object.shape}
@@ -143,7 +143,7 @@ def test_parameters_carry_the_defaults_of_the_schema(cards):
 
 
 def test_every_parameter_has_a_meaning_and_every_length_a_unit(cards):
-    owners = [*cards.values(), *surface_cards()[0].values()]
+    owners = [*cards.values(), *surface_section().cards.values()]
     parameters = [(owner, p) for owner in owners for p in owner.parameters]
     parameters += [("all", p) for p in [*parameters_of(Joint), *parameters_of(ContactSpec)]]
     assert len(parameters) > 40
