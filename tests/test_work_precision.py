@@ -19,9 +19,15 @@ from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
 from multiarm.studies.mujoco_peer import TorqueTape
-from multiarm.studies.observables import control_torque, sinusoid
-from multiarm.studies.peers import NOT_INSTALLED, make_peers
-from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.peers import (
+    NOT_INSTALLED,
+    Grid,
+    TimeSeries,
+    control_torque,
+    make_peers,
+    sinusoid,
+)
+from multiarm.studies.timing import OutOfTime
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import (

@@ -20,7 +20,6 @@ import numpy as np
 from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.time_series import OutOfTime
 
 BURST = 1e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
@@ -30,6 +29,10 @@ FEWEST = 3
 
 Burst = Callable[[int], object]
 """Makes that many calls."""
+
+
+class OutOfTime(Exception):
+    """A run was ended by its time limit."""
 
 
 def measure(

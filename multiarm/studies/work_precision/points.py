@@ -12,10 +12,9 @@ import numpy as np
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import plain
-from multiarm.studies.observables import control_torque, largest_gap, sinusoid
-from multiarm.studies.peers import Peer
+from multiarm.studies.peers import Grid, Peer, TimeSeries, control_torque, largest_gap, sinusoid
 from multiarm.studies.records import error_text
-from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.timing import OutOfTime
 from multiarm.studies.work_precision.reference import Motion, limited, motion_error
 from multiarm.studies.work_precision.settings import Setting
 

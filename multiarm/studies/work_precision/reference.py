@@ -22,8 +22,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import rotation_apart
-from multiarm.studies.time_series import OutOfTime
-from multiarm.studies.timing import clocked_run
+from multiarm.studies.timing import OutOfTime, clocked_run
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS
 
 QUANTITIES = {

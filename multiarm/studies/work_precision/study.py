@@ -21,9 +21,8 @@ from functools import partial
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.scene import Scene
-from multiarm.studies.peers import Peer, make_peers
+from multiarm.studies.peers import Grid, Peer, make_peers
 from multiarm.studies.records import machine
-from multiarm.studies.time_series import Grid
 from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.plan import Plan
 from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours, run_peer
