@@ -84,7 +84,7 @@ def effects(
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
     _print(found)
-    from multiarm.studies.effect_costs.words import figures
+    from multiarm.studies.effect_costs.page import figures
 
     page = "multiarm.studies.effect_costs.page"
     write_files(page, found, figures=lambda: figures(found), plot=plot, html=html, json=json)
@@ -101,7 +101,7 @@ def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledg
 
 
 def _print(found: Ledger) -> None:
-    from multiarm.studies.effect_costs.words import accuracy_text, summary, table
+    from multiarm.studies.effect_costs.page import accuracy_text, summary, table
 
     console = output()
     console.print(Text(found.scene["name"], "bold"))
