@@ -30,7 +30,7 @@ from multiarm.terminal.progress import Progress, span
 if TYPE_CHECKING:
     from multiarm.scene import Scene
     from multiarm.studies.tables import Table
-    from multiarm.studies.work_precision.store import Results
+    from multiarm.studies.work_precision.results import Results
 
 __all__ = ["accuracy"]
 
@@ -135,7 +135,7 @@ def accuracy(
     if (scene is None) == (source is None):
         raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
     if source is not None:
-        from multiarm.studies.work_precision.store import read_results
+        from multiarm.studies.work_precision.results import read_results
 
         check_targets({"--plot": plot, "--html": html, "--json": json}, source=source)
         found = read_results(source)
@@ -152,7 +152,7 @@ def accuracy(
                              peers=peers, quick=quick, thorough=thorough)  # fmt: skip
         print_written("study", target)
     _print(found, error.value, every)
-    from multiarm.studies.work_precision.words import figures
+    from multiarm.studies.work_precision.page import figures
 
     write_files(
         PAGE, found, error.value, figures=lambda: figures(found, error.value),
@@ -172,7 +172,7 @@ def _measure(
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.simulation.setup import run_spec
     from multiarm.studies.records import machine
-    from multiarm.studies.work_precision.store import Results
+    from multiarm.studies.work_precision.results import Results
     from multiarm.studies.work_precision.study import run_study
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
@@ -208,7 +208,7 @@ class _Shown:
 
     def __call__(self, results: Results) -> None:
         """Show results, of which there are more than at the last call."""
-        from multiarm.studies.work_precision.words import recommendation
+        from multiarm.studies.work_precision.page import recommendation
 
         if results.planned is None:  # finished, and about to be printed and written
             return
@@ -216,7 +216,8 @@ class _Shown:
         if not self._printed:
             self._printed = True
             self.progress.print("First results", *_texts(results, self._quantity))
-        if not self._announced and not (results.reference or {}).get("first"):
+        checked = results.reference is not None and not results.reference.first
+        if checked and not self._announced:
             self._announced = True
             left = (results.planned or 0) - len(results.points)
             self.progress.print(
@@ -232,7 +233,7 @@ class _Shown:
 
 def _kept(target: Path, empty: Results, fresh: bool) -> Results:
     """The points in the file; an error if they belong to another scene or machine."""
-    from multiarm.studies.work_precision.store import read_results
+    from multiarm.studies.work_precision.results import read_results
 
     if fresh or not target.exists():
         return empty
@@ -248,9 +249,9 @@ def _kept(target: Path, empty: Results, fresh: bool) -> Results:
 
 def _texts(results: Results, quantity: str, *tables: Table) -> Iterator[RenderableType]:
     """A study as it is printed: reference, decades, further tables, and what follows from them."""
-    from multiarm.studies.work_precision.tables import decade_table
-    from multiarm.studies.work_precision.words import (
+    from multiarm.studies.work_precision.page import (
         comparison,
+        decade_table,
         recommendation,
         reference_text,
         state_text,
@@ -269,7 +270,7 @@ def _texts(results: Results, quantity: str, *tables: Table) -> Iterator[Renderab
 
 
 def _print(results: Results, quantity: str, every: bool) -> None:
-    from multiarm.studies.work_precision.tables import method_table, point_table
+    from multiarm.studies.work_precision.page import method_table, point_table
 
     console = output()
     console.print(Text(results.about["scene"]["name"], "bold"))

@@ -25,17 +25,20 @@ from multiarm.studies.peers import Grid, Peer, make_peers
 from multiarm.studies.records import machine
 from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.plan import Plan
-from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours, run_peer
-from multiarm.studies.work_precision.reference import Reference, difference, make_reference
-from multiarm.studies.work_precision.settings import (
+from multiarm.studies.work_precision.points import (
     BY_ACCURACY,
     OURS,
+    TOO_SLOW,
     Ladder,
+    Measured,
     Setting,
     our_ladders,
     peer_ladders,
+    run_ours,
+    run_peer,
 )
-from multiarm.studies.work_precision.store import Results
+from multiarm.studies.work_precision.reference import Reference, difference, make_reference
+from multiarm.studies.work_precision.results import Results
 from multiarm.terminal.progress import Progress, Report, displayed
 
 SOLVERS = ("MuJoCo", "MuJoCo as shipped", "Pinocchio", "Drake")
@@ -145,7 +148,7 @@ class _Study:
         ladders, plan = self._our_ladders(), self._plan()
         given_up: set[str] = set()
         while clock() < until:
-            left = [ladder for ladder in ladders if ladder.series not in given_up]
+            left = [ladder for ladder in ladders if ladder[0].series not in given_up]
             settings = plan.open(left, STRIDES[0])
             if not settings:
                 break
@@ -162,16 +165,12 @@ class _Study:
 
     def find_reference(self) -> None:
         """Replace the first reference, unless that was done before."""
-        known = self.results.known_reference()
+        known = self.results.reference
         if known is not None and not known.first:
             return
         if known is not None:
             self.watch(self.results)
-        found = make_reference(
-            self.system,
-            partial(self.report, 0.0, 0.0),
-            None if known is not None else self.results.reference,
-        )
+        found = make_reference(self.system, partial(self.report, 0.0, 0.0))
         if known is not None:  # the ladders of fixed steps stay as they are
             found = replace(found, average_step_s=known.average_step_s)
         self.results.found_reference(found)
@@ -196,7 +195,7 @@ class _Study:
 
     @property
     def _reference(self) -> Reference:
-        found = self.results.known_reference()
+        found = self.results.reference
         assert found is not None, "points are measured when there is a reference"
         return found
 
