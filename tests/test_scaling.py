@@ -27,8 +27,7 @@ from multiarm.studies import (
     timing,
 )
 from multiarm.studies.scaling import Plan, run_scaling
-from multiarm.studies.scaling_page import figure, render
-from multiarm.studies.scaling_tables import disturbance, tables
+from multiarm.studies.scaling_page import disturbance, figure, render, tables
 from multiarm.studies.solver_forms import Coefficients
 from multiarm.studies.solver_study import (
     direct_operations,

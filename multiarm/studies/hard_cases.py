@@ -290,24 +290,6 @@ def run_case(
     )
 
 
-def rank_text(case: CaseResult) -> str:
-    """The rank, or its range, and how many events there were."""
-    low, high = (case.statistics.get(key) for key in ("lowest_rank", "highest_rank"))
-    text = "-" if low is None else f"{low}" if low == high else f"{low} to {high}"
-    count = len(case.events)
-    return text if not count else f"{text}, {count} event{'s' if count > 1 else ''}"
-
-
-def path_text(case: CaseResult) -> str:
-    """Which path of the solver the steps took."""
-    steps, coupled = (case.statistics.get(key) for key in ("steps", "coupled_steps"))
-    if steps is None or coupled is None:
-        return "-"
-    if not coupled:
-        return "linear"
-    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
-
-
 def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> CriterionResult:
     about = (criterion.quantity, float(criterion.bound), criterion.unit)
     try:

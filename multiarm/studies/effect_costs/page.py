@@ -11,7 +11,7 @@ effect left of the line at 1 can be left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import matplotlib
@@ -36,7 +36,7 @@ from multiarm.studies.effect_costs.entries import (
     Estimate,
     Ledger,
 )
-from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
+from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Line, Table
 
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 NOISE = "noise"
@@ -207,6 +207,16 @@ def accuracy_text(found: Ledger) -> str:
         f"Accuracy ({by}): {accuracies}. "
         f"Every run is made to it; times are medians of {run['repeats']} rounds in turn."
     )
+
+
+def texts(found: Ledger) -> Iterator[Table | Line]:
+    """What the command prints."""
+    yield Line(found.scene["name"], "strong")
+    yield Line(accuracy_text(found), "pale")
+    yield table(found, found.entries, "What each costs, and what it changes")
+    if found.run["certificate"].startswith("not met"):
+        yield Line(f"The scene's own run: {found.run['certificate']}", "warn")
+    yield Line(summary(found), "verdict")
 
 
 def figures(found: Ledger) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from multiarm.reports import pages
 from multiarm.reports.pages import scientific
 from multiarm.results.files import printable_texts
 from multiarm.results.trajectory import plain
-from multiarm.studies.tables import TEXT, Cell, Column, Table
+from multiarm.studies.tables import TEXT, Cell, Column, Line, Table
 from multiarm.studies.work_precision.points import BY_ACCURACY, Point, short
 from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.results import (
@@ -39,6 +39,26 @@ from multiarm.studies.work_precision.results import (
 
 FARTHER = 1e-3
 """The second level of the recommendation, as a fraction of the first."""
+
+
+def texts(results: Results, quantity: str, every: bool = False) -> Iterator[Table | Line]:
+    """What the command prints; all points on demand."""
+    yield Line(results.about["scene"]["name"], "strong")
+    tables = [method_table(results, quantity), *([point_table(results)] if every else [])]
+    yield from first_texts(results, quantity, *tables)
+
+
+def first_texts(results: Results, quantity: str, *tables: Table) -> Iterator[Table | Line]:
+    """Reference, decades, further tables, and what follows from them."""
+    yield Line(reference_text(results), "pale")
+    yield from (decade_table(results, quantity), *tables)
+    for solver, reason in results.refusals.items():
+        yield Line(f"{solver}: {reason}", "pale")
+    if state_text(results):
+        yield Line(state_text(results), "pale")
+    for sentence in (recommendation(results, quantity), comparison(results, quantity)):
+        if sentence:
+            yield Line(sentence, "verdict")
 
 
 def recommendation(results: Results, quantity: str = "motion") -> str:
