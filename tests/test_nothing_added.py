@@ -18,7 +18,7 @@ from mechanics import (
 
 import multiarm as ma
 from multiarm.dynamics.arrays import OWN_ARRAYS
-from multiarm.studies.evaluation_costs import slope_burst
+from multiarm.studies.timing import slope_burst
 
 ROOT = Path(__file__).parents[1]
 RING = ma.load_scene(SCENES / "ring_weld.yaml")

@@ -146,13 +146,9 @@ class Trial:
         """The state of a sample of our run."""
         return state_of(self.system.model.layout, self.trajectory, sample)
 
-    def control(self, t: float, state: State) -> np.ndarray:
-        """Torques of the scene's control at time ``t`` of our run, shape (n,), without damping."""
-        return control_torque(self.system, t, state)
-
     def _torques(self, t: float, state: State) -> np.ndarray:
-        """The same at a time of the short run."""
-        return self.control(self.begin + t, state)
+        """Torques of the scene's control at a time of the short run, shape (n,)."""
+        return control_torque(self.system, self.begin + t, state)
 
     def energy_errors(self, series: TimeSeries) -> np.ndarray:
         """Energy of each state of a short run that no work explains [J]."""
@@ -202,7 +198,8 @@ def answer_of(trial: Trial, name: str, peer: Solver) -> Answer:
     """Give both tasks to a peer; the answer reports any exception."""
 
     def accelerations() -> np.ndarray:
-        return peer.accelerations(trial.worst, trial.control(trial.time, trial.worst))
+        torque = control_torque(trial.system, trial.time, trial.worst)
+        return peer.accelerations(trial.worst, torque)
 
     with np.errstate(all="ignore"):
         return _short_run(trial, peer, _compared(trial, name, accelerations))

@@ -50,9 +50,8 @@ from multiarm.studies.effect_costs.entries import (
     Ledger,
     paired_difference,
 )
-from multiarm.studies.evaluation_costs import slope_burst
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
-from multiarm.studies.timing import Burst, clocked_run, measure, one_thread
+from multiarm.studies.timing import Burst, clocked_run, measure, one_thread, slope_burst
 from multiarm.terminal.progress import Progress, Report, displayed
 
 STABILIZATION, CERTIFICATE = "stabilization", "certificate"
