@@ -72,8 +72,6 @@ DURATION, FIXED_STEPS = 1.0, 1000
 LEAST_RUNS, PATIENCE, BURSTS_A_RUN = 3, 0.05, 5
 """Runs of each integrator, at least; seconds spent on them in a round; evaluations in between."""
 BURSTS_PER_ROUND = 15
-EVALUATION_PARTS = ("arm terms", "contacts", "forces", "node", "state", "between")
-STEP_PARTS = (*EVALUATION_PARTS, "stabilisation", "recording", "arithmetic", "rest")
 TARGET = 0.25
 """The overhead of a step over its evaluations should be below this."""
 
