@@ -228,7 +228,7 @@ class _Study:
                 break
         if len(done) < 2:
             return None
-        reference = _first_reference(done[-2], done[-1], self.scene.run.duration)
+        reference = _standing_in(done[-2], done[-1], self.scene.run.duration)
         self.results.found_reference(reference)
         for measured in done:
             self.results.add(measured)
@@ -294,7 +294,7 @@ class _Study:
         self.report(len(self.results.points), self.results.planned or 0, text)
 
 
-def _first_reference(coarse: Measured, fine: Measured, duration: float) -> Reference:
+def _standing_in(coarse: Measured, fine: Measured, duration: float) -> Reference:
     """The finer one of two runs by accuracy as a reference until there is a better one."""
     assert coarse.motion is not None and fine.motion is not None, "both have a result"
     made, check = (
