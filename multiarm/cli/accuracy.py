@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import RenderableType
-from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.options import (
@@ -22,19 +19,17 @@ from multiarm.cli.options import (
     option,
     with_settings,
 )
-from multiarm.cli.studies import draw_files, rendered, write_files
+from multiarm.cli.studies import draw_files, lines_of, print_texts, write_files
 from multiarm.errors import MultiarmError
-from multiarm.terminal.console import output, print_error, print_written
+from multiarm.terminal.console import print_error, print_written
 from multiarm.terminal.progress import Progress, span
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-    from multiarm.studies.tables import Table
-    from multiarm.studies.work_precision.store import Results
+    from multiarm.studies.work_precision.results import Results
 
 __all__ = ["accuracy"]
 
-PAGE = "multiarm.studies.work_precision.page"
 REWRITE, SHARE = 5.0, 0.1
 """Files of an unfinished study are written at most so often [s], and take such a share of the time
 at most."""
@@ -135,7 +130,7 @@ def accuracy(
     if (scene is None) == (source is None):
         raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
     if source is not None:
-        from multiarm.studies.work_precision.store import read_results
+        from multiarm.studies.work_precision.results import read_results
 
         check_targets({"--plot": plot, "--html": html, "--json": json}, source=source)
         found = read_results(source)
@@ -151,13 +146,10 @@ def accuracy(
             found = _measure(loaded, target, settings, shown, fresh,
                              peers=peers, quick=quick, thorough=thorough)  # fmt: skip
         print_written("study", target)
-    _print(found, error.value, every)
-    from multiarm.studies.work_precision.words import figures
+    from multiarm.studies.work_precision import page
 
-    write_files(
-        PAGE, found, error.value, figures=lambda: figures(found, error.value),
-        plot=plot, html=html, json=json,
-    )  # fmt: skip
+    print_texts(page.texts(found, error.value, every))
+    write_files(page, found, error.value, plot=plot, html=html, json=json)
 
 
 def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
@@ -172,7 +164,7 @@ def _measure(
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.simulation.setup import run_spec
     from multiarm.studies.records import machine
-    from multiarm.studies.work_precision.store import Results
+    from multiarm.studies.work_precision.results import Results
     from multiarm.studies.work_precision.study import run_study
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
@@ -208,15 +200,18 @@ class _Shown:
 
     def __call__(self, results: Results) -> None:
         """Show results, of which there are more than at the last call."""
-        from multiarm.studies.work_precision.words import recommendation
+        from multiarm.studies.work_precision import page
 
         if results.planned is None:  # finished, and about to be printed and written
             return
-        self.progress.note(recommendation(results, self._quantity))
+        self.progress.note(page.recommendation(results, self._quantity))
         if not self._printed:
             self._printed = True
-            self.progress.print("First results", *_texts(results, self._quantity))
-        if not self._announced and not (results.reference or {}).get("first"):
+            self.progress.print(
+                "First results", *lines_of(page.first_texts(results, self._quantity))
+            )
+        checked = results.reference is not None and not results.reference.first
+        if checked and not self._announced:
             self._announced = True
             left = (results.planned or 0) - len(results.points)
             self.progress.print(
@@ -225,14 +220,14 @@ class _Shown:
             )
         begin = time.monotonic()
         if begin >= self._due:
-            draw_files(PAGE, results, self._quantity, plot=self._plot, html=self._html)
+            draw_files(page, results, self._quantity, plot=self._plot, html=self._html)
             now = time.monotonic()
             self._due = now + max(REWRITE, (now - begin) / SHARE)
 
 
 def _kept(target: Path, empty: Results, fresh: bool) -> Results:
     """The points in the file; an error if they belong to another scene or machine."""
-    from multiarm.studies.work_precision.store import read_results
+    from multiarm.studies.work_precision.results import read_results
 
     if fresh or not target.exists():
         return empty
@@ -244,35 +239,3 @@ def _kept(target: Path, empty: Results, fresh: bool) -> Results:
             "--fresh to replace it"
         )
     return old
-
-
-def _texts(results: Results, quantity: str, *tables: Table) -> Iterator[RenderableType]:
-    """A study as it is printed: reference, decades, further tables, and what follows from them."""
-    from multiarm.studies.work_precision.tables import decade_table
-    from multiarm.studies.work_precision.words import (
-        comparison,
-        recommendation,
-        reference_text,
-        state_text,
-    )
-
-    yield Text(reference_text(results), "dim")
-    for table in (decade_table(results, quantity), *tables):
-        yield from rendered(table)
-    for solver, reason in results.refusals.items():
-        yield Text(f"{solver}: {reason}", "dim")
-    if state_text(results):
-        yield Text(state_text(results), "dim")
-    for sentence in (recommendation(results, quantity), comparison(results, quantity)):
-        if sentence:
-            yield Text(sentence, "bold green")
-
-
-def _print(results: Results, quantity: str, every: bool) -> None:
-    from multiarm.studies.work_precision.tables import method_table, point_table
-
-    console = output()
-    console.print(Text(results.about["scene"]["name"], "bold"))
-    tables = [method_table(results, quantity), *([point_table(results)] if every else [])]
-    for text in _texts(results, quantity, *tables):
-        console.print(text, soft_wrap=getattr(text, "style", "") == "bold green")

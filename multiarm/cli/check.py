@@ -59,7 +59,7 @@ def check(
     loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
     from multiarm.simulation.inspection import inspect_system
-    from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
+    from multiarm.studies.effect_costs.study import effects_of_evaluation
 
     with Progress() as progress:
         system, left = compile_for_inspection(loaded, settings.get("arms"))

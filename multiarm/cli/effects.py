@@ -6,15 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.text import Text
 
 from multiarm.cli.catalogue import show
 from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.joints import effect_section
 from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
-from multiarm.cli.studies import rendered, write_files
+from multiarm.cli.studies import print_texts, write_files
 from multiarm.errors import MultiarmError
-from multiarm.terminal.console import output
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
@@ -83,11 +81,10 @@ def effects(
         raise MultiarmError("name a scene to measure, or '--list' to see what effects there are")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
-    _print(found)
-    from multiarm.studies.effect_costs.words import figures
+    from multiarm.studies.effect_costs import page
 
-    page = "multiarm.studies.effect_costs.page"
-    write_files(page, found, figures=lambda: figures(found), plot=plot, html=html, json=json)
+    print_texts(page.texts(found))
+    write_files(page, found, plot=plot, html=html, json=json)
 
 
 def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledger:
@@ -98,16 +95,3 @@ def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledg
         from multiarm.studies.effect_costs.study import ledger
 
         return ledger(scene, candidates=candidates, repeats=rounds, progress=progress)
-
-
-def _print(found: Ledger) -> None:
-    from multiarm.studies.effect_costs.words import accuracy_text, summary, table
-
-    console = output()
-    console.print(Text(found.scene["name"], "bold"))
-    console.print(Text(accuracy_text(found), "dim"))
-    for part in rendered(table(found, found.entries, "What each costs, and what it changes")):
-        console.print(part, soft_wrap=isinstance(part, Text))
-    if found.run["certificate"].startswith("not met"):
-        console.print(Text(f"The scene's own run: {found.run['certificate']}", "yellow"))
-    console.print(Text(summary(found), "bold green"), soft_wrap=True)

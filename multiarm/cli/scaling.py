@@ -11,9 +11,9 @@ import typer
 
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import JsonFile, file_option, option
-from multiarm.cli.studies import rendered, write_files
+from multiarm.cli.studies import print_texts, write_files
 from multiarm.errors import MultiarmError
-from multiarm.terminal.console import output, print_warnings
+from multiarm.terminal.console import print_warnings
 from multiarm.terminal.progress import Progress
 
 __all__ = ["scaling"]
@@ -93,16 +93,11 @@ def scaling(
     plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
     with Progress() as progress:
         result = benchmark.run_scaling(plan, progress=progress)
-    from multiarm.studies.scaling_tables import disturbance, tables
+    from multiarm.studies import scaling_page as page
 
-    console = output()
-    for own in tables(result).values():
-        for table in own:
-            for part in rendered(table):
-                console.print(part)
-    print_warnings(filter(None, [disturbance(result)]))
-    page = "multiarm.studies.scaling_page"
-    write_files(page, result, figures=lambda: result, plot=plot, html=html, json=json)
+    print_texts(page.texts(result))
+    print_warnings(filter(None, [page.disturbance(result)]))
+    write_files(page, result, plot=plot, html=html, json=json)
 
 
 MOST_ARMS = 10_000

@@ -69,8 +69,9 @@ def stability(
     console = output()
     for part in _parts(suite):
         console.print(part)
-    page = "multiarm.studies.hard_case_page"
-    write_files(page, suite, figures=suite.as_dict, html=html, json=json)
+    from multiarm.studies import hard_case_page as page
+
+    write_files(page, suite, html=html, json=json)
     for case in suite.cases:
         if not case.passed:
             print_error(f"{case.name}: {'; '.join(case.failures)}")
@@ -79,7 +80,7 @@ def stability(
 
 
 def _parts(suite: SuiteResult) -> list[RenderableType]:
-    from multiarm.studies.hard_case_tables import solver_table
+    from multiarm.studies.hard_case_page import solver_table
 
     heads = ("case", "criteria: measured / bound", "run", "verdict")
     rows = [_row(case) for case in suite.cases]
@@ -95,7 +96,7 @@ def _parts(suite: SuiteResult) -> list[RenderableType]:
 
 
 def _row(case: CaseResult) -> tuple[RenderableType, ...]:
-    from multiarm.studies.hard_cases import path_text, rank_text
+    from multiarm.studies.hard_case_page import path_text, rank_text
 
     lines = [_criterion(item) for item in case.criteria]
     if case.status != "completed":

@@ -1,10 +1,14 @@
-"""What the commands of the studies share: tables on the terminal, and files at the end."""
+"""What the commands of the studies share: texts on the terminal, and files at the end.
+
+How a study is shown says its module ``page`` (:mod:`multiarm.studies.tables`), which takes what was
+found, and options.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from rich.console import RenderableType
@@ -12,15 +16,16 @@ from rich.text import Text
 
 from multiarm.cli.files import write_json
 from multiarm.results.files import save_figure, save_page
-from multiarm.terminal.console import columns, print_written
+from multiarm.terminal.console import columns, output, print_written
 
 if TYPE_CHECKING:
-    from multiarm.studies.tables import Table
+    from multiarm.studies.tables import Line, Table
 
-__all__ = ["draw_files", "rendered", "write_files"]
+__all__ = ["draw_files", "lines_of", "print_texts", "rendered", "write_files"]
 
 TONES = {
     "": "", "strong": "bold", "good": "green", "warn": "yellow", "bad": "red", "pale": "dim",
+    "verdict": "bold green",
 }  # fmt: skip
 CLOSE = 8
 
@@ -49,31 +54,46 @@ def rendered(table: Table) -> Iterator[RenderableType]:
         yield Text()
 
 
-def draw_files(page: str, found: Any, *options: Any, plot: Path | None, html: Path | None) -> None:
-    """Write what a study found as a figure and as a page, where they were asked for.
+def lines_of(texts: Iterable[Table | Line]) -> Iterator[RenderableType]:
+    """Tables and lines for the terminal."""
+    from multiarm.studies.tables import Line
 
-    ``page`` is the study's module with ``figure`` and ``render``, which take ``options`` too; it is
-    loaded where one of them is needed.
-    """
+    for item in texts:
+        if isinstance(item, Line):
+            yield Text(item.text, TONES[item.tone])
+        else:
+            yield from rendered(item)
+
+
+def print_texts(texts: Iterable[Table | Line]) -> None:
+    """Print tables and lines on stdout; a verdict is not broken into lines."""
+    console = output()
+    for item in lines_of(texts):
+        console.print(item, soft_wrap=getattr(item, "style", "") == TONES["verdict"])
+
+
+def draw_files(
+    page: ModuleType, found: Any, *options: Any, plot: Path | None, html: Path | None
+) -> None:
+    """Write what a study found as a figure and as a page, where they were asked for."""
     if plot is not None:
-        save_figure(import_module(page).figure(found, *options), plot)
+        save_figure(page.figure(found, *options), plot)
     if html is not None:
-        save_page(import_module(page).render(found, *options), html)
+        save_page(page.render(found, *options), html)
 
 
 def write_files(
-    page: str,
+    page: ModuleType,
     found: Any,
     *options: Any,
-    figures: Callable[[], Mapping[str, Any]],
     plot: Path | None = None,
     html: Path | None = None,
     json: Path | None = None,
 ) -> None:
-    """Write the files that were asked for, ``figures`` as JSON among them, and print where."""
+    """Write the files that were asked for, all figures as JSON among them, and print where."""
     draw_files(page, found, *options, plot=plot, html=html)
     if json is not None:
-        write_json(json, figures())
+        write_json(json, page.figures(found, *options))
     for what, path in (("plot", plot), ("page", html), ("figures", json)):
         if path is not None:
             print_written(what, path)

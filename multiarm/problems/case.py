@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -127,6 +128,39 @@ def sound(
         velocity_drift(closed_rate),
         energy_error(scale, 10.0 * accuracy, named),
     )
+
+
+def distance_from(
+    named: str,
+    bound: float,
+    build: Callable[..., Scene],
+    *arguments: Any,
+    solver: str | None = None,
+) -> Criterion:
+    """Object's largest distance from its path in a run of another scene, or by another solver [m].
+
+    Two runs of one problem differ by what each is off.
+    """
+
+    def measure(run: Trajectory, system: System) -> float:
+        other = reference_run(build, *arguments, solver=solver)
+        return apart(run.object_position, other.object_position)
+
+    return Criterion(f"distance from {named}", bound, "m", measure)
+
+
+@cache
+def reference_run(
+    build: Callable[..., Scene], *arguments: Any, solver: str | None = None
+) -> Trajectory:
+    """The run of the scene ``build(*arguments)``, by another solver if one is named; made once."""
+    from multiarm.assembly.compilation import compile_system
+    from multiarm.simulation.simulate import simulate
+
+    scene = build(*arguments)
+    if solver is not None:
+        scene = scene.replace(run=scene.run.model_copy(update={"solver": solver}))
+    return simulate(compile_system(scene), certificate=False)
 
 
 def largest(values: np.ndarray) -> float:

@@ -28,8 +28,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.problems.building import GRAVITY, own_urdf, pose, tip_pose
-from multiarm.problems.case import CLOSED, Criterion, HardCase, apart, largest, sound
-from multiarm.problems.references import reference_run
+from multiarm.problems.case import (
+    CLOSED,
+    Criterion,
+    HardCase,
+    apart,
+    largest,
+    reference_run,
+    sound,
+)
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from multiarm.problems.building import (
     two_arms,
     two_ur5_and_box,
 )
-from multiarm.problems.case import Criterion, HardCase, apart, largest, sound
-from multiarm.problems.references import reference_run
+from multiarm.problems.case import Criterion, HardCase, distance_from, largest, sound
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
@@ -130,11 +129,6 @@ def corner_grippers_near_loss_scene() -> Scene:
     return scene.replace(joints=joints, control={**control, "path": path})
 
 
-def _as_plain(run: Trajectory, system: System) -> float:
-    plain = reference_run(held_box, "contacts once")
-    return apart(run.object_position, plain.object_position)
-
-
 def _forces_shared(run: Trajectory, system: System) -> float:
     """Largest difference of the forces of the two copies of a contact, relative to the largest."""
     forces = run.contact_forces["right"]
@@ -147,8 +141,8 @@ def _moved(run: Trajectory, system: System) -> float:
 
 
 # All these contacts leave the tip no motion on the box, as six plain ones do: what moves is the
-# same system, and two runs of it differ by what each is off.
-_SAME_MOTION = Criterion("distance from the plainly held box", 2 * ACCURACY, "m", _as_plain)
+# same system.
+_SAME_MOTION = distance_from("the plainly held box", 2 * ACCURACY, held_box, "contacts once")
 # Weight of the block times the width of its corner.
 _WEIGHT = 15.0 * GRAVITY * 0.1
 

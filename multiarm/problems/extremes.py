@@ -18,10 +18,17 @@ from multiarm.problems.building import (
     two_arms,
     two_ur5_and_box,
 )
-from multiarm.problems.case import Criterion, HardCase, apart, largest, sound
+from multiarm.problems.case import (
+    Criterion,
+    HardCase,
+    apart,
+    distance_from,
+    largest,
+    reference_run,
+    sound,
+)
 from multiarm.problems.linkages import OneFreedom
 from multiarm.problems.loops import WELDED_ARMS, two_joint_arms_scene, welded_arms_motion
-from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
@@ -115,11 +122,6 @@ def hanging_block(scale: float, robot: str, name: str) -> Scene:
     )
 
 
-def _apart_from_massless(run: Trajectory, system: System) -> float:
-    lighter = reference_run(box_of_mass, 1e-3 * LIGHT, "lighter still")
-    return apart(run.object_position, lighter.object_position)
-
-
 def _velocity_changed(run: Trajectory, system: System) -> float:
     """Change of the object's velocity [m/s]."""
     velocity = run.object_twist[:, :3]
@@ -158,7 +160,9 @@ CASES = (
             *sound(ACCURACY),
             # what a mass does to the motion is in proportion to it: a millionth of the path of
             # about 1 m, on top of what the two runs are off
-            Criterion("distance from a massless object", 3 * ACCURACY, "m", _apart_from_massless),
+            distance_from(
+                "a massless object", 3 * ACCURACY, box_of_mass, 1e-3 * LIGHT, "lighter still"
+            ),
         ),
     ),
     HardCase(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,15 +22,14 @@ from multiarm.problems.case import (
     CLOSED_RATE,
     Criterion,
     HardCase,
-    apart,
     completed,
+    distance_from,
     energy_error,
     largest,
     position_drift,
     sound,
     velocity_drift,
 )
-from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
@@ -125,17 +124,9 @@ def _highest_elbow_at_end(run: Trajectory, system: System) -> float:
     return float(max(run.joint_positions[arm][-1, _ELBOW] for arm in run.arm_names))
 
 
-def _apart_from_dense(build: Callable[..., Scene], *arguments) -> Criterion:
-    """Distance of the object from a run in which the whole linear system is solved at once [m].
-
-    Two solvers of one problem differ by what each is off.
-    """
-
-    def measure(run: Trajectory, system: System) -> float:
-        dense = reference_run(build, *arguments, solver="dense")
-        return apart(run.object_position, dense.object_position)
-
-    return Criterion("distance from the dense solver", 2 * ACCURACY, "m", measure)
+def _apart_from_dense(build: Callable[..., Scene], *arguments: Any) -> Criterion:
+    """Distance of the object from a run in which the whole linear system is solved at once [m]."""
+    return distance_from("the dense solver", 2 * ACCURACY, build, *arguments, solver="dense")
 
 
 def _object_moved(run: Trajectory, system: System) -> float:

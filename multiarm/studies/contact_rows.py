@@ -37,9 +37,10 @@ from multiarm.geometry.records import (
 from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
-from multiarm.studies.timing import fastest, measure
+from multiarm.studies.timing import Burst, fastest, measure
 
 ROWS = 24
+"""Of a table: a multiple of the rows that a kind has together."""
 BURSTS_PER_ROUND = 2
 X, Y, Z = np.eye(3)
 
@@ -85,43 +86,38 @@ def measure_rows(
     rounds: int = 7, progress: Callable[[str], None] | None = None
 ) -> dict[str, float]:
     """Microseconds a row, of every kind in :func:`row_kinds`."""
-    tables = {name: _Rows(contacts) for name, contacts in row_kinds().items()}
-    bursts = {name: rows.burst for name, rows in tables.items()}
+    bursts = {name: _burst(contacts) for name, contacts in row_kinds().items()}
     best = dict.fromkeys(bursts, math.inf)
     for turn in range(rounds):
         if progress is not None:
             progress(f"contact rows, round {turn + 1} of {rounds}")
         for name, cost in fastest(measure(bursts, BURSTS_PER_ROUND)).items():
-            best[name] = min(best[name], cost / tables[name].count)
+            best[name] = min(best[name], cost / ROWS)
     return best
 
 
-class _Rows:
-    """A table of rows of one kind, to be written again and again."""
+def _burst(contacts: list[Contact]) -> Burst:
+    """Write a table of ``ROWS`` rows of one kind, again and again."""
+    table = pack(contacts * (ROWS // len(contacts)))
+    arm, body = _moving(0.01), _moving(-0.02)
+    rows = np.zeros((ROWS, CONTACT_WIDTH))
+    parts = np.zeros((len(table.codes) - ROWS, CONTACT_WIDTH))
+    scratch = np.zeros(RELATIVE_WIDTH + QUERY_WIDTH)
+    places = np.tile([0.47, 0.01, 0.01], (len(table.shapes), 1))
+    located = np.zeros_like(places)
+    answer = user_surface_callback(table.functions, scratch[RELATIVE_WIDTH:])
+    call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
 
-    def __init__(self, contacts: list[Contact]) -> None:
-        contacts = contacts * (ROWS // len(contacts))
-        self._table, self.count = pack(contacts), len(contacts)
-        self._arm, self._body = _moving(0.01), _moving(-0.02)
-        self._rows = np.zeros((self.count, CONTACT_WIDTH))
-        self._parts = np.zeros((len(self._table.codes) - self.count, CONTACT_WIDTH))
-        self._scratch = np.zeros(RELATIVE_WIDTH + QUERY_WIDTH)
-        shapes = len(self._table.shapes)
-        self._places = np.tile([0.47, 0.01, 0.01], (shapes, 1))
-        self._located = np.zeros((shapes, 3))
-        answer = user_surface_callback(self._table.functions, self._scratch[RELATIVE_WIDTH:])
-        self._call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
-
-    def burst(self, repeats: int) -> None:
-        """Write the table that many times."""
-        table = self._table
+    def burst(repeats: int) -> None:
         _write_often(
-            repeats, self.count, self._arm, self._body, np.zeros(RELATIVE_WIDTH),
-            table.codes, table.geometry, table.shapes, self._call.address, self._rows,
-            self._parts, self._scratch, self._places, self._located, np.zeros(1, dtype=np.int64),
+            repeats, ROWS, arm, body, np.zeros(RELATIVE_WIDTH), table.codes, table.geometry,
+            table.shapes, call.address, rows, parts, scratch, places, located,
+            np.zeros(1, dtype=np.int64),
         )  # fmt: skip
-        self._call.reraise()
-        assert np.all(np.isfinite(self._rows)), "the rows that are timed exist"
+        call.reraise()
+        assert np.all(np.isfinite(rows)), "the rows that are timed exist"
+
+    return burst
 
 
 def _moving(speed: float) -> np.ndarray:

@@ -19,9 +19,17 @@ import numpy as np
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
-from multiarm.studies.observables import Sinusoid
-from multiarm.studies.peers import Drive, Peer, joint_ends, links, moments, tip_frame
-from multiarm.studies.time_series import Grid, TimeSeries
+from multiarm.studies.peers import (
+    Drive,
+    Grid,
+    Peer,
+    Sinusoid,
+    TimeSeries,
+    joint_ends,
+    links,
+    moments,
+    tip_frame,
+)
 
 
 class DrakePeer(Peer):

@@ -21,28 +21,22 @@ import numpy as np
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.start import project_velocity
-from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
-from multiarm.integration.step import begin_chart, evaluate_slope, make_step
-from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.problems import ring_of_arms
 from multiarm.studies.peers import memory_needed
 from multiarm.studies.pinocchio_peer import ConstraintDynamics, Lcaba, PinocchioTree
 from multiarm.studies.timing import (
-    Burst,
     fastest,
     fitted_slopes,
     measure,
     one_thread,
     python_burst,
+    slope_burst,
+    terms_burst,
     upper_half,
 )
-from multiarm.tableaus import RK4
 
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5
@@ -95,41 +89,6 @@ def moving_state(system: System, seed: int) -> State:
     state = system.initial_state()
     state.velocity[:] = 0.3 * np.random.default_rng(seed).normal(size=state.velocity.size)
     return project_velocity(system, state)
-
-
-def slope_burst(data: Data) -> Burst:
-    """Evaluations as the time loop performs them, at the state in the data."""
-    joints, effects, struct = data.model.layout.joints, data.model.effects, data.struct
-    step = make_step(RK4, joints, effects.states, 1 + len(effects.works))
-    begin_chart(struct, step.base, step.z)
-    step.z[12 + 2 * joints :][: effects.states] = data.effect_states()
-    return loop_burst(data, _evaluate_often, step.z, step.base, step.slope)
-
-
-def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
-    """A compiled loop over a part of an evaluation.
-
-    ``loop(struct, *arguments, count)`` returns the status of the last one.
-    """
-
-    def burst(count: int) -> None:
-        if loop(data.struct, *arguments, count) != OK:
-            data.reraise()
-            raise SolverError("a part of an evaluation failed in the benchmark")
-
-    return burst
-
-
-def call_burst(data: Data, *parts: int) -> Burst:
-    """Compiled parts of an evaluation, by their addresses, in turn."""
-    bursts = [loop_burst(data, _call_often, address) for address in parts]
-    return lambda count: [burst(count) for burst in bursts]
-
-
-def terms_burst(data: Data) -> Burst:
-    """Pinocchio's two calls alone."""
-    address = data.arrays.functions.pinocchio
-    return lambda count: _terms_often(address, count)
 
 
 def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
@@ -204,29 +163,3 @@ def free_memory() -> float:
         return math.inf
     found = next((line for line in lines if line.startswith("MemAvailable:")), "")
     return 1024.0 * float(found.split()[1]) if found else math.inf
-
-
-@kernel
-def _evaluate_often(struct, z, base, slope, count):
-    status = OK
-    for i in range(count):
-        status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
-        if status != OK:
-            return status
-    return status
-
-
-@kernel
-def _call_often(struct, address, count):
-    status = OK
-    for _ in range(count):
-        status = call_cfunc(address, struct, 0.0, 0.0)
-        if status != OK:
-            return status
-    return status
-
-
-@kernel
-def _terms_often(address, count):
-    for _ in range(count):
-        call_python(address)

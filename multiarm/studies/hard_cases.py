@@ -12,23 +12,23 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from multiarm import problems
 from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.plots.decimation import decimate
+from multiarm.problems import Criterion, HardCase
 from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
+from multiarm.scene.faults import unknown
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, all_answers
 from multiarm.studies.records import error_text, machine
 from multiarm.terminal.progress import Progress, Report, displayed
-
-if TYPE_CHECKING:
-    from multiarm.dynamics.system import System
-    from multiarm.problems import Criterion, HardCase
 
 HISTORY_POINTS = 400
 HISTORY = {
@@ -49,6 +49,14 @@ SOLVER_EVENTS = frozenset(
     }
 )
 """Kinds of event about the rank and lost directions."""
+
+
+def _events_missing(run: Trajectory, system: System) -> float:
+    return float(SOLVER_EVENTS.isdisjoint(event.get("kind") for event in run.events))
+
+
+EVENTS = Criterion("expected events missing", 0.0, "1", _events_missing)
+"""Of a case that is made to lose rank or a direction: a run that does not notice has not met it."""
 
 CaseProgress = Callable[[str, float], None]
 """Called with what is being done and which part of the case is done, 0 to 1."""
@@ -226,9 +234,6 @@ def choose_cases(
     MultiarmError
         For unknown names, with the alternatives.
     """
-    from multiarm import problems
-    from multiarm.scene.faults import unknown
-
     known = problems.HARD_CASES if cases is None else cases
     wrong = [unknown("hard case", name, known) for name in names if name not in known]
     if wrong:
@@ -262,9 +267,8 @@ def run_case(
         return CaseResult(*about, False, NOT_RUN, error_text(error), scene=text)
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt
-    criteria = tuple(_measured(item, trajectory, system) for item in case.criteria)
-    if case.events:
-        criteria += (_expected_events(trajectory),)
+    expected = (*case.criteria, *([EVENTS] if case.events else []))
+    criteria = tuple(_measured(item, trajectory, system) for item in expected)
     answers: tuple[Answer, ...] = ()
     hardest = window = 0.0
     if len(trajectory):
@@ -290,24 +294,6 @@ def run_case(
     )
 
 
-def rank_text(case: CaseResult) -> str:
-    """The rank, or its range, and how many events there were."""
-    low, high = (case.statistics.get(key) for key in ("lowest_rank", "highest_rank"))
-    text = "-" if low is None else f"{low}" if low == high else f"{low} to {high}"
-    count = len(case.events)
-    return text if not count else f"{text}, {count} event{'s' if count > 1 else ''}"
-
-
-def path_text(case: CaseResult) -> str:
-    """Which path of the solver the steps took."""
-    steps, coupled = (case.statistics.get(key) for key in ("steps", "coupled_steps"))
-    if steps is None or coupled is None:
-        return "-"
-    if not coupled:
-        return "linear"
-    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
-
-
 def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> CriterionResult:
     about = (criterion.quantity, float(criterion.bound), criterion.unit)
     try:
@@ -317,13 +303,6 @@ def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> C
     if not math.isfinite(value):
         return CriterionResult(*about, None, False, f"measured {value}")
     return CriterionResult(*about, value, value <= criterion.bound)
-
-
-def _expected_events(trajectory: Trajectory) -> CriterionResult:
-    """The case is made to lose rank or a direction: a run that does not notice has not met it."""
-    kinds = {event.get("kind") for event in trajectory.events}
-    missing = 0.0 if kinds & SOLVER_EVENTS else 1.0
-    return CriterionResult("expected events missing", 0.0, "1", missing, not missing)
 
 
 def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:

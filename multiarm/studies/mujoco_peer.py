@@ -32,9 +32,16 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.jit.structs import floats_at, struct_at
-from multiarm.studies.observables import Sinusoid
-from multiarm.studies.peers import Drive, Solver, joint_ends, links, moments, tip_frame
-from multiarm.studies.time_series import TimeSeries
+from multiarm.studies.peers import (
+    Drive,
+    Sinusoid,
+    Solver,
+    TimeSeries,
+    joint_ends,
+    links,
+    moments,
+    tip_frame,
+)
 
 HARDNESS = 1e-6
 _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]

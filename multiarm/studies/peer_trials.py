@@ -16,8 +16,8 @@ A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -29,16 +29,21 @@ from multiarm.events.evaluation import evaluate
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import state_of
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.observables import (
+from multiarm.studies.peers import (
+    Drive,
+    Grid,
     Sinusoid,
+    Solver,
+    TimeSeries,
     control_torque,
     is_controlled,
     joint_damping,
     largest_gap,
+    make_peers,
+    memory_needed,
     total_energy,
 )
-from multiarm.studies.peers import Drive, Solver, make_peers, memory_needed
-from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.timing import OutOfTime
 
 WINDOW = 0.5
 """Length of the short run [s], or to the end of the case; at least from sample to sample."""
@@ -141,13 +146,9 @@ class Trial:
         """The state of a sample of our run."""
         return state_of(self.system.model.layout, self.trajectory, sample)
 
-    def control(self, t: float, state: State) -> np.ndarray:
-        """Torques of the scene's control at time ``t`` of our run, shape (n,), without damping."""
-        return control_torque(self.system, t, state)
-
     def _torques(self, t: float, state: State) -> np.ndarray:
-        """The same at a time of the short run."""
-        return self.control(self.begin + t, state)
+        """Torques of the scene's control at a time of the short run, shape (n,)."""
+        return control_torque(self.system, self.begin + t, state)
 
     def energy_errors(self, series: TimeSeries) -> np.ndarray:
         """Energy of each state of a short run that no work explains [J]."""
@@ -195,33 +196,45 @@ def all_answers(trial: Trial) -> tuple[Answer, ...]:
 
 def answer_of(trial: Trial, name: str, peer: Solver) -> Answer:
     """Give both tasks to a peer; the answer reports any exception."""
-    object_error = joint_error = None
-    trouble = ""
+
+    def accelerations() -> np.ndarray:
+        torque = control_torque(trial.system, trial.time, trial.worst)
+        return peer.accelerations(trial.worst, torque)
+
     with np.errstate(all="ignore"):
-        try:
-            found = peer.accelerations(trial.worst, trial.control(trial.time, trial.worst))
-            if np.all(np.isfinite(found)):
-                object_error, joint_error = trial.errors(found)
-            else:
-                trouble = "NaN"
-        except Exception as error:
-            trouble = _error_text(error)
-        course = _short_run(trial, peer)
-    return Answer(name, "", object_error, joint_error, trouble, *course)
+        return _short_run(trial, peer, _compared(trial, name, accelerations))
 
 
-class _ShortRun(NamedTuple):
-    """How a short run went; the fields are those of :class:`Answer`."""
+def _our_answer(trial: Trial) -> Answer:
+    """Our own evaluation, and the same window of our own run."""
+    answer = _compared(
+        trial, OURS, lambda: evaluate(trial.system, trial.time, trial.worst).accelerations
+    )
+    run = trial.trajectory
+    window = slice(trial.first, trial.last + 1)
+    balance = run.energy_balance[window]
+    return replace(
+        answer,
+        simulated=trial.window,
+        drift=float(np.max(run.position_drift[window])),
+        energy_error=float(np.max(np.abs(balance - balance[0]))),
+    )
 
-    simulated: float
-    drift: float | None
-    energy_error: float | None
-    ended: str
-    out_of_time: bool
+
+def _compared(trial: Trial, name: str, accelerations: Callable[[], np.ndarray]) -> Answer:
+    """The answer to the first task."""
+    try:
+        found = accelerations()
+    except Exception as error:
+        return Answer(name, accelerations=_error_text(error))
+    if not np.all(np.isfinite(found)):
+        return Answer(name, accelerations="NaN")
+    object_error, joint_error = trial.errors(found)
+    return Answer(name, object_error=object_error, joint_error=joint_error)
 
 
-def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
-    """Follow the motion of the window to its end, or to what ends it, and judge it."""
+def _short_run(trial: Trial, peer: Solver, answer: Answer) -> Answer:
+    """Follow the motion of the window to its end, or to what ends it, and add its judgement."""
     method, value = peer.best
     count = 1
     if peer.methods[method] == "step":
@@ -244,34 +257,14 @@ def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
         del series.states[apart[0] + 1 :], series.times[apart[0] + 1 :]
     if ended and not late:
         ended += f" after {series.reached:.3g} s"
+    answer = replace(answer, simulated=series.reached, ended=ended, out_of_time=late)
     if not series.reached:  # then nothing was found but the start itself
-        return _ShortRun(0.0, None, None, ended, late)
-    drift = float(np.max(gaps[: len(series.states)]))
+        return answer
     off = trial.energy_errors(series)
-    return _ShortRun(series.reached, drift, float(np.max(off[np.isfinite(off)])), ended, late)
-
-
-def _our_answer(trial: Trial) -> Answer:
-    """Our own evaluation, and the same window of our own run."""
-    object_error = joint_error = None
-    trouble = ""
-    try:
-        own = evaluate(trial.system, trial.time, trial.worst)
-        found = own.accelerations
-        object_error, joint_error = trial.errors(found)
-    except MultiarmError as error:
-        trouble = str(error)
-    run = trial.trajectory
-    window = slice(trial.first, trial.last + 1)
-    balance = run.energy_balance[window]
-    return Answer(
-        OURS,
-        object_error=object_error,
-        joint_error=joint_error,
-        accelerations=trouble,
-        simulated=trial.window,
-        drift=float(np.max(run.position_drift[window])),
-        energy_error=float(np.max(np.abs(balance - balance[0]))),
+    return replace(
+        answer,
+        drift=float(np.max(gaps[: len(series.states)])),
+        energy_error=float(np.max(off[np.isfinite(off)])),
     )
 
 

@@ -1,25 +1,33 @@
 """Other programs behind one interface: their model of a system, one acceleration, one motion.
 
 Each peer has its best settings: models are built and torques tabulated outside the measured time,
-and no Python is in a loop that can do without.
+and no Python is in a loop that can do without.  Torques of time alone are a :class:`Sinusoid`, a
+motion is a :class:`TimeSeries`; what is compared of two programs' states is measured here.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.contacts.kernel import GAP
+from multiarm.control.laws import harmonic
+from multiarm.dynamics.equations import evaluate_state, update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
-from multiarm.studies.observables import Sinusoid, inexpressible_effects, joint_damping
-from multiarm.studies.time_series import TimeSeries
+from multiarm.jit.pointers import address_of
+from multiarm.scene import RunSpec
+from multiarm.studies.timing import OutOfTime
 
 PEERS = {
     "MuJoCo": ("mujoco_peer", "MujocoPeer"),
@@ -37,8 +45,153 @@ BYTES_PER_CUBE = 64
 """Memory of Pinocchio's Data, as measured, grows with the cube of the number of joints."""
 NOT_INSTALLED = "not installed: pip install multiarm[peers]"
 
+
+@dataclass(frozen=True)
+class Sinusoid:
+    """Torques that depend on time only, ``constant + sine sin(a) + cosine cos(a)``.
+
+    Attributes
+    ----------
+    rate : float
+        [rad/s]; ``a = rate t``.
+    constant, sine, cosine : ndarray, shape (n,)
+        [N m] or [N]
+    """
+
+    rate: float
+    constant: np.ndarray
+    sine: np.ndarray
+    cosine: np.ndarray
+
+    @classmethod
+    def none(cls, n: int) -> Sinusoid:
+        """No torques at ``n`` joints."""
+        return cls(0.0, np.zeros(n), np.zeros(n), np.zeros(n))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether nothing swings."""
+        return self.rate == 0.0 or not (np.any(self.sine) or np.any(self.cosine))
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Torques at times [s], shape (times, n)."""
+        angle = self.rate * np.asarray(times)[:, None]
+        return self.constant + self.sine * np.sin(angle) + self.cosine * np.cos(angle)
+
+
 Drive = Sinusoid | Callable[[float, State], np.ndarray]
 """Torques of the control, of time alone or of time and state."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The times at which motions are compared: 0, interval, 2 interval, ...
+
+    Attributes
+    ----------
+    interval : float
+        [s]
+    intervals : int
+    """
+
+    interval: float
+    intervals: int
+
+    @classmethod
+    def of(cls, run: RunSpec) -> Grid:
+        """The output times of a run, without its end where no whole output step leads to it."""
+        interval = min(run.output_step, run.duration)
+        return cls(interval, math.floor(run.duration / interval * (1 + 1e-12)))
+
+    @property
+    def times(self) -> np.ndarray:
+        """Shape (intervals + 1,) [s]."""
+        return self.interval * np.arange(self.intervals + 1)
+
+    def steps(self, step: float) -> int:
+        """How many steps of a length make an interval; the length must divide it."""
+        count = round(self.interval / step)
+        assert count >= 1 and abs(count * step - self.interval) < 1e-9 * self.interval
+        return count
+
+
+@dataclass
+class TimeSeries:
+    """A motion at the times of a grid, as it is recorded.
+
+    Attributes
+    ----------
+    grid : Grid
+    limit_s : float
+        The run ends with :class:`OutOfTime` when it has taken longer, on the clock or off it.
+    every_step : bool
+        A method that chooses its steps records after each of them, not at the times of the grid.
+    times : list of float
+        [s]
+    states : list of State
+        At these times, as far as the motion goes and is finite.
+    works : list of float
+        What torques and damping have done since the start [J]; empty if the peer does not tell.
+    wall_time_s : float
+        Of the steps alone: models are built, and torques that are known beforehand are tabulated,
+        off the clock.
+    steps, evaluations : int
+    """
+
+    grid: Grid
+    limit_s: float = math.inf
+    every_step: bool = False
+    times: list[float] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+    works: list[float] = field(default_factory=list)
+    wall_time_s: float = 0.0
+    steps: int = 0
+    evaluations: int = 0
+    _begin: float = 0.0
+    _first: float | None = None
+
+    @property
+    def reached(self) -> float:
+        """How far the motion goes [s]."""
+        return self.times[-1] if self.times else 0.0
+
+    def record(self, state: State, time: float | None = None) -> bool:
+        """Keep a state, by default at the next time of the grid; tells whether it is finite."""
+        finite = bool(np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity)))
+        if finite:
+            self.times.append(self.grid.interval * len(self.states) if time is None else time)
+            self.states.append(state)
+        return finite
+
+    def start(self) -> None:
+        """Start the clock."""
+        self._begin = time.perf_counter()
+        if self._first is None:
+            self._first = self._begin
+
+    def stop(self, steps: int = 0, evaluations: int = 0) -> None:
+        """Stop the clock after so many steps and evaluations."""
+        now = time.perf_counter()
+        self.wall_time_s += now - self._begin
+        self.steps += steps
+        self.evaluations += evaluations
+        self.check()
+
+    def check(self) -> None:
+        """Raise :class:`OutOfTime` when the limit is over."""
+        if self._first is not None and time.perf_counter() - self._first > self.limit_s:
+            raise OutOfTime
+
+    def off_the_clock(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """A function whose own time does not count."""
+
+        def call(*arguments: Any) -> Any:
+            begin = time.perf_counter()
+            result = function(*arguments)
+            self.wall_time_s -= time.perf_counter() - begin
+            return result
+
+        return call
 
 
 class Peer(ABC):
@@ -98,7 +251,8 @@ def make_peers(system: System, names: Sequence[str]) -> tuple[dict[str, Peer], d
     """Of ``PEERS``, the programs that can run a system by name, and why the others cannot."""
     able: dict[str, Peer] = {}
     refusals: dict[str, str] = {}
-    strange = inexpressible_effects(system)
+    # no other program here has another effect
+    strange = sorted(set(system.scene.effects.named) - {"joint_damping"})
     for name in names:
         module, kind = PEERS[name]
         try:
@@ -179,3 +333,64 @@ def moments(inertia: np.ndarray) -> list[float]:
     """``[xx, yy, zz, xy, xz, yz]`` of an inertia matrix."""
     xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
     return [xx, yy, zz, xy, xz, yz]
+
+
+# --- observables of a system at one state ---------------------------------------------------------
+
+
+def sinusoid(system: System) -> Sinusoid | None:
+    """The torques of a scene whose control looks at the clock only; None where it looks at more."""
+    n = system.model.layout.joints
+    if not is_controlled(system):
+        return Sinusoid.none(n)
+    program, parameters = system.model.constants.control, system.model.constants.parameters
+    if program.shape[0] > 1 or program[0, 0] != address_of(harmonic):
+        return None
+    at = program[0, 1]
+    constant, sine, cosine = parameters[at + 1 : at + 1 + 3 * n].reshape(n, 3).T.copy()
+    return Sinusoid(2.0 * np.pi * float(parameters[at]), constant, sine, cosine)
+
+
+def control_torque(system: System, t: float, state: State) -> np.ndarray:
+    """Torques of the scene's control at time ``t``, shape (n,), without damping."""
+    if not is_controlled(system):
+        return np.zeros(system.model.layout.joints)
+    with system.borrow() as data:
+        data.set_state(t, state)
+        evaluate_state(data.struct, 0.0, 0.0)  # torques are there whatever the solver says
+        data.forgive()
+        return data.arrays.torque.copy()
+
+
+def is_controlled(system: System) -> bool:
+    """Whether anything drives the arms."""
+    return system.model.constants.control.shape[0] > 0
+
+
+def largest_gap(system: System, state: State) -> float:
+    """Largest gap of a contact [m]."""
+    with system.borrow() as data:
+        data.set_state(0.0, state)
+        update_kinematics(data.struct)
+        return float(np.max(np.abs(data.arrays.contacts[:, GAP]), initial=0.0))
+
+
+def total_energy(system: System, state: State) -> float:
+    """Kinetic and potential energy [J]."""
+    with system.borrow() as data:
+        data.set_state(0.0, state)
+        update_kinematics(data.struct)
+        twist, b = state.object_twist, data.arrays
+        kinetic = twist @ b.inertia @ twist
+        for i, v in enumerate(state.joint_velocities.values()):
+            kinetic += v @ read_inertia(b.pointers[i], v.size) @ v
+        return 0.5 * float(kinetic) + data.potential_energy()
+
+
+def joint_damping(system: System) -> np.ndarray:
+    """Coefficients of the joints' viscous friction, zero without that effect, shape (n,)."""
+    damping = np.zeros(system.model.layout.joints)
+    for kernel in system.model.effects.kernels:
+        if kernel.name == "joint_damping":
+            damping += kernel.arrays[0]
+    return damping

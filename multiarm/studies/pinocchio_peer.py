@@ -22,7 +22,7 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -31,9 +31,8 @@ from scipy.integrate import DOP853
 from multiarm.arms.arm import named_with_prefix
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.studies.observables import Sinusoid
-from multiarm.studies.peers import Drive, Peer, Solver, joint_ends, tip_frame
-from multiarm.studies.time_series import OutOfTime, TimeSeries
+from multiarm.studies.peers import Drive, Peer, Sinusoid, Solver, TimeSeries, joint_ends, tip_frame
+from multiarm.studies.timing import OutOfTime
 
 Settings = tuple[float, ...]
 """Absolute and relative accuracy, regularisation, iterations; empty: as shipped."""
@@ -47,16 +46,6 @@ _OBJECT_JOINTS = {
 Slope = Callable[[float, np.ndarray], np.ndarray]
 Solve = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Accelerations by configuration, velocity and generalised forces."""
-
-
-def torque_function(drive: Drive) -> Callable[[float, Any], np.ndarray]:
-    """Torques as a function of time and of the state, at which sinusoids do not look."""
-    if not isinstance(drive, Sinusoid):
-        return drive
-    rate, constant, sine, cosine = drive.rate, drive.constant, drive.sine, drive.cosine
-    if drive.is_constant:
-        return lambda t, _: constant
-    return lambda t, _: constant + math.sin(rate * t) * sine + math.cos(rate * t) * cosine
 
 
 class _Loops(Peer):
@@ -252,11 +241,13 @@ class _Loops(Peer):
         return f
 
     def _torques(self, drive: Drive) -> Slope:
-        """Torques as a function of time and ``y``."""
-        torques = torque_function(drive)
-        if isinstance(drive, Sinusoid):
-            return torques
-        return lambda t, y: torques(t, self.state(y))
+        """Torques as a function of time and of ``y``, which sinusoids do not look at."""
+        if not isinstance(drive, Sinusoid):
+            return lambda t, y: drive(t, self.state(y))
+        rate, constant, sine, cosine = drive.rate, drive.constant, drive.sine, drive.cosine
+        if drive.is_constant:
+            return lambda t, _: constant
+        return lambda t, _: constant + math.sin(rate * t) * sine + math.cos(rate * t) * cosine
 
     def _configuration(self, y: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector: two numbers for a joint that turns without end."""

@@ -44,7 +44,7 @@ from multiarm.errors import SolverError
 from multiarm.jit.kernels import kernel
 from multiarm.problems import ring_of_arms
 from multiarm.scene import Scene
-from multiarm.studies.evaluation_costs import call_burst, moving_state
+from multiarm.studies.evaluation_costs import moving_state
 from multiarm.studies.solver_forms import (
     Coefficients,
     Solution,
@@ -59,6 +59,7 @@ from multiarm.studies.solver_forms import (
 )
 from multiarm.studies.timing import (
     Burst,
+    call_burst,
     fitted_slopes,
     measure,
     median,

@@ -2,6 +2,9 @@
 
 A column says what its values are and how they are written.  A row has values, or cells where a tone
 or a note goes with one; a row without numbers ends early, with a remark in their place.
+
+What a study found is shown by its page module: ``texts`` (the tables and lines that a command
+prints), ``figure``, ``render`` (the HTML page) and ``figures`` (all numbers, for JSON).
 """
 
 from __future__ import annotations
@@ -50,6 +53,13 @@ class Cell(NamedTuple):
     value: Any
     tone: str = ""
     note: str = ""
+
+
+class Line(NamedTuple):
+    """A line of text beside tables, with a tone: strong, warn, pale or verdict."""
+
+    text: str
+    tone: str = ""
 
 
 class Written(NamedTuple):

@@ -46,14 +46,19 @@ from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_of
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import Trajectory
-from multiarm.studies.evaluation_costs import (
+from multiarm.studies.evaluation_costs import moving_state
+from multiarm.studies.timing import (
+    Burst,
     call_burst,
+    calls_a_burst,
+    clocked_run,
+    fastest,
     loop_burst,
-    moving_state,
+    measure,
+    one_thread,
     slope_burst,
     terms_burst,
 )
-from multiarm.studies.timing import Burst, calls_a_burst, clocked_run, fastest, measure, one_thread
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS, RK4
 
 ARMS = (2, 8, 32)
@@ -67,8 +72,6 @@ DURATION, FIXED_STEPS = 1.0, 1000
 LEAST_RUNS, PATIENCE, BURSTS_A_RUN = 3, 0.05, 5
 """Runs of each integrator, at least; seconds spent on them in a round; evaluations in between."""
 BURSTS_PER_ROUND = 15
-EVALUATION_PARTS = ("arm terms", "contacts", "forces", "node", "state", "between")
-STEP_PARTS = (*EVALUATION_PARTS, "stabilisation", "recording", "arithmetic", "rest")
 TARGET = 0.25
 """The overhead of a step over its evaluations should be below this."""
 

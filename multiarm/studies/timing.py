@@ -17,10 +17,16 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.system import System
+from multiarm.errors import SolverError
+from multiarm.integration.step import begin_chart, evaluate_slope, make_step
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.time_series import OutOfTime
+from multiarm.tableaus import RK4
 
 BURST = 1e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
@@ -30,6 +36,10 @@ FEWEST = 3
 
 Burst = Callable[[int], object]
 """Makes that many calls."""
+
+
+class OutOfTime(Exception):
+    """A run was ended by its time limit."""
 
 
 def measure(
@@ -94,6 +104,41 @@ def python_burst(call: Callable[[], object]) -> Burst:
             call()
 
     return burst
+
+
+def slope_burst(data: Data) -> Burst:
+    """Evaluations as the time loop performs them, at the state in the data."""
+    joints, effects, struct = data.model.layout.joints, data.model.effects, data.struct
+    step = make_step(RK4, joints, effects.states, 1 + len(effects.works))
+    begin_chart(struct, step.base, step.z)
+    step.z[12 + 2 * joints :][: effects.states] = data.effect_states()
+    return loop_burst(data, _evaluate_often, step.z, step.base, step.slope)
+
+
+def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
+    """A compiled loop over a part of an evaluation.
+
+    ``loop(struct, *arguments, count)`` returns the status of the last one.
+    """
+
+    def burst(count: int) -> None:
+        if loop(data.struct, *arguments, count) != OK:
+            data.reraise()
+            raise SolverError("a part of an evaluation failed in the benchmark")
+
+    return burst
+
+
+def call_burst(data: Data, *parts: int) -> Burst:
+    """Compiled parts of an evaluation, by their addresses, in turn."""
+    bursts = [loop_burst(data, _call_often, address) for address in parts]
+    return lambda count: [burst(count) for burst in bursts]
+
+
+def terms_burst(data: Data) -> Burst:
+    """Pinocchio's two calls alone."""
+    address = data.arrays.functions.pinocchio
+    return lambda count: _terms_often(address, count)
 
 
 def fitted_slope(sizes: Sequence[float], costs: Sequence[float | None]) -> float | None:
@@ -164,3 +209,29 @@ def clocked_run(
     (begin, begin_busy), (end, end_busy) = clocks[0], clocks[-1]
     waited = max(0.0, (end - begin) - (end_busy - begin_busy))
     return run, run.statistics["wall_time_s"] - waited
+
+
+@kernel
+def _evaluate_often(struct, z, base, slope, count):
+    status = OK
+    for i in range(count):
+        status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
+        if status != OK:
+            return status
+    return status
+
+
+@kernel
+def _call_often(struct, address, count):
+    status = OK
+    for _ in range(count):
+        status = call_cfunc(address, struct, 0.0, 0.0)
+        if status != OK:
+            return status
+    return status
+
+
+@kernel
+def _terms_often(address, count):
+    for _ in range(count):
+        call_python(address)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import math
@@ -23,20 +24,19 @@ from multiarm.problems import ring_of_arms
 from multiarm.reports.pages import quantity
 from multiarm.results.files import save_page
 from multiarm.studies.work_precision import study as studies
-from multiarm.studies.work_precision.choice import all_series, decades
-from multiarm.studies.work_precision.page import render
-from multiarm.studies.work_precision.points import COMPLETED, FAILED, Point
-from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
-from multiarm.studies.work_precision.settings import (
+from multiarm.studies.work_precision.page import comparison, described, recommendation, render
+from multiarm.studies.work_precision.points import (
     BY_ACCURACY,
+    COMPLETED,
+    FAILED,
     OURS,
-    Ladder,
+    Point,
     Setting,
     our_ladders,
     short,
 )
-from multiarm.studies.work_precision.store import Results, read_results
-from multiarm.studies.work_precision.words import comparison, described, recommendation
+from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
+from multiarm.studies.work_precision.results import Results, all_series, decades, read_results
 from multiarm.terminal.progress import Progress
 
 accuracy = commands.command("accuracy")
@@ -90,10 +90,10 @@ def results() -> Results:
 
 @pytest.fixture
 def study_file(results, tmp_path):
-    path = tmp_path / "study.json"
-    data = {**results.as_dict(), "exact": None, "motions": {}}
-    path.write_text(json.dumps(data), encoding="utf-8")
-    return path
+    kept = copy.copy(results)
+    kept._path = tmp_path / "study.json"
+    kept.write()
+    return kept._path
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def study_file(results, tmp_path):
 def two_ladders(monkeypatch):
     """The study has two short ladders, first runs by accuracy, and no repetitions."""
     ladders = [
-        Ladder(tuple(Setting(OURS, "rk4", kind, "step", step) for step in (0.01, 0.005)))
+        tuple(Setting(OURS, "rk4", kind, "step", step) for step in (0.01, 0.005))
         for kind in ("projection", "none")
     ]
     monkeypatch.setattr(studies, "our_ladders", lambda *_: ladders)
@@ -120,8 +120,8 @@ def test_a_scene_is_studied_kept_and_drawn(two_ladders, tmp_path, monkeypatch):
     assert "Reference: dop853 at 1e-14; checked by the dense solver" in result.stdout
     kept = read_results(tmp_path / "ring_weld.accuracy.json")
     found = [item.setting for item in kept.points.values() if item.setting.method != BY_ACCURACY]
-    assert found[:2] == [ladder.settings[0] for ladder in two_ladders]
-    assert {*found[2:]} == {ladder.settings[1] for ladder in two_ladders}
+    assert found[:2] == [ladder[0] for ladder in two_ladders]
+    assert {*found[2:]} == {ladder[1] for ladder in two_ladders}
     assert kept.planned is None
     assert "First results" in result.stderr
     assert "A checked reference will replace it" in result.stderr
@@ -151,7 +151,7 @@ def test_compiled_arms_have_a_study_of_their_own(two_ladders, tmp_path, monkeypa
         read_results(tmp_path / f"ring_weld{kind}.accuracy.json") for kind in ("", ".compiled")
     )
     assert one.points.keys() & other.points.keys() >= {
-        setting.key for ladder in two_ladders for setting in ladder.settings
+        setting.key for ladder in two_ladders for setting in ladder
     }
     for key in one.points.keys() & other.points.keys():
         point, same = one.points[key], other.points[key]
@@ -174,7 +174,7 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
     monkeypatch.setattr(studies, "REPEATS", 1)
     assert accuracy(*SHORT, "--fresh").exit_code == 0
     again = read_results(tmp_path / "ring_weld.accuracy.json")
-    assert {*again.points} >= {s.key for ladder in two_ladders for s in ladder.settings}
+    assert {*again.points} >= {s.key for ladder in two_ladders for s in ladder}
     assert [p.wall_time_s for p in again.points.values()] != [
         p.wall_time_s for p in first.points.values()
     ]
@@ -208,7 +208,7 @@ def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
 
     def interrupted(system, setting, limit_s):
         seen.append(setting)
-        if setting == two_ladders[1].settings[0]:
+        if setting == two_ladders[1][0]:
             raise KeyboardInterrupt
         return run(system, setting, limit_s)
 
@@ -217,7 +217,7 @@ def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
     assert result.exit_code == 1
     kept = read_results(tmp_path / "ring_weld.accuracy.json").points
     assert f"interrupted; {len(kept)} points are in 'ring_weld.accuracy.json'" in result.stderr
-    assert two_ladders[0].settings[0].key in kept
+    assert two_ladders[0][0].key in kept
     monkeypatch.setattr(studies, "run_ours", run)
     assert accuracy(*SHORT).exit_code == 0
     again = read_results(tmp_path / "ring_weld.accuracy.json")
@@ -438,7 +438,7 @@ def test_the_page_begins_with_the_ranked_quantity_and_says_what_the_terminal_say
 
 
 def test_every_method_and_every_peer_has_a_colour_of_its_own():
-    ours = [ladder.settings[0].method for ladder in our_ladders(0.01, 1.0, 0.005)]
+    ours = [ladder[0].method for ladder in our_ladders(0.01, 1.0, 0.005)]
     assert len({*ours, *studies.SOLVERS}) <= len(set(PALETTE)) == len(PALETTE)
 
 

@@ -21,9 +21,12 @@ from multiarm.scene import EFFECTS, dump_scene
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.effect_costs import study
 from multiarm.studies.effect_costs.entries import (
+    CANDIDATE,
     FORCE,
     JOINTS,
     PATH,
+    PRESENT,
+    SETTING,
     TURN,
     Change,
     Entry,
@@ -31,18 +34,17 @@ from multiarm.studies.effect_costs.entries import (
     Ledger,
     paired_difference,
 )
-from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import figure, render
-from multiarm.studies.effect_costs.study import changes, ledger
-from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
-from multiarm.studies.effect_costs.words import (
+from multiarm.studies.effect_costs.page import (
     NOISE,
     change_text,
+    figure,
     percent,
+    render,
     sentence,
     summary,
     table,
 )
+from multiarm.studies.effect_costs.study import changes, effects_of_evaluation, ledger, without
 
 effects, check = (commands.command(name, 160) for name in ("effects", "check"))
 RING = ma.load_scene(SCENES / "ring_weld.yaml").replace(effects={"joint_damping": 0.5})
@@ -153,7 +155,7 @@ def test_what_is_counted_is_what_the_scene_needs_more_than_the_variant(found):
 
 def test_recording_and_stabilization_do_not_move_what_they_are_about(found):
     for name in ("recording", "stabilization"):
-        assert entry_of(found, name).value(PATH) < 1e-7
+        assert entry_of(found, name).changes[PATH].value < 1e-7
     assert found.can_go(entry_of(found, "recording")) is False, "only effects can go"
 
 
@@ -164,7 +166,7 @@ def test_an_effect_that_does_nothing_can_go_and_is_said_to(own):
     nothing = entry_of(result, "nothing")
     assert result.can_go(nothing)
     assert not result.can_go(entry_of(result, "joint_damping"))
-    assert nothing.value(PATH) == 0.0
+    assert nothing.changes[PATH].value == 0.0
     assert sentence(result, nothing).endswith(", changes nothing beyond the noise: leave it out")
 
 
@@ -220,7 +222,7 @@ def test_candidates_are_added_with_their_usual_parameters(own, monkeypatch):
     )
     still = ma.simulate(ma.compile_system(SHORT))
     moved = np.linalg.norm(exact.object_position - still.object_position, axis=1).max()
-    assert breeze.value(PATH) == pytest.approx(moved, rel=1e-9)
+    assert breeze.changes[PATH].value == pytest.approx(moved, rel=1e-9)
     assert breeze.evaluations == exact.statistics["evaluations"] - still.statistics["evaluations"]
     assert "unknown effect 'x'" in broken.trouble
 
@@ -548,4 +550,4 @@ def test_the_figure_draws_costs_and_changes_where_they_are():
     assert widths == pytest.approx([100.0 * entry.share.value for entry in shown])
     places = {(line.get_ydata()[0], line.get_marker()): line.get_xdata()[0] for line in right.lines}
     for k, entry in enumerate(shown):
-        assert places[k, "o"] == pytest.approx(max(entry.value(PATH) / 1e-3, 1e-6))
+        assert places[k, "o"] == pytest.approx(max(entry.changes[PATH].value / 1e-3, 1e-6))

@@ -23,10 +23,16 @@ from multiarm.reports.pages import scientific
 from multiarm.studies import peer_trials
 from multiarm.studies.hard_case_page import render
 from multiarm.studies.hard_cases import CaseResult, run_case, run_suite
-from multiarm.studies.observables import largest_gap, total_energy
 from multiarm.studies.peer_trials import OURS, SOLVERS, Trial
-from multiarm.studies.peers import NOT_INSTALLED, Solver, make_peers
-from multiarm.studies.time_series import Grid, TimeSeries
+from multiarm.studies.peers import (
+    NOT_INSTALLED,
+    Grid,
+    Solver,
+    TimeSeries,
+    largest_gap,
+    make_peers,
+    total_energy,
+)
 
 stability = command("stability", 80)
 RUN = {"duration": 0.2, "accuracy": 1e-8}

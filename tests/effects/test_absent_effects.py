@@ -17,7 +17,7 @@ from repository import ROOT, SCENES
 
 import multiarm as ma
 from multiarm.dynamics.arrays import OWN_ARRAYS
-from multiarm.studies.evaluation_costs import slope_burst
+from multiarm.studies.timing import slope_burst
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
 BARE = RING.replace(gravity=None, control={"kind": "none"})

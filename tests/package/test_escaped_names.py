@@ -23,7 +23,7 @@ from multiarm.results.files import printable, printable_texts, save_page
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.studies.work_precision import page as accuracy_page
-from multiarm.studies.work_precision.choice import all_series
+from multiarm.studies.work_precision.results import all_series
 from multiarm.terminal import console as terminal
 
 STEERING = "\x1b[31m\x07\r\x9b2J\x7f\u202e\u2066\u200f\u2028"

@@ -20,40 +20,46 @@ from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
 from multiarm.studies.mujoco_peer import TorqueTape
-from multiarm.studies.observables import control_torque, sinusoid
-from multiarm.studies.peers import NOT_INSTALLED, make_peers
-from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.peers import (
+    NOT_INSTALLED,
+    Grid,
+    TimeSeries,
+    control_torque,
+    make_peers,
+    sinusoid,
+)
+from multiarm.studies.timing import OutOfTime
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
-from multiarm.studies.work_precision.choice import (
-    LEVELS,
-    all_series,
-    decades,
-)
+from multiarm.studies.work_precision.page import comparison, described, recommendation
 from multiarm.studies.work_precision.plan import STALE
 from multiarm.studies.work_precision.points import (
+    BY_ACCURACY,
+    COARSEST,
     COMPLETED,
     FAILED,
+    OURS,
     TOO_SLOW,
     Measured,
     Point,
-    run_ours,
-    run_peer,
-    too_slow,
-)
-from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
-from multiarm.studies.work_precision.settings import (
-    BY_ACCURACY,
-    COARSEST,
-    OURS,
     Setting,
     halved_steps,
     our_ladders,
+    run_ours,
+    run_peer,
     short,
+    too_slow,
 )
-from multiarm.studies.work_precision.store import Results, read_results, scene_digest
+from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
+from multiarm.studies.work_precision.results import (
+    LEVELS,
+    Results,
+    all_series,
+    decades,
+    read_results,
+    scene_digest,
+)
 from multiarm.studies.work_precision.study import SOLVERS, run_study
-from multiarm.studies.work_precision.words import comparison, described, recommendation
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
@@ -135,13 +141,6 @@ def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch)
     assert digits["force"] > 1e6 * reference.digits["force"]
 
 
-@pytest.mark.slow
-def test_digits_that_are_known_are_not_found_again(system, reference, monkeypatch):
-    known = {"digits": {"motion": 0.5}, "about": dict(reference.about)}
-    monkeypatch.setattr(references, "_checked", None)
-    assert make_reference(system, known=known).digits == {"motion": 0.5}
-
-
 def test_a_scene_that_cannot_run_has_no_reference(system, monkeypatch):
     monkeypatch.setattr(references, "PATIENCE", 0.0)
     with pytest.raises(MultiarmError, match="no reference to compare with: dop853 takes longer"):
@@ -210,16 +209,16 @@ def test_errors_are_those_at_the_worst_time():
 
 def test_every_integrator_is_studied_with_each_stabilisation():
     ladders = our_ladders(0.01, 1.0, 0.005)
-    methods = {ladder.settings[0].method for ladder in ladders}
+    methods = {ladder[0].method for ladder in ladders}
     assert methods == {BY_ACCURACY, *ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS}
-    kinds = {x.settings[0].stabilization for x in ladders if x.settings[0].method == "dop853"}
+    kinds = {x[0].stabilization for x in ladders if x[0].method == "dop853"}
     assert kinds == {"projection", "feedback", "none"}
-    keys = [item.key for ladder in ladders for item in ladder.settings]
+    keys = [item.key for ladder in ladders for item in ladder]
     assert len(set(keys)) == len(keys)
     for ladder in ladders:
-        values = [item.value for item in ladder.settings]
+        values = [item.value for item in ladder]
         assert values == sorted(values, reverse=True)
-        assert len({item.series for item in ladder.settings}) == 1
+        assert len({item.series for item in ladder}) == 1
 
 
 @pytest.mark.parametrize(("output_step", "coarsest"), [(0.01, 0.04), (0.01, 0.003), (0.25, 0.2)])
@@ -233,7 +232,7 @@ def test_fixed_steps_are_halved_from_the_coarsest_and_meet_the_outputs(output_st
 
 
 def test_fixed_steps_follow_from_the_references_own():
-    slow, fast = (our_ladders(0.01, 1.0, average)[-1].settings[0] for average in (1e-2, 1e-4))
+    slow, fast = (our_ladders(0.01, 1.0, average)[-1][0] for average in (1e-2, 1e-4))
     assert slow.value <= COARSEST * 1e-2 < 2.0 * slow.value
     assert fast.value <= COARSEST * 1e-4 < 2.0 * fast.value
 
@@ -395,7 +394,7 @@ EXACT = Motion(np.full((3, 8), 0.5), np.full((3, 12), 2.0))
 def random_costs(seed: int) -> dict[str, tuple[float, float]]:
     """Method -> order and cost of its coarsest run."""
     rng = np.random.default_rng(seed)
-    names = {ladder.series for ladder in our_ladders(0.01, 0.1, 0.005)}
+    names = {ladder[0].series for ladder in our_ladders(0.01, 0.1, 0.005)}
     return {name: (rng.uniform(0.5, 6.0), rng.uniform(0.005, 0.1)) for name in sorted(names)}
 
 
@@ -412,7 +411,7 @@ class World:
         self.interrupt_at = interrupt_at
         self.costs = random_costs(seed)
         ladders = our_ladders(0.01, 0.1, 0.005)
-        self.places = {s.key: k for ladder in ladders for k, s in enumerate(ladder.settings)}
+        self.places = {s.key: k for ladder in ladders for k, s in enumerate(ladder)}
 
     def call(self, seconds: float) -> None:
         self.calls += 1
@@ -492,22 +491,22 @@ def test_first_results_come_soon_and_claim_no_error_below_their_uncertainty(stud
 
     def watch(results):
         errors = {key: found.error("motion") for key, found in results.points.items()}
-        shown.append((world.now, dict(results.reference), errors, results.planned))
+        shown.append((world.now, results.reference, errors, results.planned))
 
     results = study_in(world, watch=watch)
     when, first, errors, planned = shown[0]
     assert when < studies.FIRST_RESULTS + studies.LEAST_PATIENCE
-    assert first["first"]
-    assert first["digits"]["motion"] > 0.0
+    assert first.first
+    assert first.digits["motion"] > 0.0
     assert {Setting(*key.split("/")[:3], "", 0.0).series for key in errors} == set(world.costs)
     assert planned > len(errors)
-    later = [item for item in shown if not item[1]["first"]]
+    later = [item for item in shown if not item[1].first]
     assert later[0][0] >= when + 60.0, "the reference takes its time"
     # each run's error is what its law says, once the full reference is there
     for key, before in errors.items():
         after = results.points[key].error("motion")
         assert after > 0.0
-        assert abs(before - after) <= 3.0 * first["digits"]["motion"]
+        assert abs(before - after) <= 3.0 * first.digits["motion"]
     assert all(item[3] is not None for item in shown[:-1])
     assert shown[-1][3] is None is results.planned
 
@@ -554,12 +553,12 @@ def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, 
     with pytest.raises(KeyboardInterrupt):
         study_in(world, Results.of(system.scene, MACHINE, path))
     kept = read_results(path)
-    assert kept.reference["first"]
-    assert kept.known_reference().motion.positions.shape == EXACT.positions.shape
+    assert kept.reference.first
+    assert kept.reference.motion.positions.shape == EXACT.positions.shape
     again, shown = World(1), []
     study_in(again, read_results(path), watch=lambda _: shown.append(again.now))
     assert shown[0] == 0.0, "what is known is shown at once"
-    assert not read_results(path).reference["first"]
+    assert not read_results(path).reference.first
 
 
 @pytest.mark.slow

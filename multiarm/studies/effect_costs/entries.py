@@ -16,8 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.results.trajectory import plain
-from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT
 
+PRESENT, CANDIDATE, SETTING = "present", "candidate", "setting"
+"""Kinds of entry: an effect of the scene, one that might be added, a setting of the run."""
+RECORDING = "recording"
+"""The setting of which only the end of the motion is compared."""
 QUARTILES = 1.349
 """Distance of the quartiles of a normal distribution, in standard deviations."""
 
@@ -137,11 +140,6 @@ class Entry:
     evaluations: int | None = None
     changes: Mapping[str, Change] = field(default_factory=dict)
     certified: bool = True
-
-    def value(self, quantity: str) -> float | None:
-        """The change of a quantity; None where there is none."""
-        found = self.changes.get(quantity)
-        return None if found is None else found.value
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,24 @@
-"""The study: every variant is run once to the requested accuracy, and then timed in turns.
+"""What each effect of a scene costs and changes in a run, and what it adds to an evaluation.
 
-The first run of each is checked (:mod:`multiarm.simulation.certificate`), so that differences
-between two of them are caused by the effect and not by the method.  The timed runs are unchecked:
-in every round each variant runs once after the scene itself, and the differences count.
+A *variant* of the scene lacks one effect, has one more, or has one simpler setting.
 
-A change is the largest difference of a quantity between two runs.  With an effect a contact may
-have forces that it lacks without it, such as those of friction; these are not compared.
+Each variant is run once to the requested accuracy, and then timed in turns.  The first run is
+checked (:mod:`multiarm.simulation.certificate`), so that differences between two of them are caused
+by the effect and not by the method.  The timed runs are unchecked: in every round each variant runs
+once after the scene itself, and the differences count.  A change is the largest difference of a
+quantity between two runs.  With an effect a contact may have forces that it lacks without it, such
+as those of friction; these are not compared.
+
+Of one evaluation, at the start, time, arrays, states, rows and calls into Python are compared with
+those of the scene without the effect.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,14 +27,21 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
+from multiarm.events.evaluation import evaluate_data, mode_at
+from multiarm.events.modes import Mode
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
+from multiarm.simulation.inspection import EffectFacts, active_effects
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.effect_costs.entries import (
+    CANDIDATE,
     FORCE,
     JOINTS,
     PATH,
+    PRESENT,
+    RECORDING,
+    SETTING,
     SLIDES,
     TURN,
     Change,
@@ -37,19 +50,107 @@ from multiarm.studies.effect_costs.entries import (
     Ledger,
     paired_difference,
 )
-from multiarm.studies.effect_costs.variants import (
-    CANDIDATE,
-    CERTIFICATE,
-    RECORDING,
-    SETTING,
-    Variant,
-    added,
-    left_out,
-    simpler_settings,
-)
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
-from multiarm.studies.timing import clocked_run, one_thread
+from multiarm.studies.timing import Burst, clocked_run, measure, one_thread, slope_burst
 from multiarm.terminal.progress import Progress, Report, displayed
+
+STABILIZATION, CERTIFICATE = "stabilization", "certificate"
+
+
+# --- variants -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A scene that differs from the one that is looked at in one thing.
+
+    Attributes
+    ----------
+    name : str
+        Of that thing.
+    kind : {"present", "candidate", "setting"}
+        An effect that is left out, one that is added, or a setting of the run that is simpler.
+    about : str
+        What was done, in words.
+    scene : callable
+        Makes the scene; raises SceneError where there is none.
+    """
+
+    name: str
+    kind: str
+    about: str
+    scene: Callable[[], Scene]
+
+
+def without(scene: Scene, name: str) -> Scene:
+    """The scene without an effect; gravity is one.
+
+    Raises
+    ------
+    SceneError
+        Something else in the scene needs it.
+    """
+    if name == "gravity":
+        return scene.replace(gravity=None)
+    kept = {key: spec for key, spec in scene.effects.named.items() if key != name}
+    return scene.replace(effects=kept)
+
+
+def left_out(scene: Scene) -> list[Variant]:
+    """One variant for each effect of a scene."""
+    return [
+        Variant(name, PRESENT, "left out", partial(without, scene, name))
+        for name in active_effects(scene)
+    ]
+
+
+def added(scene: Scene, candidates: Mapping[str, Any]) -> list[Variant]:
+    """One variant for each effect that the scene does not have, with these parameters."""
+    has = scene.effects.named
+    return [
+        Variant(
+            name,
+            CANDIDATE,
+            f"added as {_words(spec)}",
+            partial(scene.replace, effects={**has, name: spec}),
+        )
+        for name, spec in candidates.items()
+        if name not in has
+    ]
+
+
+def simpler_settings(scene: Scene) -> list[Variant]:
+    """The run without stabilisation, and with no samples but the first and the last."""
+    run = scene.run
+    found = []
+    if run.stabilization.kind != "none" and run.integrator != "variational":
+        about = f"none instead of {run.stabilization.kind}"
+        found.append(
+            Variant(STABILIZATION, SETTING, about, partial(_with_run, scene, stabilization="none"))
+        )
+    if run.output_step < run.duration:
+        about = f"two samples instead of one every {run.output_step:g} s"
+        found.append(
+            Variant(RECORDING, SETTING, about, partial(_with_run, scene, output_step=run.duration))
+        )
+    return found
+
+
+def _with_run(scene: Scene, **changes: Any) -> Scene:
+    return scene.replace(run={**scene.run.model_dump(exclude_none=True), **changes})
+
+
+def _words(spec: Any) -> str:
+    """Parameters in one line, as a scene has them."""
+    if isinstance(spec, Mapping):
+        return "{" + ", ".join(f"{key}: {_words(value)}" for key, value in spec.items()) + "}"
+    if isinstance(spec, (list, tuple)):
+        return "[" + ", ".join(_words(value) for value in spec) + "]"
+    return f"{spec:.4g}" if isinstance(spec, float) else str(spec)
+
+
+# --- runs -----------------------------------------------------------------------------------------
+
 
 _QUANTITY_OF = {
     "object position": PATH,
@@ -281,4 +382,85 @@ def _about(run: Trajectory, times: np.ndarray) -> dict[str, Any]:
         "milliseconds": 1e3 * float(np.median(times)),
         "certificate": "" if certificate is None else certificate["text"],
         "repeats": int(times.size),
+    }
+
+
+# --- one evaluation -------------------------------------------------------------------------------
+
+
+TURNS = 40
+"""Bursts of about a millisecond, of every system."""
+OUTSIDE_EVALUATIONS = {"pinocchio_energy", "coriolis"}
+"""Functions in Python that samples or one method call, evaluations never."""
+
+
+def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, EffectFacts]:
+    """Measure what each effect of a system adds to an evaluation at its start.
+
+    Parameters
+    ----------
+    system : System
+    turns : int
+        Bursts of each, at most.
+
+    Returns
+    -------
+    dict of str to EffectFacts
+        By effect, gravity among them; empty for a scene that has none.
+    """
+    others: dict[str, System] = {}
+    found: dict[str, EffectFacts] = {}
+    bursts: dict[str, Burst] = {}
+    variants = left_out(system.scene)
+    for variant in variants:
+        try:
+            other = compile_system(variant.scene())
+            bursts[variant.name] = _burst_at_start(other)
+            others[variant.name] = other
+        except Exception as error:  # one that fails must not hide the others
+            found[variant.name] = EffectFacts(trouble=f"not without it: {error_text(error)}")
+    if not others:
+        return found
+    bursts[""] = _burst_at_start(system)
+    with one_thread():
+        times = measure(bursts, turns)
+    own = _sizes(system)
+    for effect, other in others.items():
+        turns_of_both = min(len(times[""]), len(times[effect]))
+        cost = paired_difference(times[""][:turns_of_both], times[effect][:turns_of_both])
+        less = _sizes(other)
+        found[effect] = EffectFacts(
+            microseconds=1e6 * cost.value,
+            uncertainty_microseconds=1e6 * cost.uncertainty,
+            **{name: size - less[name] for name, size in own.items()},
+        )
+    return {variant.name: found[variant.name] for variant in variants}
+
+
+def _burst_at_start(system: System) -> Burst:
+    """Evaluations at the start; with unilateral contacts, in the contact mode of the start."""
+    data, start = system.model.data(), system.initial_state()
+    evaluate_data(data, 0.0, start)
+    if system.model.unilateral is None:
+        return slope_burst(data)
+    mode = mode_at(data, 0.0, start)
+    return partial(_in_mode, mode, slope_burst(mode.data))
+
+
+def _in_mode(_mode: Mode, burst: Burst, count: int) -> None:
+    """Call a burst; the mode is here to stay alive, since kernels reach it by its address."""
+    burst(count)
+
+
+def _sizes(system: System) -> dict[str, Any]:
+    """What a system has of what effects may add."""
+    data = system.model.data()
+    holders = (system.model.constants, data.arrays, data.work, data.coupled, *data.effects)
+    arrays = [a for holder in holders for a in holder if isinstance(a, np.ndarray)]
+    return {
+        # some arrays have two names
+        "bytes": sum({id(array): array.nbytes for array in arrays}.values()),
+        "states": system.model.effects.states,
+        "rows": system.model.layout.contacts,
+        "callbacks": len(data.callbacks.keys() - OUTSIDE_EVALUATIONS),
     }

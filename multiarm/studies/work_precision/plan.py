@@ -24,8 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.studies.work_precision.points import TOO_SLOW, Point
-from multiarm.studies.work_precision.settings import BY_ACCURACY, Ladder, Setting
+from multiarm.studies.work_precision.points import BY_ACCURACY, TOO_SLOW, Ladder, Point, Setting
 
 CLEARLY = 1.5
 """Ratio of two times from which on one setting is clearly cheaper: disturbances are smaller."""
@@ -74,7 +73,7 @@ class Plan:
         """Settings that are still to be measured, with their expected times."""
         fronts = self._fronts()
         return [
-            (self._expected_time(ladder, k), ladder.settings[k])
+            (self._expected_time(ladder, k), ladder[k])
             for ladder in ladders
             for k in self._wanted(ladder, fronts)
             if k % stride == 0
@@ -117,7 +116,7 @@ class Plan:
         coarser: Point | None = None
         left_out: bool | None = None  # the same for all settings between two measured ones
         for k in range(self._end(ladder)):
-            setting = ladder.settings[k]
+            setting = ladder[k]
             point = self.points.get(setting.key)
             if point is not None:
                 if point.completed:
@@ -125,7 +124,7 @@ class Plan:
                 continue
             if left_out is None:
                 left_out = self._can_be_dominated(setting) and self._between(
-                    coarser, ladder.settings[k + 1 :], fronts[setting.ours]
+                    coarser, ladder[k + 1 :], fronts[setting.ours]
                 )
             if not left_out:
                 yield k
@@ -156,7 +155,7 @@ class Plan:
     def _expected_time(self, ladder: Ladder, k: int) -> float:
         """At most what a setting takes, by its coarser neighbours; 0 where there are none."""
         for i in range(k - 1, -1, -1):
-            point = self.points.get(ladder.settings[i].key)
+            point = self.points.get(ladder[i].key)
             if point is not None and point.completed:
                 return (point.wall_time_s or 0.0) * GROWTH ** (k - i)
         return 0.0
@@ -167,8 +166,8 @@ class Plan:
         It ends where errors reach the digits of the reference or no longer fall, and where runs
         would take longer than the limit.
         """
-        best, best_at, end = math.inf, 0, len(ladder.settings)
-        for k, setting in enumerate(ladder.settings):
+        best, best_at, end = math.inf, 0, len(ladder)
+        for k, setting in enumerate(ladder):
             point = self.points.get(setting.key)
             if point is None:
                 continue
@@ -186,7 +185,7 @@ class Plan:
             if point.wall_time_s:
                 ratio = self.limit_s / point.wall_time_s
                 farther = math.floor(math.log(ratio, GROWTH)) if ratio >= 1.0 else 0
-                end = min(len(ladder.settings), k + 1 + farther)
+                end = min(len(ladder), k + 1 + farther)
         return end
 
 

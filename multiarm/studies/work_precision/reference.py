@@ -22,8 +22,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import rotation_apart
-from multiarm.studies.time_series import OutOfTime
-from multiarm.studies.timing import clocked_run
+from multiarm.studies.timing import OutOfTime, clocked_run
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS
 
 QUANTITIES = {
@@ -142,9 +141,7 @@ def limited(system: System, limit_s: float, **options: Any) -> Trajectory:
     return clocked_run(system, limit_s, **{"solver": "node", **options})[0]
 
 
-def make_reference(
-    system: System, report: Report | None = None, known: Mapping[str, Any] | None = None
-) -> Reference:
+def make_reference(system: System, report: Report | None = None) -> Reference:
     """Compute the reference of a system's scene, and check it.
 
     Parameters
@@ -152,8 +149,6 @@ def make_reference(
     system : System
     report : callable, optional
         Called with a description of each stage.
-    known : mapping, optional
-        ``digits`` and ``about`` of an earlier check of the same scene, which then is not repeated.
 
     Raises
     ------
@@ -164,24 +159,20 @@ def make_reference(
     report("reference")
     run, method, tolerance = _tight_run(system)
     motion, counted = Motion.of(run), run.statistics
-    made = {
-        "integrator": method,
-        "tolerance": tolerance,
-        "stabilization": counted["stabilization"],
-        "evaluations": counted["evaluations"],
-    }
-    if known is not None and {**known["about"], **made} == known["about"]:
-        digits, about = known["digits"], known["about"]
-    else:
-        methods = CHECKS if method == METHODS[0] else CHECKS[::-1]
-        digits, check = _checked(system, motion, methods, report)
-        about = {**made, "check": check}
+    methods = CHECKS if method == METHODS[0] else CHECKS[::-1]
+    digits, check = _checked(system, motion, methods, report)
     return Reference(
         motion,
         digits,
         counted["simulated_s"] / max(1, counted["steps"]),
         counted["wall_time_s"],
-        about,
+        {
+            "integrator": method,
+            "tolerance": tolerance,
+            "stabilization": counted["stabilization"],
+            "evaluations": counted["evaluations"],
+            "check": check,
+        },
     )
 
 

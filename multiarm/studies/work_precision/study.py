@@ -21,22 +21,24 @@ from functools import partial
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.scene import Scene
-from multiarm.studies.peers import Peer, make_peers
+from multiarm.studies.peers import Grid, Peer, make_peers
 from multiarm.studies.records import machine
-from multiarm.studies.time_series import Grid
 from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.plan import Plan
-from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours, run_peer
-from multiarm.studies.work_precision.reference import Reference, difference, make_reference
-from multiarm.studies.work_precision.settings import (
+from multiarm.studies.work_precision.points import (
     BY_ACCURACY,
     OURS,
+    TOO_SLOW,
     Ladder,
+    Measured,
     Setting,
     our_ladders,
     peer_ladders,
+    run_ours,
+    run_peer,
 )
-from multiarm.studies.work_precision.store import Results
+from multiarm.studies.work_precision.reference import Reference, difference, make_reference
+from multiarm.studies.work_precision.results import Results
 from multiarm.terminal.progress import Progress, Report, displayed
 
 SOLVERS = ("MuJoCo", "MuJoCo as shipped", "Pinocchio", "Drake")
@@ -146,7 +148,7 @@ class _Study:
         ladders, plan = self._our_ladders(), self._plan()
         given_up: set[str] = set()
         while clock() < until:
-            left = [ladder for ladder in ladders if ladder.series not in given_up]
+            left = [ladder for ladder in ladders if ladder[0].series not in given_up]
             settings = plan.open(left, STRIDES[0])
             if not settings:
                 break
@@ -163,16 +165,12 @@ class _Study:
 
     def find_reference(self) -> None:
         """Replace the first reference, unless that was done before."""
-        known = self.results.known_reference()
+        known = self.results.reference
         if known is not None and not known.first:
             return
         if known is not None:
             self.watch(self.results)
-        found = make_reference(
-            self.system,
-            partial(self.report, 0.0, 0.0),
-            None if known is not None else self.results.reference,
-        )
+        found = make_reference(self.system, partial(self.report, 0.0, 0.0))
         if known is not None:  # the ladders of fixed steps stay as they are
             found = replace(found, average_step_s=known.average_step_s)
         self.results.found_reference(found)
@@ -197,7 +195,7 @@ class _Study:
 
     @property
     def _reference(self) -> Reference:
-        found = self.results.known_reference()
+        found = self.results.reference
         assert found is not None, "points are measured when there is a reference"
         return found
 
@@ -230,7 +228,7 @@ class _Study:
                 break
         if len(done) < 2:
             return None
-        reference = _first_reference(done[-2], done[-1], self.scene.run.duration)
+        reference = _standing_in(done[-2], done[-1], self.scene.run.duration)
         self.results.found_reference(reference)
         for measured in done:
             self.results.add(measured)
@@ -296,7 +294,7 @@ class _Study:
         self.report(len(self.results.points), self.results.planned or 0, text)
 
 
-def _first_reference(coarse: Measured, fine: Measured, duration: float) -> Reference:
+def _standing_in(coarse: Measured, fine: Measured, duration: float) -> Reference:
     """The finer one of two runs by accuracy as a reference until there is a better one."""
     assert coarse.motion is not None and fine.motion is not None, "both have a result"
     made, check = (

@@ -1,9 +1,12 @@
-"""The file of a study: every point is written as soon as it is measured.
+"""What a study has found: its file, and the cheapest setting for each decade of accuracy.
 
-Points that were compared with a first reference keep their motions, until a better reference comes
-and their errors are computed again.
-An interrupted study resumes from it, and pages and plots are drawn from the file alone.  It belongs
+Every point is written as soon as it is measured.  Points that were compared with a first reference
+keep their motions, until a better reference comes and their errors are computed again.
+An interrupted study resumes from the file, and pages and plots are drawn from it alone.  It belongs
 to a scene, to versions and to a machine: times of different machines are not comparable.
+
+A point counts for a level of accuracy when its error plus the reference's digits is within it:
+errors that the reference cannot resolve are not ranked.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import base64
 import hashlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +39,9 @@ DEFAULT_FORCE_ACCURACY = 1e-3
 # How the scene itself is to be run has no influence on the study.
 _NO_INFLUENCE = ("accuracy", "integrator", "step", "tolerance", "stabilization", "solver")
 _OF_MACHINE = ("processor", "version", "python", "dependencies")
+LEVELS = tuple(float(f"1e-{k}") for k in range(1, 14))
+CLAIMED = (1e-6, 1e-9)
+"""The levels at which we are compared with the best peer."""
 
 
 class Results:
@@ -45,8 +52,8 @@ class Results:
     about : dict
         Scene (name, digest, duration_s, output_step_s, text, and accuracy: the error that is aimed
         at, for each quantity) and machine.
-    reference : dict or None
-        digits, about, wall_time_s, average_step_s, first.
+    reference : Reference or None
+        What points are compared with.
     points : dict of str to Point
         By the setting's key, in the order in which they were measured.
     refusals : dict of str to str
@@ -63,14 +70,13 @@ class Results:
 
     def __init__(self, about: dict[str, Any], path: Path | None = None):
         self.about = about
-        self.reference: dict[str, Any] | None = None
+        self.reference: Reference | None = None
         self.points: dict[str, Point] = {}
         self.refusals: dict[str, str] = {}
         self.wall_time_s = 0.0
         self.planned: int | None = None
         self.expected_s = 0.0
         self.left_out = False
-        self._exact: Motion | None = None
         self._motions: dict[str, Motion] = {}
         self._path, self._written = path, 0.0
 
@@ -93,27 +99,20 @@ class Results:
 
     def found_reference(self, reference: Reference) -> None:
         """Keep a reference; points whose motions are known are compared with it."""
-        self.reference = plain({k: v for k, v in vars(reference).items() if k != "motion"})
-        self._exact = reference.motion
+        self.reference = reference
         for key, motion in self._motions.items():
             self.points[key] = Measured(self.points[key], motion).against(reference.motion)
         if not reference.first:
             self._motions = {}
         self.write()
 
-    def known_reference(self) -> Reference | None:
-        """The reference; None where there is none, or where its motion is not in the file."""
-        if self.reference is None or self._exact is None:
-            return None
-        return Reference(self._exact, **self.reference)
-
     def add(self, measured: Measured) -> None:
         """Keep a run, compared with the reference; the file is written now and then."""
-        assert self._exact is not None and self.reference is not None, "the reference comes first"
+        assert self.reference is not None, "the reference comes first"
         key = measured.point.setting.key
-        if self.reference["first"] and measured.motion is not None:
+        if self.reference.first and measured.motion is not None:
             self._motions[key] = measured.motion
-        self.replace(measured.against(self._exact))
+        self.replace(measured.against(self.reference.motion))
 
     def replace(self, point: Point) -> None:
         """Keep a point as it is; the file is written now and then."""
@@ -123,10 +122,11 @@ class Results:
 
     def as_dict(self) -> dict[str, Any]:
         """The results in what JSON knows, without motions."""
+        known = None if self.reference is None else vars(self.reference)
         return {
             "format": FORMAT,
             **self.about,
-            "reference": self.reference,
+            "reference": known and plain({k: v for k, v in known.items() if k != "motion"}),
             "refusals": self.refusals,
             "wall_time_s": self.wall_time_s,
             "planned": self.planned,
@@ -146,7 +146,7 @@ class Results:
         if self._path is None:
             return
         motions = {key: _encoded(motion) for key, motion in self._motions.items()}
-        exact = None if self._exact is None else _encoded(self._exact)
+        exact = None if self.reference is None else _encoded(self.reference.motion)
         data = {**plain(self.as_dict()), "exact": exact, "motions": motions}
         text = json.dumps(data, allow_nan=False, ensure_ascii=False, indent=1)
         with atomic_output(self._path, "--out") as partial:
@@ -186,12 +186,12 @@ def read_results(path: Path) -> Results:
 def _read(data: dict[str, Any], path: Path) -> Results:
     """The results in a file's data."""
     results = Results({key: data[key] for key in ("scene", "machine")}, path)
-    results.reference, results.refusals = data["reference"], data["refusals"]
-    results.wall_time_s = data["wall_time_s"]
+    if data["reference"] is not None:
+        results.reference = Reference(_decoded(data["exact"]), **data["reference"])
+    results.refusals, results.wall_time_s = data["refusals"], data["wall_time_s"]
     found = [Point.from_dict(item) for item in data["points"]]
     results.points = {point.setting.key: point for point in found}
     results.planned, results.left_out = data["planned"], data["left_out"]
-    results._exact = None if data["exact"] is None else _decoded(data["exact"])
     results._motions = {key: _decoded(motion) for key, motion in data["motions"].items()}
     return results
 
@@ -232,3 +232,109 @@ def scene_digest(scene: Scene) -> str:
             if urdf is not None:
                 digest.update(urdf.encode() if isinstance(urdf, str) else urdf.read_bytes())
     return digest.hexdigest()[:16]
+
+
+# --- the cheapest settings ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Decade:
+    """The cheapest settings for one level of accuracy; None where none reaches it.
+
+    Attributes
+    ----------
+    level : float
+        Largest error.
+    ours, peer : Point or None
+    """
+
+    level: float
+    ours: Point | None
+    peer: Point | None
+
+    @property
+    def ratio(self) -> float | None:
+        """Wall time of the best peer over ours."""
+        if self.ours is None or self.peer is None:
+            return None
+        assert self.ours.wall_time_s and self.peer.wall_time_s, "completed points have a time"
+        return self.peer.wall_time_s / self.ours.wall_time_s
+
+
+@dataclass(frozen=True)
+class Series:
+    """One method: its points from coarse to fine."""
+
+    name: str
+    points: tuple[Point, ...]
+
+    @property
+    def ours(self) -> bool:
+        """Whether it is a method of this program."""
+        return self.points[0].setting.ours
+
+    def best(self, quantity: str) -> Point | None:
+        """The point of the least error; None if no point has one."""
+        able = [point for point in self.points if point.error(quantity) is not None]
+        return min(able, key=lambda point: point.error(quantity) or 0.0, default=None)
+
+    @property
+    def failures(self) -> tuple[Point, ...]:
+        """Points without a result."""
+        return tuple(point for point in self.points if not point.completed)
+
+
+def all_series(results: Results) -> list[Series]:
+    """All methods, ours first, each in the order of its ladder."""
+    found: dict[str, list[Point]] = {}
+    for point in results.points.values():
+        found.setdefault(point.setting.series, []).append(point)
+    series = [
+        Series(name, tuple(sorted(points, key=lambda point: -point.setting.value)))
+        for name, points in found.items()
+    ]
+    return sorted(series, key=lambda item: not item.ours)
+
+
+def decades(results: Results, quantity: str = "motion") -> list[Decade]:
+    """The cheapest settings for each power of ten down to the digits of the reference."""
+    digits = digits_of(results, quantity)
+    points = list(results.points.values())
+    ours = [point for point in points if point.setting.ours]
+    peers = [point for point in points if not point.setting.ours]
+    found = [
+        Decade(
+            level,
+            cheapest(ours, level, quantity, digits),
+            cheapest(peers, level, quantity, digits),
+        )
+        for level in LEVELS
+        if level > digits
+    ]
+    return [decade for decade in found if decade.ours or decade.peer]
+
+
+def cheapest(
+    points: Iterable[Point], level: float, quantity: str, digits: float = 0.0
+) -> Point | None:
+    """The fastest point whose error is within a level; None when there is none."""
+    able = (point for point in points if reaches(point, level, quantity, digits))
+    return min(able, key=wall_time, default=None)
+
+
+def reaches(point: Point, level: float, quantity: str, digits: float) -> bool:
+    """Whether a point's error is within a level, beyond doubt."""
+    error = point.error(quantity) if point.completed else None
+    return error is not None and error + digits <= level
+
+
+def digits_of(results: Results, quantity: str) -> float:
+    """The digits of the reference for a quantity."""
+    assert results.reference is not None, "a study begins with its reference"
+    return results.reference.digits.get(quantity, 0.0)
+
+
+def wall_time(point: Point) -> float:
+    """The time of a completed point [s]."""
+    assert point.wall_time_s is not None, "a completed point has a time"
+    return point.wall_time_s
