@@ -28,10 +28,12 @@ from multiarm.scene.functions import (
     load_function,
     mapped,
 )
-from multiarm.scene.joints import JOINTS, Joint, UnloadedJoint
-from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
+from multiarm.scene.joints import JOINTS
+from multiarm.scene.joints.contacts import ContactsJoint
+from multiarm.scene.joints.kind import Joint, UnloadedJoint
 from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
+from multiarm.scene.surfaces import SURFACES, Geometry
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import written
 
