@@ -6,42 +6,24 @@ import json
 import os
 import subprocess
 import sys
-from importlib import metadata
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mechanics import SCENES
+from user_classes import empty_registries, offered
 
 import multiarm as ma
 from multiarm.effects.defaults import defaults
-from multiarm.scene import EFFECTS, dump_scene, parse_scene, registry
+from multiarm.scene import EFFECTS, dump_scene, parse_scene
 
 ROOT = Path(__file__).parents[1]
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
 
 
 @pytest.fixture(autouse=True)
-def empty_registry(monkeypatch):
-    """Each test begins with no effects but ours, and leaves none behind."""
-    monkeypatch.setattr(EFFECTS, "registered", {})
-    monkeypatch.setattr(EFFECTS, "loaded", {})
-    offered([], monkeypatch)
-
-
-def offered(points, monkeypatch) -> None:
-    """Let the installed packages offer these entry points of our group."""
-
-    def entry_points(**wanted):
-        assert wanted.pop("group") == "multiarm.effects"
-        return [p for p in points if all(getattr(p, key) == v for key, v in wanted.items())]
-
-    monkeypatch.setattr(registry, "metadata", SimpleNamespace(entry_points=entry_points))
-
-
-def point(name: str, value: str) -> metadata.EntryPoint:
-    return metadata.EntryPoint(name, value, "multiarm.effects")
+def _only_ours(monkeypatch):
+    empty_registries(monkeypatch)
 
 
 def effect_of(function, name: str = "push", **body) -> type[ma.Effect]:
@@ -307,14 +289,14 @@ def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
 
 
 def test_an_installed_effect_is_found_by_its_entry_point(monkeypatch):
-    offered([point("spring", f"{__name__}:Spring")], monkeypatch)
+    offered(monkeypatch, f"effects spring {__name__}:Spring")
     scene = RING.replace(effects={"spring": {"stiffness": 2.0}})
     (kernel,) = ma.compile_system(scene).model.effects.kernels
     assert kernel.name == "spring"
 
 
 def test_an_installed_effect_that_no_scene_names_is_not_imported(monkeypatch):
-    offered([point("bomb", "a_module_that_is_not_there:Bomb")], monkeypatch)
+    offered(monkeypatch, "effects bomb a_module_that_is_not_there:Bomb")
     assert RING.replace(effects={"joint_damping": 1.0}).effects.joint_damping == 1.0
     with pytest.raises(ma.MultiarmError, match="did you mean 'bomb'"):
         RING.replace(effects={"bombe": {}})
@@ -361,7 +343,7 @@ NOT_A_CLASS = 3
     ],
 )
 def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
-    offered([point("spring", value)], monkeypatch)
+    offered(monkeypatch, f"effects spring {value}")
     with pytest.raises(ma.MultiarmError) as caught:
         RING.replace(effects={"spring": {"stiffness": 2.0}})
     assert len(caught.value.faults) == 1
@@ -370,14 +352,14 @@ def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
 
 
 def test_an_effect_must_have_the_name_that_its_package_offers(monkeypatch):
-    offered([point("sprung", f"{__name__}:Spring")], monkeypatch)
+    offered(monkeypatch, f"effects sprung {__name__}:Spring")
     with pytest.raises(ma.MultiarmError, match="its name is 'spring', not 'sprung'"):
         RING.replace(effects={"sprung": {"stiffness": 2.0}})
 
 
 def test_two_packages_with_one_name_are_ambiguous(monkeypatch):
     values = [f"{__name__}:Spring", f"{__name__}:Other"]
-    offered([point("spring", value) for value in values], monkeypatch)
+    offered(monkeypatch, *(f"effects spring {value}" for value in values))
     with pytest.raises(ma.MultiarmError, match=r"effect 'spring' is ambiguous: .* remove one"):
         RING.replace(effects={"spring": {"stiffness": 2.0}})
 
@@ -388,7 +370,7 @@ def test_registering_refuses_names_that_are_taken(monkeypatch):
         ma.register_effect(Other)
     with pytest.raises(ma.MultiarmError, match="multiarm itself has one of that name"):
         effect_of(lambda t, s: ma.Loads(), "joint_damping")
-    offered([point("push", "elsewhere:Push")], monkeypatch)
+    offered(monkeypatch, "effects push elsewhere:Push")
     with pytest.raises(ma.MultiarmError, match=r"elsewhere:Push\) has that name already"):
         effect_of(lambda t, s: ma.Loads())
 
@@ -446,12 +428,12 @@ def test_the_package_of_the_example_offers_effects_that_scenes_can_name(package,
     text = (ROOT / "examples" / "own_effect" / "pyproject.toml").read_text(encoding="utf-8")
     table = text.split('[project.entry-points."multiarm.effects"]')[1].split("[")[0]
     lines = [line.split("=") for line in table.strip().splitlines()]
-    points = [point(name.strip(), value.strip().strip('"')) for name, value in lines]
-    assert [p.name for p in points] == ["magnet", "compiled_magnet"]
-    offered(points, monkeypatch)
-    for one in points:
-        scene = RING.replace(effects={one.name: {"at": [0, 0, 1], "strength": 1.0}})
-        assert type(scene.effects.named[one.name]) is package.Magnet.Spec
+    points = {name.strip(): value.strip().strip('"') for name, value in lines}
+    assert list(points) == ["magnet", "compiled_magnet"]
+    offered(monkeypatch, *(f"effects {name} {value}" for name, value in points.items()))
+    for name in points:
+        scene = RING.replace(effects={name: {"at": [0, 0, 1], "strength": 1.0}})
+        assert type(scene.effects.named[name]) is package.Magnet.Spec
 
 
 def test_an_effect_in_python_and_its_kernel_move_things_alike(package):
