@@ -30,8 +30,8 @@ from multiarm.geometry.records import Surface as Body
 from multiarm.geometry.screws import FreeMotions, free_motions, wrenches_in_frame
 from multiarm.scene import JOINTS, SURFACES, ContactSpec, Joint, Surface
 from multiarm.scene.joints import BUILT_IN as KINDS
-from multiarm.scene.joints.contacts import BUILT_IN as SHAPES
 from multiarm.scene.parameters import example_of, parameters_of, picture_of
+from multiarm.scene.surfaces import BUILT_IN as SHAPES
 
 _NOUNS = {
     PLANE: "plane",

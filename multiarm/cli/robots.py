@@ -40,7 +40,7 @@ def robots(
     The JSON has the key robots: a table by name, with what is shown here.
     """
     from multiarm.scene import RobotEntry, available_robots, find_robot
-    from multiarm.scene.robot_descriptions import PACKAGE, described_robots
+    from multiarm.scene.robots import DESCRIPTIONS, described_robots
 
     if name is None:
         known = available_robots()
@@ -55,7 +55,7 @@ def robots(
         "robots",
         {own: _card(entry) for own, entry in known.items()},
         heads=("robot", "joints", "where it is from"),
-        note=f"To be fetched first (python -m {PACKAGE} pull NAME): {', '.join(left)}"
+        note=f"To be fetched first (python -m {DESCRIPTIONS} pull NAME): {', '.join(left)}"
         if left
         else "",
     )

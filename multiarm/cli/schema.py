@@ -62,7 +62,7 @@ def schema_text(sort: str, built_in: bool = False) -> tuple[str, list[str]]:
 
         found, faults = json_schema(SweepSpec), []
     else:
-        found = json_schema(Scene, REGISTRIES, built_in)
+        found = json_schema(Scene, built_in)
         sorts = () if built_in else REGISTRIES
         faults = [fault for registry in sorts for fault in registry.classes()[1]]
     return json.dumps(found, indent=1, ensure_ascii=False) + "\n", faults

@@ -67,8 +67,8 @@ from multiarm.scene.control import (
     JointPDControl,
     ObjectImpedanceControl,
     RecordedControl,
+    SampledControl,
 )
-from multiarm.scene.control.kind import SampledControl
 from multiarm.scene.registry import called
 
 

@@ -56,8 +56,7 @@ from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import add_scaled, scale, sub, vec
 from multiarm.scene import Pose
-from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl
-from multiarm.scene.control.kind import Waypoint
+from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
 from multiarm.spatial import (
     difference,
     matrix_to_quaternion,

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.dynamics.state import State
-from multiarm.scene.control.kind import SampledControl
+from multiarm.scene.control import SampledControl
 
 if TYPE_CHECKING:
     from multiarm.control.program import ControlContext, ControlProgram

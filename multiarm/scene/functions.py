@@ -117,17 +117,21 @@ UserFunction = Annotated[
 # --- functions and files within a part of a scene ------------------------------------------------
 
 
+def nodes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Any]]:
+    """A part of a scene and all parts below it, with their places, from outside to inside."""
+    yield parts, value
+    for key, item in _items(value):
+        yield from nodes(item, (*parts, key))
+
+
 def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, FunctionReference]]:
     """The functions that are named, and not loaded, in a part of a scene, with their places."""
-    if isinstance(value, FunctionReference):
-        yield parts, value
-    for key, item in items(value):
-        yield from function_references(item, (*parts, key))
+    return ((at, one) for at, one in nodes(value, parts) if isinstance(one, FunctionReference))
 
 
 def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -> Any:
     """A part of a scene with ``change(leaf, place)`` in place of every leaf; as it is if equal."""
-    parts_of: dict[Any, Any] = dict(items(value))
+    parts_of: dict[Any, Any] = dict(_items(value))
     if not parts_of:
         return change(value, parts)
     made = {key: mapped(item, change, (*parts, key)) for key, item in parts_of.items()}
@@ -152,7 +156,7 @@ def located(value: Any, folder: Path) -> Any:
     return mapped(value, absolute)
 
 
-def items(value: Any) -> Iterator[tuple[str | int, Any]]:
+def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
     """The parts of a part of a scene, with their keys or numbers."""
     if isinstance(value, BaseModel):
         yield from value

@@ -1,10 +1,10 @@
 """JSON Schema of scene and sweep files, from which editors complete, explain and check them.
 
 All of it derives from the models: the descriptions are those of :mod:`multiarm.scene.parameters`,
-and user classes that are registered or installed have their place.  Where a validator lets a bare
-value stand for a table (``control: gravity_compensation``, one number for a gain), it is asked: it
-is given a number, a word, a list and a table, and where it makes another table of one of them, the
-values that this table's first key may have are allowed as well.
+and the registry of each sort adds the user classes that are registered or installed.  Where a
+validator lets a bare value stand for a table (``control: gravity_compensation``, one number for a
+gain), it is asked: it is given a number, a word, a list and a table, and where it makes another
+table of one of them, the values that this table's first key may have are allowed as well.
 
 What a schema cannot say, such as whether arms and joints fit together, only loading checks.
 """
@@ -21,7 +21,7 @@ from pydantic_core import core_schema
 
 from multiarm.errors import USER_FAULTS
 from multiarm.scene.parameters import description_of, summary_of
-from multiarm.scene.registry import Registry
+from multiarm.scene.registry import ByName, Registry
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _ASKED = "x-asked"
@@ -31,43 +31,28 @@ _BOUNDS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", 
 _PROBES = {"number": 1.0, "string": "word", "array": [1.0, 1.0, 1.0], "object": {"arm": 1.0}}
 
 
-def json_schema(
-    model: type[BaseModel], registries: tuple[Registry[Any], ...] = (), built_in: bool = False
-) -> dict[str, Any]:
+def json_schema(model: type[BaseModel], built_in: bool = False) -> dict[str, Any]:
     """The JSON Schema of what a model reads, draft 2020-12.
 
     Parameters
     ----------
     model : type
         Such as :class:`multiarm.Scene`.
-    registries : tuple of Registry
-        The sorts of user classes that may be named; classes that cannot be loaded are left out.
     built_in : bool
-        Leave out all user classes.
+        Leave out all user classes; those that cannot be loaded are left out always.
     """
-    made: list[_Generator] = []
-
-    class Generator(_Generator):
-        sorts, only_ours = registries, built_in
-
-        def __init__(self, *args: Any, **options: Any) -> None:
-            super().__init__(*args, **options)
-            made.append(self)
-
-    schema = model.model_json_schema(schema_generator=Generator)
-    resolved = _resolved(schema, schema.get("$defs", {}), made[0].asked)
+    model.model_rebuild()
+    schema = _Generator(built_in).generate(model.__pydantic_core_schema__)
+    resolved = _resolved(schema, schema.get("$defs", {}))
     return {"$schema": _DIALECT, "title": model.__name__.removesuffix("Spec").lower(), **resolved}
 
 
 class _Generator(GenerateJsonSchema):
     """Pydantic's generator with our descriptions, user classes, and notes where to ask."""
 
-    sorts: tuple[Registry[Any], ...] = ()
-    only_ours = False
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.asked: list[Callable[[Any], Any]] = []
+    def __init__(self, only_ours: bool) -> None:
+        super().__init__()
+        self.only_ours = only_ours
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         """Say nothing that the key does not say."""
@@ -87,18 +72,24 @@ class _Generator(GenerateJsonSchema):
             values = list(default.values()) if isinstance(default, dict) else [default]
             if values and all(value is None for value in values):  # a file cannot say it
                 del own["default"]
-        own_classes = self._user_classes(model.model_fields)
-        if own_classes is not None:
+        if issubclass(model, ByName):
             made["additionalProperties"] = False
-        for name, own_schema in (own_classes or {}).items():
-            properties[name] = {"anyOf": [self.generate_inner(own_schema), {"type": "null"}]}
+            for name, own in self._user_classes(model.registry).items():
+                properties[name] = {"anyOf": [self.generate_inner(own), {"type": "null"}]}
         return made
 
-    def tagged_union_schema(self, schema: core_schema.TaggedUnionSchema) -> JsonSchemaValue:
+    def function_wrap_schema(
+        self, schema: core_schema.WrapValidatorFunctionSchema
+    ) -> JsonSchemaValue:
         """Add user kinds to ours; tables without a kind have none of them."""
-        own_classes = self._user_classes(schema["choices"]) or {}
-        whole: Any = {**schema, "choices": {**schema["choices"], **own_classes}}
-        made = super().tagged_union_schema(whole)
+        registry, kinds = (
+            getattr(schema["function"]["function"], "__self__", None),
+            schema["schema"],
+        )
+        if not isinstance(registry, Registry) or kinds["type"] != "tagged-union":
+            return super().function_wrap_schema(schema)
+        whole: Any = {**kinds, "choices": {**kinds["choices"], **self._user_classes(registry)}}
+        made = self.tagged_union_schema(whole)
         made.pop("discriminator", None)  # a key of OpenAPI
         return {**made, "required": ["kind"]}
 
@@ -109,33 +100,29 @@ class _Generator(GenerateJsonSchema):
         made = super().function_before_schema(schema)
         if schema["function"]["type"] != "no-info" or "properties" in made:
             return made
-        self.asked.append(schema["function"]["function"])
-        return {"anyOf": [made], _ASKED: len(self.asked) - 1}
+        return {"anyOf": [made], _ASKED: schema["function"]["function"]}
 
-    def _user_classes(self, ours: Mapping[Any, Any]) -> dict[str, Any] | None:
-        """The schemas of the user classes beside ours; None where users cannot have any."""
-        for registry in self.sorts:
-            if set(registry.built_in()) == set(ours):
-                found = {} if self.only_ours else registry.classes()[0]
-                models = {name: registry.parameters_of(own) for name, own in found.items()}
-                return {name: model.__pydantic_core_schema__ for name, model in models.items()}
-        return None
+    def _user_classes(self, registry: Registry) -> dict[str, Any]:
+        """The schemas of the user classes of a sort."""
+        found = {} if self.only_ours else registry.classes()[0]
+        models = {name: registry.parameters_of(own) for name, own in found.items()}
+        return {name: model.__pydantic_core_schema__ for name, model in models.items()}
 
 
-def _resolved(schema: Any, definitions: Mapping, asked: list[Callable[[Any], Any]]) -> Any:
+def _resolved(schema: Any, definitions: Mapping) -> Any:
     """The schema with the bare values that its validators take."""
     if isinstance(schema, list):
-        return [_resolved(item, definitions, asked) for item in schema]
+        return [_resolved(item, definitions) for item in schema]
     if not isinstance(schema, dict):
         return schema
     made = {
-        _BOUNDS.get(key, key): _resolved(item, definitions, asked)
+        _BOUNDS.get(key, key): _resolved(item, definitions)
         for key, item in schema.items()
         if key != _ASKED
     }
     if _ASKED in schema:
-        bare = _bare(asked[schema[_ASKED]], list(_tables(schema, definitions)))
-        made["anyOf"] += [_resolved(item, definitions, asked) for item in bare]
+        bare = _bare(schema[_ASKED], list(_tables(schema, definitions)))
+        made["anyOf"] += [_resolved(item, definitions) for item in bare]
     choices: list[Any] = []
     for one in made.pop("anyOf", ()):
         choices += [own for own in one.get("anyOf", [one]) if own not in choices]

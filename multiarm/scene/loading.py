@@ -24,14 +24,16 @@ from multiarm.scene.functions import (
     FunctionReference,
     LoadedFunction,
     function_references,
-    items,
     load_function,
     mapped,
+    nodes,
 )
-from multiarm.scene.joints import JOINTS, Joint, UnloadedJoint
-from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
-from multiarm.scene.registry import Registry
+from multiarm.scene.joints import JOINTS
+from multiarm.scene.joints.contacts import ContactsJoint
+from multiarm.scene.joints.kind import Joint, UnloadedJoint
+from multiarm.scene.registry import ByName, Registry
 from multiarm.scene.schema import Scene, function_faults
+from multiarm.scene.surfaces import SURFACES
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import written
 
@@ -156,22 +158,17 @@ class NamedCode:
 
 def named_code(scene: Scene) -> list[NamedCode]:
     """The code that a scene names and that is not loaded yet, in the order of the scene."""
-    named: list[tuple[Parts, Any, str | None]] = [
-        (("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)
-    ]
-    named += [(_CONTROL, scene.control, None), (_WRENCHES, scene.effects.external_wrenches, None)]
     found = []
-    for where, value, arm in named:
+    for where, value, arm in [
+        *((("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)),
+        (_CONTROL, scene.control, None),
+        (_WRENCHES, scene.effects.external_wrenches, None),
+    ]:
         for parts, reference in function_references(value, where):
             found.append(NamedCode.function(parts, reference, arm))
-        for parts, registry, name in _unloaded_classes(value, where):
-            found.append(NamedCode.user_class(parts, registry, name, arm))
-    found += [
-        NamedCode.user_class(("effects", name), EFFECTS, name)
-        for name in _available(_unvalidated_effects(scene))
-        if EFFECTS.known(name) is None
-    ]
-    return found
+        found += [NamedCode.user_class(*one, arm) for one in _unloaded_classes(value, where)]
+    effects = [one for one in _unloaded_effects(scene) if not EFFECTS.known(one[2])]
+    return found + [NamedCode.user_class(*one) for one in effects]
 
 
 def refuse_code(named: Iterable[NamedCode]) -> None:
@@ -207,7 +204,7 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
     ModelError
         When a function cannot be loaded.
     """
-    named, unvalidated = named_code(scene), _available(_unvalidated_effects(scene))
+    named, effects = named_code(scene), _unloaded_effects(scene)
     unloaded = [
         *_unloaded_classes(scene.joints, ("joints",)),
         *_unloaded_classes(scene.control, _CONTROL),
@@ -217,7 +214,7 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         raise SceneError(f"{place(parts)}: {own.unknown(name)}" for parts, own, name in missing)
     if not (scene.may_load_code if allowed is None else allowed):
         refuse_code(named)
-    if unvalidated or unloaded:
+    if effects or unloaded:
         # validated as in a scene made in Python, which loads the classes that it names
         parts: dict[str, Any] = {"effects": scene.effects.named}
         if unloaded:
@@ -234,8 +231,8 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         joints = loaded_functions(scene.joints, ("joints",))
         control = loaded_functions(scene.control, _CONTROL)
         wrenches = loaded_functions(scene.effects.external_wrenches, _WRENCHES)
-        effects = scene.effects.model_copy(update={"external_wrenches": wrenches})
-        changes = {"joints": joints, "control": control, "effects": effects}
+        changed = scene.effects.model_copy(update={"external_wrenches": wrenches})
+        changes = {"joints": joints, "control": control, "effects": changed}
         scene = scene.model_copy(update=changes)
     return scene
 
@@ -247,13 +244,13 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     joints the contacts that need functions or classes of packages; the others keep their names.
     """
     left = named_code(scene)
-    unvalidated = _unvalidated_effects(scene)
-    if not left and not unvalidated:
+    unloaded = [name for _, _, name in _unloaded_classes(scene.effects)]
+    if not left and not unloaded:
         return scene, left
     wrenches = scene.effects.external_wrenches or ()
     kept = tuple(wrench for wrench in wrenches if not any(function_references(wrench)))
     effects = scene.effects.model_copy(
-        update={"external_wrenches": kept or None, **dict.fromkeys(unvalidated)}
+        update={"external_wrenches": kept or None, **dict.fromkeys(unloaded)}
     )
     joints = tuple(_without_contacts(joint) for joint in scene.joints)
     control = scene.control
@@ -282,29 +279,27 @@ def loaded_functions(value: Any, parts: Parts = ()) -> Any:
     return mapped(value, loaded, parts)
 
 
-def _unvalidated_effects(scene: Scene) -> list[str]:
-    """User effects whose parameters have not been validated by their ``Spec``."""
-    return [
-        name
-        for name, parameters in (scene.effects.model_extra or {}).items()
-        if parameters is not None and not isinstance(parameters, BaseModel)
-    ]
+_Unloaded = tuple[Parts, Registry, str]
+"""A user class that is not loaded: its place, sort and name."""
 
 
-def _available(names: Iterable[str]) -> list[str]:
-    return [name for name in names if EFFECTS.known(name) or EFFECTS.offers(name)]
+def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[_Unloaded]:
+    """User classes that a part of a scene names, and that have not read their parameters."""
+    for where, part in nodes(value, parts):
+        if isinstance(part, UnloadedJoint):
+            yield (*where, "kind"), JOINTS, part.kind
+        elif isinstance(part, UnloadedControl):
+            yield (*where, "kind"), CONTROLS, part.kind
+        elif isinstance(part, ByName):
+            for name, parameters in (part.model_extra or {}).items():
+                if parameters is not None and not isinstance(parameters, BaseModel):
+                    yield (*where, name), part.registry, name
 
 
-def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Registry, str]]:
-    """User classes in a part of a scene that are not loaded: their place, sort and name."""
-    if isinstance(value, UnloadedJoint):
-        yield (*parts, "kind"), JOINTS, value.kind
-    elif isinstance(value, UnloadedControl):
-        yield (*parts, "kind"), CONTROLS, value.kind
-    elif isinstance(value, Geometry) and value.value is None:
-        yield (*parts, value.shape), SURFACES, value.shape
-    for key, item in items(value):
-        yield from _unloaded_classes(item, (*parts, key))
+def _unloaded_effects(scene: Scene) -> list[_Unloaded]:
+    """User effects that have not read their parameters, though their class is there."""
+    unloaded = _unloaded_classes(scene.effects, ("effects",))
+    return [one for one in unloaded if EFFECTS.known(one[2]) or EFFECTS.offers(one[2])]
 
 
 def _plain(value: Any) -> Any:

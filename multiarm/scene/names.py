@@ -4,32 +4,30 @@
 
 from multiarm.scene.arms import ArmSpec, BaseSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
-from multiarm.scene.control import CONTROLS, register_control
-from multiarm.scene.control.kind import Waypoint
+from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
 from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
 from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
 from multiarm.scene.functions import function_text
-from multiarm.scene.joints import (
-    JOINTS,
-    BallJoint,
-    ContactsJoint,
+from multiarm.scene.joints import JOINTS, JointSpec, register_joint
+from multiarm.scene.joints.contacts import ContactsJoint, ContactSpec
+from multiarm.scene.joints.fingertips import (
     CornerGripperJoint,
-    CylindricalJoint,
-    Joint,
-    JointSpec,
-    PlanarJoint,
     PointOnCylinderJoint,
     PointOnPlaneJoint,
     PointOnSphereJoint,
+)
+from multiarm.scene.joints.kind import Joint
+from multiarm.scene.joints.pairs import (
+    BallJoint,
+    CylindricalJoint,
+    PlanarJoint,
     PrismaticJoint,
     RevoluteJoint,
     UniversalJoint,
     WeldJoint,
-    WrenchesJoint,
-    register_joint,
 )
-from multiarm.scene.joints.contacts import SURFACES, ContactSpec, Geometry, register_surface
+from multiarm.scene.joints.wrenches import WrenchesJoint
 from multiarm.scene.loading import (
     REGISTRIES,
     NamedCode,
@@ -57,6 +55,6 @@ from multiarm.scene.run import (
     StabilizationSpec,
 )
 from multiarm.scene.schema import Scene
-from multiarm.scene.surfaces import Surface
+from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose, gain_vector, joint_vector

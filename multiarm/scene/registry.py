@@ -14,18 +14,43 @@ that was read from a file is compiled.  The class then validates the parameters,
 its place, as for our own classes.
 
 To the registry, a class is a name, a model of its parameters, and a class method ``lacks()`` that
-says in words what it lacks to be of its sort; empty when nothing is missing.
+says in words what it lacks to be of its sort; empty when nothing is missing.  A part of a scene
+names a class by its key ``kind`` (:meth:`Registry.by_kind`) or as a key of a table
+(:class:`ByName`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from importlib import metadata
-from operator import attrgetter
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar, get_args, get_origin
+from operator import or_
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError, ValidationInfo
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from typing_extensions import Self
 
@@ -87,13 +112,6 @@ class OwnKind(OwnSpec):
         return ""
 
 
-class Named(NamedTuple):
-    """An entry of a table that is no field of its model: its name and its value."""
-
-    name: str
-    value: Any
-
-
 @dataclass
 class Registry(Generic[Kind]):
     """The user classes of one sort.
@@ -106,10 +124,11 @@ class Registry(Generic[Kind]):
         ``multiarm.effects``.
     noun, plural : str
         For messages, such as ``control kind`` and ``kinds``.
-    built_in : callable
-        The names of our own classes, which are taken.
-    name_of, parameters_of : callable
-        A class's name in scenes, and the model of its parameters.
+    built_in : dict
+        Our own classes by name.
+    stand_ins : tuple of types
+        Of a sort that is named by ``kind``: the class of a part whose class is not loaded, and
+        others that are not read again.
     registered, loaded : dict
         The classes known to this process: by registration, and by entry points.
     """
@@ -117,9 +136,8 @@ class Registry(Generic[Kind]):
     sort: str
     noun: str
     plural: str
-    built_in: Callable[[], Collection[str]]
-    name_of: Callable[[Any], str] = attrgetter("name")
-    parameters_of: Callable[[Any], Any] = lambda own: own
+    built_in: Mapping[str, Any]
+    stand_ins: tuple[type[Spec], ...] = ()
     registered: dict[str, type[Kind]] = field(default_factory=dict)
     loaded: dict[str, type[Kind]] = field(default_factory=dict)
 
@@ -133,6 +151,16 @@ class Registry(Generic[Kind]):
         """Public name of the base class."""
         return f"multiarm.{self.sort.capitalize()}"
 
+    @staticmethod
+    def name_of(own: Any) -> str:
+        """A class's name in scenes."""
+        return own.kind_name() if hasattr(own, "kind_name") else own.name
+
+    @staticmethod
+    def parameters_of(own: Any) -> Any:
+        """The model of a class's parameters: itself, or its ``Spec``."""
+        return own if issubclass(own, BaseModel) else own.Spec
+
     def add(self, own: AnyClass) -> AnyClass:
         """Let scenes name a class.  Defined and registered once more, it replaces the former one.
 
@@ -145,7 +173,7 @@ class Registry(Generic[Kind]):
         name = self.name_of(own)
         taken = self.registered.get(name)
         reason = ""
-        if name in self.built_in():
+        if name in self.built_in:
             reason = "multiarm itself has one of that name; choose another"
         elif taken is not None and _path(taken) != _path(own):
             reason = f"{_path(taken)} is registered under that name already"
@@ -215,62 +243,44 @@ class Registry(Generic[Kind]):
 
     def unknown(self, name: object) -> str:
         """The message for a name that no class has."""
-        text = unknown(self.noun, name, [*self.built_in(), *self.names()], self.plural)
+        text = unknown(self.noun, name, [*self.built_in, *self.names()], self.plural)
         own = f"{self.plural} of your own need multiarm.register_{self.sort}, or their package"
         return f"{text}; {own}"
 
     # --- reading scenes ---------------------------------------------------------------------------
 
-    def set_apart(self, data: Any) -> Any:
-        """A table with entries of other names than ours as :class:`Named`, for :meth:`read`."""
-        if not isinstance(data, Mapping):
-            return data
-        ours = self.built_in()
-        return {
-            name: value if name in ours or not isinstance(name, str) else Named(name, value)
-            for name, value in data.items()
-        }
+    def by_kind(self) -> Any:
+        """The type of a table whose key ``kind`` names one of our classes, or a user's."""
+        ours: Any = reduce(or_, self.built_in.values())
+        tagged: Any = Annotated[ours, Field(discriminator="kind")]
+        kept: Any = SerializeAsAny[tagged]  # type: ignore[misc]
+        return Annotated[kept, WrapValidator(self._read_kind)]
 
-    def read(self, entry: Any, info: ValidationInfo) -> Any:
-        """The validated parameters of a user class; None where a scene leaves it out by null.
+    def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
+        """A part with a key ``kind``, read by ``ours`` if its kind is ours, else by a user class.
 
-        They stay as they are where :meth:`class_for` finds no class.
+        Where :meth:`class_for` finds no class it is a stand-in, and stays so until its table is
+        read again.
         """
-        if not isinstance(entry, Named):
-            return entry
-        own = self.class_for(entry.name, info)
-        if own is None or entry.value is None:
-            return entry.value
-        return self.validated(entry.name, self.parameters_of(own), entry.value, info)
-
-    def read_kind(
-        self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo, unloaded: type[Spec]
-    ) -> Any:
-        """A part of a scene with a key ``kind``, read by ``ours`` if its kind is ours.
-
-        Otherwise by a user class, or as ``unloaded`` where :meth:`class_for` finds no class; what
-        has been left unloaded stays so until its table is read again.
-        """
-        if isinstance(value, unloaded):
+        if type(value) in self.stand_ins:
             return value
         if not isinstance(value, (Mapping, Spec)):
             return ours(value)
         data = written(value)
         if "kind" not in data:
-            known = [*self.built_in(), *self.names()]
+            known = [*self.built_in, *self.names()]
             raise fault(f"'kind' is missing; kinds are {listed(known)}")
         kind = data["kind"] if isinstance(data["kind"], str) else str(data["kind"])
-        if kind in self.built_in():
+        if kind in self.built_in:
             return ours(value)
         try:
             own = self.class_for(kind, info)
         except PydanticCustomError as error:
             raise faults_at([((kind, "kind"), error.message(), kind)], kind) from None
-        if own is None:
-            return self.validated(kind, unloaded, data, info, kind)
-        if isinstance(value, own):
+        if own is not None and isinstance(value, own):
             return value
-        return self.validated(kind, self.parameters_of(own), data, info, kind)
+        model = self.stand_ins[0] if own is None else self.parameters_of(own)
+        return self.validated(kind, model, data, info, kind)
 
     def class_for(self, name: str, info: ValidationInfo) -> type[Kind] | None:
         """The class that a scene names; None where its parameters are kept as they are written.
@@ -321,6 +331,60 @@ class Registry(Generic[Kind]):
 
     def _entry_points(self, name: str) -> list[metadata.EntryPoint]:
         return list(metadata.entry_points(group=self.group, name=name))
+
+
+class _Named(NamedTuple):
+    """An entry of a table that is no field of its model: its name and its value."""
+
+    registry: Registry
+    name: str
+    value: Any
+
+
+def _read_named(entry: Any, info: ValidationInfo) -> Any:
+    """The validated parameters of a user class; None where a scene leaves it out by null.
+
+    They stay as they are where :meth:`Registry.class_for` finds no class.
+    """
+    if not isinstance(entry, _Named):
+        return entry
+    own = entry.registry.class_for(entry.name, info)
+    if own is None or entry.value is None:
+        return entry.value
+    model = entry.registry.parameters_of(own)
+    return entry.registry.validated(entry.name, model, entry.value, info)
+
+
+class ByName(Spec):
+    """A table whose keys name classes of a sort: ours are its fields, others are user classes."""
+
+    model_config = ConfigDict(extra="allow")
+    registry: ClassVar[Registry]
+    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_read_named)]]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _user_classes_know_their_names(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        own = cls.registry
+        return {
+            name: value
+            if name in own.built_in or not isinstance(name, str)
+            else _Named(own, name, value)
+            for name, value in data.items()
+        }
+
+    @classmethod
+    def with_keys(cls, name: str, keys: Mapping[str, tuple[Any, str]]) -> Any:
+        """The table with optional keys besides: what each holds, and its meaning."""
+        fields: dict[str, Any] = {
+            key: (held | None, Field(None, description=meaning))
+            for key, (held, meaning) in keys.items()
+        }
+        return create_model(
+            name, __base__=cls, __doc__=cls.__doc__, __module__=cls.__module__, **fields
+        )
 
 
 def faults_at(found: list[tuple[Parts, str, Any]], title: str) -> ValidationError:

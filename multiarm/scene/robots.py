@@ -4,27 +4,35 @@
 where a name is in two: the project's own robots in ``robots/<name>/<name>.urdf`` (inside the
 installed package, or at the top of a checkout); those of the installed distribution
 ``example-robot-data``, wherever it lives, by the names of their files; and those of the package
-``robot_descriptions``, see :mod:`multiarm.scene.robot_descriptions`.
+``robot_descriptions``, where that is installed.
+
+Each of the last is a module, such as ``iiwa14_description``, that says where its URDF is.  Its
+import clones the repository of the robot where the cache has none.  Nothing is downloaded unasked:
+a module is imported only if its repository is in the cache, and git may fetch nothing meanwhile.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
+import importlib.util
 import os
+import re
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from multiarm.errors import ModelError, SceneError
+from multiarm.errors import USER_FAULTS, ModelError, SceneError
 from multiarm.scene.faults import unknown
 from multiarm.scene.mjcf import read_mjcf
-from multiarm.scene.robot_descriptions import PACKAGE, SUFFIX, described_robots, local_urdf
 from multiarm.scene.urdf import RobotOutline, read_urdf
 
 PROJECT = "this project"
 _DISTRIBUTION = "example-robot-data"
 _SHARE = "cmeel.prefix/share"
+DESCRIPTIONS, SUFFIX = "robot_descriptions", "_description"
+_TRANSPORTS = "GIT_ALLOW_PROTOCOL"  # those that git may use
 
 # Names of robots that are not those of their files.
 _FILES = {
@@ -99,7 +107,7 @@ def available_robots() -> dict[str, RobotEntry]:
     for name in described_robots():
         local = local_urdf(name)
         if local is not None:
-            found.setdefault(name, RobotEntry(name, local, PACKAGE))
+            found.setdefault(name, RobotEntry(name, local, DESCRIPTIONS))
     return {name: entry for name, entry in found.items() if _is_usable(entry)}
 
 
@@ -120,15 +128,39 @@ def find_robot(name: str) -> RobotEntry:
     if name in described:
         urdf = local_urdf(name)
         if urdf is None:
-            fetch = f"python -m {PACKAGE} pull {name}"
+            fetch = f"python -m {DESCRIPTIONS} pull {name}"
             raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
-        return RobotEntry(name, urdf, PACKAGE)
+        return RobotEntry(name, urdf, DESCRIPTIONS)
     message = unknown("robot", name, [*own, *examples, *described])
     if name in {*_FILES, *_TIPS} and _share_folder() is None:
         message = f"robot {name!r} comes with {_DISTRIBUTION}; pip install {_DISTRIBUTION}"
     elif name.endswith(SUFFIX) and not described:
-        message = f"robot {name!r} may come with {PACKAGE}; pip install {PACKAGE}"
+        message = f"robot {name!r} may come with {DESCRIPTIONS}; pip install {DESCRIPTIONS}"
     raise SceneError(f"{message}; or give the path of a file with 'urdf:'")
+
+
+def described_robots() -> tuple[str, ...]:
+    """The robots with a URDF, whether they are on this machine or not; none without the package."""
+    return tuple(sorted(_sources()))
+
+
+def local_urdf(name: str) -> Path | None:
+    """The URDF of a robot; None if it has to be downloaded first."""
+    cloned = re.search(r"clone_to_cache\(\s*[\"'](.+?)[\"']", _sources()[name])
+    before = os.environ.get(_TRANSPORTS)
+    try:
+        known = importlib.import_module(f"{DESCRIPTIONS}._repositories").REPOSITORIES
+        cache = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions"))
+        if cloned is None or not (cache.expanduser() / known[cloned[1]].cache_path).is_dir():
+            return None
+        os.environ[_TRANSPORTS] = "none"
+        path = Path(importlib.import_module(f"{DESCRIPTIONS}.{name}").URDF_PATH)
+    except USER_FAULTS:  # something that it needs is not there; to pull it tells what
+        return None
+    finally:
+        os.environ.pop(_TRANSPORTS, None)
+        os.environ.update({} if before is None else {_TRANSPORTS: before})
+    return path if path.is_file() else None
 
 
 def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...]:
@@ -197,6 +229,16 @@ def _named_files(folder: Path) -> dict[str, Path]:
             package = path.parents[1].name.removesuffix(SUFFIX)
             found.setdefault(path.stem if counts[path.stem] == 1 else package, path)
     return dict(sorted(found.items()))
+
+
+@lru_cache(maxsize=1)
+def _sources() -> dict[str, str]:
+    """The texts of all modules that name a URDF, by name."""
+    spec = importlib.util.find_spec(DESCRIPTIONS)
+    folders = [] if spec is None else spec.submodule_search_locations or []
+    files = [file for folder in folders for file in Path(folder).glob(f"*{SUFFIX}.py")]
+    texts = {file.stem: file.read_text(encoding="utf-8") for file in files}
+    return {name: text for name, text in texts.items() if re.search(r"(?m)^URDF_PATH\b", text)}
 
 
 def _is_usable(entry: RobotEntry) -> bool:

@@ -30,7 +30,9 @@ from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
 from multiarm.scene.functions import function_references, located, reference_fault
-from multiarm.scene.joints import ContactsJoint, Joint, JointSpec, pushing_kinds
+from multiarm.scene.joints import JointSpec, pushing_kinds
+from multiarm.scene.joints.contacts import ContactsJoint
+from multiarm.scene.joints.kind import Joint
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import called
 from multiarm.scene.run import RunSpec

@@ -1,34 +1,37 @@
 r"""Surfaces of contacts: parameters, checks, and the record that the contact kernel reads.
 
-A surface is one class, ours as well as a user's (:func:`multiarm.register_surface`); ours are the
-fields of :class:`multiarm.scene.Geometry`.  Principal curvatures
-are positive where the body bulges and negative in a hollow.
+A surface is one class, ours as well as a user's (:func:`multiarm.register_surface`).  Principal
+curvatures are positive where the body bulges and negative in a hollow.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from multiarm.errors import SceneError
+from multiarm.errors import ModelError
 from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
 from multiarm.scene.faults import fault, listed
 from multiarm.scene.functions import UserFunction
-from multiarm.scene.registry import OwnSpec
+from multiarm.scene.parameters import summary_of
+from multiarm.scene.registry import AnyClass, ByName, OwnSpec, Registry, called
 from multiarm.scene.values import (
     Direction,
     Number,
-    Pose,
+    OneOf,
     Positive,
     Range,
     Spec,
     Vec3,
     Vec4,
     list_of,
+    one_orientation,
+    rotation_matrix,
 )
 
 _Z = (0.0, 0.0, 1.0)
@@ -125,17 +128,11 @@ class _Turned(Surface):
     quaternion_xyzw: Vec4 | None = None
     """The same as a quaternion, instead of ``rpy``."""
 
-    @model_validator(mode="after")
-    def _one_orientation(self) -> Self:
-        try:
-            self.axes()
-        except SceneError as error:
-            raise fault(error.faults[0].partition(": ")[2]) from None
-        return self
+    _one_orientation = model_validator(mode="after")(one_orientation)
 
     def axes(self) -> np.ndarray:
         """Its axes, the columns of a rotation, shape (3, 3)."""
-        return Pose(rpy=self.rpy, quaternion_xyzw=self.quaternion_xyzw).rotation()
+        return rotation_matrix(self.rpy, self.quaternion_xyzw)
 
 
 class PointGeometry(Surface):
@@ -383,3 +380,81 @@ class SurfaceGeometry(_Turned):
                 self.parametrisation, self.u, self.v, self.derivatives, self.flip, self.length
             )
         return records.smooth(shape, self.origin, self.axes(), self.inside)
+
+
+# --- one side of a contact ------------------------------------------------------------------------
+
+_OURS: tuple[type[Surface], ...] = (
+    PointGeometry,
+    SphereGeometry,
+    PlaneGeometry,
+    CylinderGeometry,
+    ConeGeometry,
+    TorusGeometry,
+    EllipsoidGeometry,
+    SurfaceGeometry,
+)
+BUILT_IN = {own.name: own for own in _OURS}
+"""Our surfaces by name."""
+SURFACES: Registry[Surface] = Registry("surface", "surface", "surfaces", BUILT_IN)
+"""User surfaces."""
+
+
+def register_surface(surface: AnyClass) -> AnyClass:
+    """Let contacts of scenes name a user surface, a subclass of :class:`multiarm.Surface`.
+
+    Also a decorator.  Defined and registered once more, it replaces the former one.
+
+    Raises
+    ------
+    ModelError
+        It lacks something, or another surface has its name.
+    """
+    return SURFACES.add(surface)
+
+
+class _Geometry(OneOf, ByName):
+    """One body's side of a contact: exactly one of the attributes, or a user surface."""
+
+    registry: ClassVar[Registry] = SURFACES
+
+    point: Vec3 | None = None
+    """A sharp point [m]."""
+
+    @property
+    def shape(self) -> str:
+        """Which one it is, such as ``plane``."""
+        return next(name for name, value in self if value is not None)
+
+    @property
+    def value(self) -> Surface | None:
+        """The surface; None if it is a user's whose class is not loaded."""
+        found = dict(self)[self.shape]
+        if self.point is not None:
+            found = PointGeometry(at=self.point)
+        return found if isinstance(found, Surface) else None
+
+    def record(self) -> records.Surface:
+        """The part of the surface that exists, in the joint frame."""
+        own = self.value
+        assert own is not None, "compilation loads all classes"
+        who = f"surface {self.shape!r}: record()"
+        found = called(own.record, who)
+        if not isinstance(found, records.Surface):
+            raise ModelError(
+                f"{who} returned {type(found).__name__}; return a surface of multiarm.geometry, "
+                "such as sphere(...)"
+            )
+        return found if own.patch is None else replace(found, patch=own.patch.record())
+
+
+if TYPE_CHECKING:
+
+    class Geometry(_Geometry):
+        """One body's side of a contact, with a key for each surface."""
+
+else:
+    Geometry = _Geometry.with_keys(
+        "Geometry",
+        {name: (own, summary_of(own)) for name, own in BUILT_IN.items() if name != "point"},
+    )

@@ -289,6 +289,46 @@ Color = Annotated[
 ]
 
 
+def one_orientation(part: Any) -> Any:
+    """Check, after validation, that a part has at most one of ``rpy`` and ``quaternion_xyzw``."""
+    if part.quaternion_xyzw is None:
+        return part
+    if any(part.rpy):
+        raise fault("gives both 'rpy' and 'quaternion_xyzw'; keep one of them")
+    if not math.hypot(*part.quaternion_xyzw) > 1e-12:
+        raise fault("'quaternion_xyzw' has length zero; the identity is [0, 0, 0, 1]")
+    return part
+
+
+def rotation_matrix(
+    rpy: Sequence[float], quaternion_xyzw: Sequence[float] | None = None
+) -> np.ndarray:
+    """Rotation, shape (3, 3): Rz(yaw) Ry(pitch) Rx(roll), or that of a quaternion of any length."""
+    import numpy as np
+
+    if quaternion_xyzw is None:
+        (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+        return np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
+    q = np.array(quaternion_xyzw)
+    largest = np.abs(q).max()
+    if largest > 1e100:  # its square would overflow
+        q = q / largest
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 class Pose(Spec):
     """A placement: where a frame's origin is and how its axes are turned."""
 
@@ -300,30 +340,11 @@ class Pose(Spec):
     quaternion_xyzw: Vec4 | None = None
     """Orientation as a quaternion, scalar last, instead of ``rpy``. Any length but zero."""
 
-    @model_validator(mode="after")
-    def _one_orientation(self) -> Self:
-        if self.quaternion_xyzw is None:
-            return self
-        if any(self.rpy):
-            raise fault("gives both 'rpy' and 'quaternion_xyzw'; keep one of them")
-        if not math.hypot(*self.quaternion_xyzw) > 1e-12:
-            raise fault("'quaternion_xyzw' has length zero; the identity is [0, 0, 0, 1]")
-        return self
+    _one_orientation = model_validator(mode="after")(one_orientation)
 
     def rotation(self) -> np.ndarray:
         """Rotation matrix, shape (3, 3): child components to parent components."""
-        import numpy as np
-
-        if self.quaternion_xyzw is not None:
-            return _rotation_of_quaternion(np.array(self.quaternion_xyzw))
-        (cr, cp, cy), (sr, sp, sy) = np.cos(self.rpy), np.sin(self.rpy)
-        return np.array(
-            [
-                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-                [-sp, cp * sr, cp * cr],
-            ]
-        )
+        return rotation_matrix(self.rpy, self.quaternion_xyzw)
 
     def matrix(self) -> np.ndarray:
         """Homogeneous transform, shape (4, 4): child coordinates to parent ones."""
@@ -333,22 +354,6 @@ class Pose(Spec):
         X[:3, :3] = self.rotation()
         X[:3, 3] = self.xyz
         return X
-
-
-def _rotation_of_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    import numpy as np
-
-    largest = np.abs(quaternion_xyzw).max()
-    if largest > 1e100:  # its square would overflow
-        quaternion_xyzw = quaternion_xyzw / largest
-    x, y, z, w = quaternion_xyzw / np.linalg.norm(quaternion_xyzw)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 # --- values by joint and by arm ------------------------------------------------------------------

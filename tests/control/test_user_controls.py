@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import metadata
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,13 +9,14 @@ import pytest
 from commands import multiarm
 from mechanics import ur5_pair
 from sweep_runs import jobs, repeatable
+from user_classes import empty_registries, offered
 
 import multiarm as ma
 from multiarm.control import ControlProgram, open_system
 from multiarm.control.laws import program_of
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import struct_at
-from multiarm.scene import CONTROLS, Scene, changed, dump_scene, named_code, parse_scene, registry
+from multiarm.scene import CONTROLS, Scene, changed, dump_scene, named_code, parse_scene
 from multiarm.scene.control import BUILT_IN, ControlKind
 from multiarm.sweeps.executors import run_in_process, run_in_processes
 from multiarm.sweeps.plan import make_plan
@@ -28,21 +27,8 @@ TORQUES = {"left": (3.0, -2.0, 1.0, 0.5, 0.0, 0.0), "right": {"elbow_joint": -4.
 
 
 @pytest.fixture(autouse=True)
-def empty_registry(monkeypatch):
-    """Each test begins with our kinds only, and leaves none behind."""
-    monkeypatch.setattr(CONTROLS, "registered", {})
-    monkeypatch.setattr(CONTROLS, "loaded", {})
-    offered(monkeypatch)
-
-
-def offered(monkeypatch, **classes: str) -> None:
-    """Let an installed package offer these kinds: name -> 'module:class'."""
-    points = [metadata.EntryPoint(k, text, "multiarm.controls") for k, text in classes.items()]
-
-    def entry_points(**wanted):
-        return [p for p in points if all(getattr(p, key) == v for key, v in wanted.items())]
-
-    monkeypatch.setattr(registry, "metadata", SimpleNamespace(entry_points=entry_points))
+def _only_ours(monkeypatch):
+    empty_registries(monkeypatch)
 
 
 @cfunc
@@ -198,7 +184,7 @@ def test_an_installed_kind_is_loaded_when_a_scene_file_is_compiled(tmp_path, mon
     ma.register_control(Pull)
     text = dump_scene(scene_of({"kind": "pull", "stiffness": 5.0}))
     CONTROLS.registered.clear()
-    offered(monkeypatch, pull=f"{__name__}:Pull")
+    offered(monkeypatch, f"controls pull {__name__}:Pull")
     path = tmp_path / "scene.yaml"
     path.write_text(text, encoding="utf-8")
     scene = ma.load_scene(path)

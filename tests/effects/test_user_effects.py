@@ -6,40 +6,22 @@ import json
 import os
 import subprocess
 import sys
-from importlib import metadata
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from repository import ROOT, SCENES
+from user_classes import empty_registries, offered
 
 import multiarm as ma
 from multiarm.effects.defaults import defaults
-from multiarm.scene import EFFECTS, dump_scene, parse_scene, registry
+from multiarm.scene import EFFECTS, dump_scene, parse_scene
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
 
 
 @pytest.fixture(autouse=True)
-def empty_registry(monkeypatch):
-    """Each test begins with no effects but ours, and leaves none behind."""
-    monkeypatch.setattr(EFFECTS, "registered", {})
-    monkeypatch.setattr(EFFECTS, "loaded", {})
-    offered([], monkeypatch)
-
-
-def offered(points, monkeypatch) -> None:
-    """Let the installed packages offer these entry points of our group."""
-
-    def entry_points(**wanted):
-        assert wanted.pop("group") == "multiarm.effects"
-        return [p for p in points if all(getattr(p, key) == v for key, v in wanted.items())]
-
-    monkeypatch.setattr(registry, "metadata", SimpleNamespace(entry_points=entry_points))
-
-
-def point(name: str, value: str) -> metadata.EntryPoint:
-    return metadata.EntryPoint(name, value, "multiarm.effects")
+def _only_ours(monkeypatch):
+    empty_registries(monkeypatch)
 
 
 def effect_of(function, name: str = "push", **body) -> type[ma.Effect]:
@@ -305,14 +287,14 @@ def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
 
 
 def test_an_installed_effect_is_found_by_its_entry_point(monkeypatch):
-    offered([point("spring", f"{__name__}:Spring")], monkeypatch)
+    offered(monkeypatch, f"effects spring {__name__}:Spring")
     scene = RING.replace(effects={"spring": {"stiffness": 2.0}})
     (kernel,) = ma.compile_system(scene).model.effects.kernels
     assert kernel.name == "spring"
 
 
 def test_an_installed_effect_that_no_scene_names_is_not_imported(monkeypatch):
-    offered([point("bomb", "a_module_that_is_not_there:Bomb")], monkeypatch)
+    offered(monkeypatch, "effects bomb a_module_that_is_not_there:Bomb")
     assert RING.replace(effects={"joint_damping": 1.0}).effects.joint_damping == 1.0
     with pytest.raises(ma.MultiarmError, match="did you mean 'bomb'"):
         RING.replace(effects={"bombe": {}})
@@ -352,14 +334,14 @@ NOT_A_CLASS = 3
         ("nowhere:Spring", "cannot be loaded, ModuleNotFoundError: No module named 'nowhere'"),
         (f"{__name__}:Sprung", "cannot be loaded, AttributeError"),
         (f"{__name__}:NOT_A_CLASS", "it is no subclass of multiarm.Effect"),
-        (f"{__name__}:Path", "it is no subclass of multiarm.Effect"),
+        (f"{__name__}:np", "it is no subclass of multiarm.Effect"),
         (f"{__name__}:Nameless", "'name' must be a word that a scene can have as a key, it is ''"),
         (f"{__name__}:Idle", "it defines neither 'forces' nor 'build'"),
         (f"{__name__}:Vague", "'Spec' must be a pydantic model"),
     ],
 )
 def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
-    offered([point("spring", value)], monkeypatch)
+    offered(monkeypatch, f"effects spring {value}")
     with pytest.raises(ma.MultiarmError) as caught:
         RING.replace(effects={"spring": {"stiffness": 2.0}})
     assert len(caught.value.faults) == 1
@@ -368,14 +350,14 @@ def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
 
 
 def test_an_effect_must_have_the_name_that_its_package_offers(monkeypatch):
-    offered([point("sprung", f"{__name__}:Spring")], monkeypatch)
+    offered(monkeypatch, f"effects sprung {__name__}:Spring")
     with pytest.raises(ma.MultiarmError, match="its name is 'spring', not 'sprung'"):
         RING.replace(effects={"sprung": {"stiffness": 2.0}})
 
 
 def test_two_packages_with_one_name_are_ambiguous(monkeypatch):
     values = [f"{__name__}:Spring", f"{__name__}:Other"]
-    offered([point("spring", value) for value in values], monkeypatch)
+    offered(monkeypatch, *(f"effects spring {value}" for value in values))
     with pytest.raises(ma.MultiarmError, match=r"effect 'spring' is ambiguous: .* remove one"):
         RING.replace(effects={"spring": {"stiffness": 2.0}})
 
@@ -386,7 +368,7 @@ def test_registering_refuses_names_that_are_taken(monkeypatch):
         ma.register_effect(Other)
     with pytest.raises(ma.MultiarmError, match="multiarm itself has one of that name"):
         effect_of(lambda t, s: ma.Loads(), "joint_damping")
-    offered([point("push", "elsewhere:Push")], monkeypatch)
+    offered(monkeypatch, "effects push elsewhere:Push")
     with pytest.raises(ma.MultiarmError, match=r"elsewhere:Push\) has that name already"):
         effect_of(lambda t, s: ma.Loads())
 
@@ -399,9 +381,15 @@ def test_a_class_that_is_defined_again_replaces_the_former_one():
 
 
 def test_what_build_returns_is_checked():
-    effect_of(lambda t, s: None, build=lambda self, site: "a kernel")
-    with pytest.raises(ma.MultiarmError, match=r"effects\.push: build returned str; return a list"):
-        ma.compile_system(RING.replace(effects={"push": {}}))
+    for built, fault in (
+        (lambda self, site: "a kernel", "returned 'a kernel'; return a list"),
+        (lambda self, site: [5], r"returned \[5\]; return a list"),
+        (lambda self, site: [site.nothing_like_this], "raised AttributeError"),
+        (lambda self, site: sys.exit(), "raised SystemExit"),
+    ):
+        effect_of(lambda t, s: None, build=built)
+        with pytest.raises(ma.MultiarmError, match=rf"effects\.push: build {fault}"):
+            ma.compile_system(RING.replace(effects={"push": {}}))
 
 
 def test_an_effect_with_usual_parameters_is_a_candidate():
@@ -444,12 +432,12 @@ def test_the_package_of_the_example_offers_effects_that_scenes_can_name(package,
     text = (ROOT / "examples" / "own_effect" / "pyproject.toml").read_text(encoding="utf-8")
     table = text.split('[project.entry-points."multiarm.effects"]')[1].split("[")[0]
     lines = [line.split("=") for line in table.strip().splitlines()]
-    points = [point(name.strip(), value.strip().strip('"')) for name, value in lines]
-    assert [p.name for p in points] == ["magnet", "compiled_magnet"]
-    offered(points, monkeypatch)
-    for one in points:
-        scene = RING.replace(effects={one.name: {"at": [0, 0, 1], "strength": 1.0}})
-        assert type(scene.effects.named[one.name]) is package.Magnet.Spec
+    points = {name.strip(): value.strip().strip('"') for name, value in lines}
+    assert list(points) == ["magnet", "compiled_magnet"]
+    offered(monkeypatch, *(f"effects {name} {value}" for name, value in points.items()))
+    for name in points:
+        scene = RING.replace(effects={name: {"at": [0, 0, 1], "strength": 1.0}})
+        assert type(scene.effects.named[name]) is package.Magnet.Spec
 
 
 def test_an_effect_in_python_and_its_kernel_move_things_alike(package):

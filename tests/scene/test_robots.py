@@ -27,7 +27,7 @@ from multiarm.scene import (
     resolve_arm,
     resolve_mesh,
     resolve_package_dirs,
-    robot_descriptions,
+    robots,
 )
 from multiarm.scene.robots import arm_ends
 
@@ -196,15 +196,15 @@ def descriptions(tmp_path, monkeypatch):
     write_urdf(tmp_path / "cache" / "here" / "arm.urdf", chain_text(["revolute", "fixed"]))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    robot_descriptions._sources.cache_clear()
+    robots._sources.cache_clear()
     yield tmp_path
-    robot_descriptions._sources.cache_clear()
+    robots._sources.cache_clear()
     for module in [name for name in sys.modules if name.startswith("robot_descriptions")]:
         del sys.modules[module]
 
 
 def test_described_robots_are_used_if_they_are_there_and_never_fetched(descriptions):
-    assert robot_descriptions.described_robots() == ("crane_description", "lathe_description")
+    assert robots.described_robots() == ("crane_description", "lathe_description")
     entry = available_robots()["lathe_description"]
     assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)

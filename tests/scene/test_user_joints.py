@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from importlib import metadata
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ import pytest
 from commands import multiarm
 from mechanics import kernel_rows, random_pose, ur5_pair
 from sweep_runs import jobs, repeatable
+from user_classes import empty_registries, offered
 
 import multiarm as ma
 from multiarm.geometry import (
@@ -31,7 +31,6 @@ from multiarm.scene import (
     dump_scene,
     named_code,
     parse_scene,
-    registry,
 )
 from multiarm.sweeps.executors import run_in_process, run_in_processes
 from multiarm.sweeps.plan import make_plan
@@ -41,25 +40,8 @@ RUN = {"duration": 0.1, "accuracy": 1e-6}
 
 
 @pytest.fixture(autouse=True)
-def empty_registries(monkeypatch):
-    """Each test begins with our classes only, and leaves none behind."""
-    for own in REGISTRIES:
-        monkeypatch.setattr(own, "registered", {})
-        monkeypatch.setattr(own, "loaded", {})
-    offered(monkeypatch)
-
-
-def offered(monkeypatch, **classes: str) -> None:
-    """Let an installed package offer these classes: name -> 'group module:class'."""
-    points = [
-        metadata.EntryPoint(name, text.split()[1], f"multiarm.{text.split()[0]}")
-        for name, text in classes.items()
-    ]
-
-    def entry_points(**wanted):
-        return [p for p in points if all(getattr(p, key) == v for key, v in wanted.items())]
-
-    monkeypatch.setattr(registry, "metadata", SimpleNamespace(entry_points=entry_points))
+def _only_ours(monkeypatch):
+    empty_registries(monkeypatch)
 
 
 class Hitch(ma.Joint):
@@ -250,7 +232,7 @@ def test_a_kind_whose_free_motions_depend_on_the_scene_is_listed_too():
 
 
 def test_an_installed_one_is_listed_and_a_broken_one_is_a_warning(monkeypatch):
-    offered(monkeypatch, hitch=f"joints {__name__}:Hitch", bomb="surfaces not_there:Bomb")
+    offered(monkeypatch, f"joints hitch {__name__}:Hitch", "surfaces bomb not_there:Bomb")
     listed = multiarm("joints")
     assert listed.exit_code == 0 and "the coupling of a trailer" in listed.stdout
     assert "surface 'bomb': an installed package (not_there:Bomb) cannot be" in listed.stderr
@@ -305,8 +287,7 @@ def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, mo
     places = "$.joints[0].kind", "$.joints[0].contacts[0].object.marble"
     for own in REGISTRIES:
         own.registered.clear()
-    package = {"hitch": f"joints {__name__}:Hitch", "marble": f"surfaces {__name__}:Marble"}
-    offered(monkeypatch, **package)
+    offered(monkeypatch, f"joints hitch {__name__}:Hitch", f"surfaces marble {__name__}:Marble")
     path = tmp_path / "scene.yaml"
     for text, place in zip(texts, places, strict=True):
         path.write_text(text, encoding="utf-8")
@@ -329,7 +310,7 @@ def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, mo
 def test_a_fault_of_an_installed_class_has_its_place_when_it_is_loaded(tmp_path, monkeypatch):
     ma.register_joint(Hitch)
     text = dump_scene(scene_of({"kind": "hitch"})).replace("kind: hitch", "kind: hitch, widht: 1")
-    offered(monkeypatch, hitch=f"joints {__name__}:Hitch")
+    offered(monkeypatch, f"joints hitch {__name__}:Hitch")
     registry_of(Hitch).registered.clear()
     path = tmp_path / "scene.yaml"
     path.write_text(text, encoding="utf-8")
@@ -397,13 +378,18 @@ GOOD = [Contact("a", point(np.zeros(3)), plane(np.zeros(3), [0, 0, 1]))]
     ("records", "message"),
     [
         (lambda self: 1 / 0, r"joint kind 'odd': records\(\) raised ZeroDivisionError"),
-        (lambda self: 3, r"joint kind 'odd': records\(\) returned int; return a list of"),
-        (lambda self: [3], r"joint kind 'odd': records\(\) returned list; return a list of"),
+        (lambda self: 3, r"joint kind 'odd': records\(\) returned 3; return a list of"),
+        (lambda self: [3], r"joint kind 'odd': records\(\) returned \[3\]; return a list of"),
         (lambda self: [], r"records\(\) returned no contact; a joint has at least one"),
         (
             lambda self: [Contact("a", point([0, 0, math.nan]), GOOD[0].object)],
             r"returned contact 'a' with a number that is not finite or a direction that is zero",
         ),
+        (lambda self: [Contact("a", 3, GOOD[0].object)], "'a' with 3 as its surface on the arm"),
+        (lambda self: [replace(GOOD[0], mu=-1.0)], "with mu = -1.0; .* is not negative"),
+        (lambda self: [replace(GOOD[0], name=None)], "contact None with None as its name"),
+        (lambda self: [replace(GOOD[0], arm=sphere([0, 0, 0], -0.01))], "with a negative size"),
+        (lambda self: [replace(GOOD[0], minus=Contact("b", 3, 4))], "with 3 as its surface"),
     ],
 )
 def test_records_that_cannot_be_are_one_clear_error(records, message):

@@ -7,55 +7,31 @@ classes.  What an effect does to the model stands in ``multiarm/effects/<name>.p
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from pydantic import BeforeValidator, ConfigDict, Field, create_model, model_validator
-
-from multiarm.scene.effects.contacts import (
-    ContactComplianceSpec,
-    ContactFrictionSpec,
-    FloorSpec,
-    JointLimitsSpec,
-    UnilateralContactsSpec,
-)
-from multiarm.scene.effects.drives import (
-    ActuatorLag,
-    JointDamping,
-    JointFriction,
-    JointNumbers,
-    RotorInertia,
-    TorqueLimits,
-)
+from multiarm.scene.effects import contacts, drives, loads
 from multiarm.scene.effects.kind import EffectKind
-from multiarm.scene.effects.loads import Drag, ExternalWrench
 from multiarm.scene.faults import Parts
-from multiarm.scene.registry import AnyClass, Registry
-from multiarm.scene.values import Faults, KnownArm, Spec, below
+from multiarm.scene.registry import AnyClass, ByName, Registry
+from multiarm.scene.values import Faults, KnownArm, below
 
-_OURS = (
-    JointDamping,
-    JointFriction,
-    RotorInertia,
-    TorqueLimits,
-    ActuatorLag,
-    Drag,
-    ExternalWrench,
-    UnilateralContactsSpec,
-    ContactFrictionSpec,
-    JointLimitsSpec,
-    FloorSpec,
-    ContactComplianceSpec,
+_OURS: tuple[type[EffectKind], ...] = (
+    drives.JointDamping,
+    drives.JointFriction,
+    drives.RotorInertia,
+    drives.TorqueLimits,
+    drives.ActuatorLag,
+    loads.Drag,
+    loads.ExternalWrench,
+    contacts.UnilateralContactsSpec,
+    contacts.ContactFrictionSpec,
+    contacts.JointLimitsSpec,
+    contacts.FloorSpec,
+    contacts.ContactComplianceSpec,
 )
-BUILT_IN: dict[str, type[EffectKind]] = {own.name: own for own in _OURS}
+BUILT_IN = {own.name: own for own in _OURS}
 """Our effects by name."""
-EFFECTS: Registry[Any] = Registry(
-    sort="effect",
-    noun="effect",
-    plural="effects",
-    built_in=lambda: BUILT_IN,
-    parameters_of=attrgetter("Spec"),
-)
+EFFECTS: Registry[Any] = Registry("effect", "effect", "effects", BUILT_IN)
 """User effects; what the class must offer says :class:`multiarm.effects.effect.Effect`."""
 
 
@@ -72,20 +48,14 @@ def register_effect(effect: AnyClass) -> AnyClass:
     return EFFECTS.add(effect)
 
 
-class _Effects(Spec):
+class _Effects(ByName):
     """Optional physics; an effect that is not named is not modelled and costs nothing.
 
     It has a field for each of :data:`BUILT_IN`; a name that is none of these is a user effect, see
     :mod:`multiarm.scene.registry`.
     """
 
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(EFFECTS.read)]]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _set_user_effects_apart(cls, data: Any) -> Any:
-        return EFFECTS.set_apart(data)
+    registry: ClassVar[Registry] = EFFECTS
 
     @property
     def named(self) -> dict[str, Any]:
@@ -126,7 +96,7 @@ class _Effects(Spec):
         """Place and parameters of each effect of ours, of each of a list."""
         for name, kind in BUILT_IN.items():
             spec = getattr(self, name)
-            if issubclass(kind, JointNumbers) and spec is not None:
+            if issubclass(kind, drives.JointNumbers) and spec is not None:
                 yield (name,), kind.model_construct(values=spec)
             elif isinstance(spec, tuple):
                 yield from (((name, k), one) for k, one in enumerate(spec))
@@ -142,13 +112,6 @@ if TYPE_CHECKING:
         def __getattr__(self, name: str) -> Any: ...
 
 else:
-    EffectsSpec = create_model(
-        "EffectsSpec",
-        __base__=_Effects,
-        __doc__=_Effects.__doc__,
-        __module__=__name__,
-        **{
-            name: (own.entry() | None, Field(None, description=own.meaning()))
-            for name, own in BUILT_IN.items()
-        },
+    EffectsSpec = _Effects.with_keys(
+        "EffectsSpec", {name: (own.entry(), own.meaning()) for name, own in BUILT_IN.items()}
     )

@@ -15,111 +15,16 @@ into a bore that is wider than its tube.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-from pydantic import BeforeValidator, ConfigDict, model_validator
+from pydantic import model_validator
 from typing_extensions import Self
 
-from multiarm.errors import ModelError
-from multiarm.geometry import Contact, records
-from multiarm.scene.faults import fault, models_in
+from multiarm.geometry import Contact
+from multiarm.scene.faults import fault
 from multiarm.scene.joints.kind import Joint
-from multiarm.scene.registry import AnyClass, Registry, called
-from multiarm.scene.surfaces import (
-    ConeGeometry,
-    CylinderGeometry,
-    EllipsoidGeometry,
-    PlaneGeometry,
-    PointGeometry,
-    SphereGeometry,
-    Surface,
-    SurfaceGeometry,
-    TorusGeometry,
-)
-from multiarm.scene.values import NonNegative, OneOf, Pose, Spec, Vec3
-
-SURFACES: Registry[Surface] = Registry(
-    sort="surface",
-    noun="surface",
-    plural="surfaces",
-    built_in=lambda: BUILT_IN,
-)
-"""User surfaces."""
-
-
-class Geometry(OneOf):
-    """One body's side of a contact: exactly one of the attributes, or a user surface."""
-
-    point: Vec3 | None = None
-    """A sharp point [m]."""
-    sphere: SphereGeometry | None = None
-    """A surface of that form."""
-    plane: PlaneGeometry | None = None
-    """A surface of that form."""
-    cylinder: CylinderGeometry | None = None
-    """A surface of that form."""
-    cone: ConeGeometry | None = None
-    """A surface of that form."""
-    torus: TorusGeometry | None = None
-    """A surface of that form."""
-    ellipsoid: EllipsoidGeometry | None = None
-    """A surface of that form."""
-    surface: SurfaceGeometry | None = None
-    """A smooth surface as Python functions."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(SURFACES.read)]]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _set_user_surfaces_apart(cls, data: Any) -> Any:
-        return SURFACES.set_apart(data)
-
-    @property
-    def shape(self) -> str:
-        """Which one it is, such as ``plane``."""
-        return next(name for name, value in self if value is not None)
-
-    @property
-    def value(self) -> Surface | None:
-        """The surface; None if it is a user's whose class is not loaded."""
-        found = dict(self)[self.shape]
-        if self.point is not None:
-            found = PointGeometry(at=self.point)
-        return found if isinstance(found, Surface) else None
-
-    def record(self) -> records.Surface:
-        """The part of the surface that exists, in the joint frame."""
-        own = self.value
-        assert own is not None, "compilation loads all classes"
-        who = f"surface {self.shape!r}: record()"
-        found = called(own.record, who)
-        if not isinstance(found, records.Surface):
-            raise ModelError(
-                f"{who} returned {type(found).__name__}; return a surface of multiarm.geometry, "
-                "such as sphere(...)"
-            )
-        return found if own.patch is None else replace(found, patch=own.patch.record())
-
-
-BUILT_IN: dict[str, Any] = {
-    key: next(iter(models_in(own.annotation)), PointGeometry)
-    for key, own in Geometry.model_fields.items()
-}
-"""Our surfaces by name."""
-
-
-def register_surface(surface: AnyClass) -> AnyClass:
-    """Let contacts of scenes name a user surface, a subclass of :class:`multiarm.Surface`.
-
-    Also a decorator.  Defined and registered once more, it replaces the former one.
-
-    Raises
-    ------
-    ModelError
-        It lacks something, or another surface has its name.
-    """
-    return SURFACES.add(surface)
+from multiarm.scene.surfaces import Geometry, Surface
+from multiarm.scene.values import NonNegative, Pose, Spec
 
 
 class ContactSpec(Spec):
