@@ -8,34 +8,29 @@ import json
 import math
 import re
 import sys
-from dataclasses import replace
 
 import commands
 import numpy as np
 import pytest
-from commands import MACHINE, finite_json, promised_keys
+from commands import finite_json, promised_keys
 from page_reader import brightness, shown, sticks_out
 from repository import SCENES
 from rich.console import Console
+from study_samples import sample_accuracy
 
 from multiarm.cli import accuracy as command
 from multiarm.plots.style import PALETTE
-from multiarm.problems import ring_of_arms
 from multiarm.reports.pages import quantity
 from multiarm.results.files import save_page
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.page import comparison, described, recommendation, render
 from multiarm.studies.work_precision.points import (
     BY_ACCURACY,
-    COMPLETED,
-    FAILED,
     OURS,
-    Point,
     Setting,
     our_ladders,
     short,
 )
-from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
 from multiarm.studies.work_precision.results import Results, all_series, decades, read_results
 from multiarm.terminal.progress import Progress
 
@@ -46,46 +41,9 @@ SCENE = SCENES / "ring_weld.yaml"
 SHORT = (SCENE, "--duration", "0.05", "--no-peers", "--thorough")
 
 
-def law(solver: str, method: str, kind: str, order: int, cost: float) -> list[Point]:
-    """Points of a method of some order; its cost is that of a step, in seconds."""
-    found = []
-    for k in range(6):
-        step = 0.02 / 2**k
-        error = step**order
-        errors = {"position": error, "rotation": 2 * error, "joints": 3 * error}
-        errors["force"] = None if solver != OURS else 100 * error
-        found.append(
-            Point(
-                Setting(solver, method, kind, "step", step), COMPLETED, wall_time_s=cost / step,
-                steps=round(1 / step), evaluations=4 * round(1 / step), errors=errors,
-                gap_m=error / 10, gap_rate_m_per_s=None, energy_J=None if solver != OURS else error,
-            )
-        )  # fmt: skip
-    return found
-
-
 @pytest.fixture(scope="module")
 def results() -> Results:
-    """A study with two methods of ours, a peer's, a failed setting and a peer that is not there."""
-    results = Results.of(ring_of_arms(2).replace(name="arms & <disc>"), MACHINE)
-    check = {"solver": "dense", "integrator": "dopri5", "tolerance": 1e-13}
-    about = {"integrator": "dop853", "tolerance": 1e-14, "check": check}
-    digits = dict.fromkeys(QUANTITIES, 1e-13)
-    results.found_reference(Reference(Motion(np.zeros((1, 8))), digits, 0.01, 0.01, about))
-    by_accuracy = Setting(OURS, BY_ACCURACY, "", "accuracy", 1e-9)
-    first = law(OURS, "rk4", "projection", 4, 1e-5)
-    for point in (
-        replace(
-            first[0], setting=by_accuracy, used="dop853", errors=dict.fromkeys(QUANTITIES, 0.0)
-        ),
-        *first,
-        *law(OURS, "rk4", "none", 4, 0.7e-5),
-        *law("MuJoCo", "Euler", "", 1, 2e-5),
-        Point(Setting(OURS, "rk4", "none", "step", 0.5), FAILED, "it went <apart>"),
-    ):
-        results.replace(point)
-    results.refusals = {"Drake": "not installed: pip install multiarm[peers]"}
-    return results
+    return sample_accuracy()
 
 
 @pytest.fixture

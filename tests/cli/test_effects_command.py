@@ -8,9 +8,10 @@ from dataclasses import replace
 import commands
 import numpy as np
 import pytest
-from commands import MACHINE, finite_json, promised_keys
+from commands import finite_json, promised_keys
 from page_reader import shown
 from repository import SCENES
+from study_samples import sample_ledger
 
 import multiarm as ma
 from multiarm.cli import check as check_command
@@ -28,7 +29,6 @@ from multiarm.studies.effect_costs.entries import (
     PRESENT,
     SETTING,
     TURN,
-    Change,
     Entry,
     Estimate,
     Ledger,
@@ -228,10 +228,13 @@ def test_candidates_are_added_with_their_usual_parameters(own, monkeypatch):
 
 
 def test_an_unforeseen_error_in_one_variant_does_not_hide_the_others(own, monkeypatch):
-    def build(self, site):
-        raise ZeroDivisionError("a bug")
+    def compiled(scene):
+        if "buggy" in scene.effects.named:
+            raise ZeroDivisionError("a bug")
+        return ma.compile_system(scene)
 
-    own("buggy", build=build)
+    own("buggy")
+    monkeypatch.setattr(study, "compile_system", compiled)
     monkeypatch.setattr(study, "defaults", lambda _: {"buggy": {}})
     result = ledger(SHORT, candidates=True, repeats=1)
     assert entry_of(result, "buggy").trouble == "ZeroDivisionError: a bug"
@@ -319,46 +322,8 @@ def test_equal_contestants_are_within_noise_and_different_ones_are_not():
 # --- words ----------------------------------------------------------------------------------------
 
 
-def synthetic() -> Ledger:
-    """Effects of every sort, with chosen numbers."""
-
-    def entry(name, kind, share, path, **more) -> Entry:
-        force = more.pop("force", 0.0)
-        changes = {PATH: Change(path, 0.7), FORCE: Change(force, 0.1, "left & <right>")}
-        cost = Estimate(share, 0.01)
-        return Entry(
-            name, kind, "added as {mu: 0.3}" if kind == CANDIDATE else "left out",
-            milliseconds=cost.scaled(10.0), share=cost, evaluations=120, changes=changes, **more
-        )  # fmt: skip
-
-    return Ledger(
-        scene={"name": "arms & <disc>", "duration_s": 1.0, "output_step_s": 0.1, "text": "a: <b>"},
-        asked={PATH: 1e-3, TURN: 1e-3, JOINTS: 1e-3, "slides": 1e-3, FORCE: 1.0},
-        asked_by_scene=True,
-        run={
-            "status": "completed", "integrator": "dop853", "stabilization": "projection",
-            "evaluations": 1000, "milliseconds": 10.0, "certificate": "met", "repeats": 9,
-        },
-        entries=(
-            entry("joint_damping", PRESENT, 0.03, 0.041),
-            entry("drag", PRESENT, 0.02, 2e-5),
-            entry("friction", PRESENT, 0.005, 0.0, force=3.25),
-            entry("limits", PRESENT, -0.05, 2.0),
-            entry("doubtful", PRESENT, 0.02, 2e-5, certified=False),
-            Entry("floor", PRESENT, "left out", trouble="the object <falls>"),
-            entry("rotor_inertia", CANDIDATE, 0.2, 0.5),
-            entry("lag", CANDIDATE, 0.2, 1e-6),
-            entry("recording", SETTING, 0.3, 0.0),
-            Entry("certificate", SETTING, "1 more run, to check the first",
-                  milliseconds=Estimate(12.0, 0.0), share=Estimate(1.2, 0.0), evaluations=900),
-        ),
-        machine=MACHINE,
-        wall_time_s=1.5,
-    )  # fmt: skip
-
-
 def test_the_summary_says_what_to_keep_and_what_to_leave_out():
-    assert summary(synthetic()) == (
+    assert summary(sample_ledger()) == (
         "Leave out drag: without it nothing changes beyond the noise. "
         "Keep joint_damping (3 % of the time, the object's path by 41 mm), "
         "friction (time within the noise, left & <right>'s contact forces by 3.2 N) and "
@@ -371,7 +336,7 @@ def test_the_summary_says_what_to_keep_and_what_to_leave_out():
 
 
 def test_what_is_within_the_noise_is_called_noise():
-    found = synthetic()
+    found = sample_ledger()
     drag, friction = entry_of(found, "drag"), entry_of(found, "friction")
     assert change_text(found, drag, PATH) == NOISE == percent(friction.share)
     assert change_text(found, friction, PATH) == "0 mm", "equal to the bit"
@@ -379,7 +344,7 @@ def test_what_is_within_the_noise_is_called_noise():
 
 
 def test_a_scene_without_effects_has_a_sentence_too():
-    bare = replace(synthetic(), entries=synthetic().entries[-1:])
+    bare = replace(sample_ledger(), entries=sample_ledger().entries[-1:])
     assert summary(bare) == "No effects: nothing is added, and nothing can be left out."
 
 
@@ -516,7 +481,7 @@ def test_check_says_when_nothing_is_added(tmp_path):
 def page(browser, tmp_path):
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
-    save_page(render(synthetic()), target)
+    save_page(render(sample_ledger()), target)
     with shown(browser, target) as page:
         yield page
 
@@ -528,7 +493,7 @@ def test_the_page_says_everything_and_its_figure_has_no_ground_of_its_own(page):
     assert said[1].endswith("changes nothing beyond the noise: leave it out")
     assert page.locator("ul.said li.good").count() == 2
     assert page.locator("ul.said li.bad").count() == 1
-    assert page.locator("tbody tr").count() == len(synthetic().entries)
+    assert page.locator("tbody tr").count() == len(sample_ledger().entries)
     assert page.locator("figure svg").count() == 1
     background = page.locator("figure svg [id$=patch_1] path").first.get_attribute("style")
     assert re.search(r"fill: none|opacity: 0\b", background), "the page's own shows through"
@@ -536,7 +501,7 @@ def test_the_page_says_everything_and_its_figure_has_no_ground_of_its_own(page):
 
 @pytest.mark.slow
 def test_names_on_the_page_are_no_markup():
-    text = render(synthetic())
+    text = render(sample_ledger())
     assert "<title>arms &amp; &lt;disc&gt; · multiarm effects</title>" in text
     assert "the object &lt;falls&gt;" in text
     assert "left &amp; &lt;right&gt;, at 0.1 s" in text
@@ -544,8 +509,8 @@ def test_names_on_the_page_are_no_markup():
 
 
 def test_the_figure_draws_costs_and_changes_where_they_are():
-    shown = [entry for entry in synthetic().entries if entry.share and entry.changes]
-    left, right = figure(synthetic()).axes
+    shown = [entry for entry in sample_ledger().entries if entry.share and entry.changes]
+    left, right = figure(sample_ledger()).axes
     widths = [bar.get_width() for bar in left.patches]
     assert widths == pytest.approx([100.0 * entry.share.value for entry in shown])
     places = {(line.get_ydata()[0], line.get_marker()): line.get_xdata()[0] for line in right.lines}

@@ -556,7 +556,12 @@ def test_wrong_questions_are_answered_with_the_remedy():
     refused(ModelError, "give `final` or `running`", pair, final=None)
     refused(ModelError, "must be a finite number.*got 'high'", pair, final=lambda t, s: "high")
     refused(ModelError, r"expected shape \(36,\)", pair, final=lambda t, s: (1.0, np.zeros(3)))
+    refused(ModelError, r"`final` is a function f\(t, state\), got 'height'", pair, final="height")
+    refused(ModelError, "raised ZeroDivisionError at t = 0.2 s", pair, final=lambda t, s: 1 / 0)
+    refused(ModelError, "the scalar, .* raised TypeError", pair, final=lambda t: 1.0)
     system = ma.compile_system(pair)
+    with pytest.raises(SceneError, match=r"'times' must be a list of times \[s\], got \['a'\]"):
+        ma.sensitivities(system, ["a"])
     with pytest.raises(SceneError, match="must be after the start of the run"):
         ma.sensitivities(system, [-0.1, 0.2])
     with pytest.raises(SolverError, match="duration: must be greater than 0"):

@@ -14,7 +14,7 @@ import yaml
 from rich.table import Table
 from rich.text import Text
 from sample_run import rows_of
-from test_accuracy_command import results  # noqa: F401 (fixture)
+from study_samples import sample_accuracy
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -183,12 +183,12 @@ def test_a_terminal_gets_no_codes_but_those_of_styles():
     assert steering(console.file.getvalue()) == set()
 
 
-def test_data_in_a_page_cannot_close_its_script(monkeypatch, tmp_path, results):  # noqa: F811
+def test_data_in_a_page_cannot_close_its_script(monkeypatch, tmp_path):
     def hostile(found):
         return [replace(item, name=HOSTILE) for item in all_series(found)]
 
     monkeypatch.setattr(accuracy_page, "all_series", hostile)
-    save_page(accuracy_page.render(results), tmp_path / "page.html")
+    save_page(accuracy_page.render(sample_accuracy()), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert steering(text) == set()
     assert Page(text).tags.count("script") == 2

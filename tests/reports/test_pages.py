@@ -8,8 +8,7 @@ import jinja2
 import pytest
 from page_reader import Page, brightness, shown, sticks_out
 from sample_run import record
-from test_accuracy_command import results  # noqa: F401 (fixture)
-from test_effects_command import synthetic
+from study_samples import sample_accuracy, sample_ledger
 
 import multiarm
 from multiarm.reports import pages
@@ -23,11 +22,11 @@ SOURCES = [*Path(multiarm.__file__).parent.rglob("*.py")]
 
 
 @pytest.fixture(scope="module", params=["report", "accuracy", "effects"])
-def target(request, results, tmp_path_factory):  # noqa: F811
+def target(request, tmp_path_factory):
     texts = {
         "report": lambda: run_page(record(MemorySink())),
-        "accuracy": lambda: accuracy_page(results),
-        "effects": lambda: effects_page(synthetic()),
+        "accuracy": lambda: accuracy_page(sample_accuracy()),
+        "effects": lambda: effects_page(sample_ledger()),
     }
     path = tmp_path_factory.mktemp("pages") / f"{request.param}.html"
     path.write_text(texts[request.param](), encoding="utf-8")
@@ -48,7 +47,7 @@ def test_no_module_has_markup_in_its_strings():
 
 def test_values_are_escaped_and_one_that_is_not_given_is_an_error():
     given = {"headlines": [], "studies": {}, "figures": {}, "disturbance": "a <quiet> machine"}
-    given["result"] = {"machine": synthetic().machine, "wall_time_s": 1.0}
+    given["result"] = {"machine": sample_ledger().machine, "wall_time_s": 1.0}
     assert "a &lt;quiet&gt; machine" in pages.render("scaling.html", **given)
     del given["disturbance"]
     with pytest.raises(jinja2.UndefinedError, match="'disturbance' is undefined"):

@@ -419,6 +419,7 @@ def test_inertias_that_no_body_has_are_refused(inertia, reason):
             "$.run.stabilization.kind: unknown stabilization 'springs'",
         ),
         ("arms", {}, "a scene needs at least one arm"),
+        ("arms.floor", {"robot": "ur5"}, "no arm can be named 'floor': results have the floor's"),
         ("joints", {"left": "weld"}, "$.joints: must be a list"),
         ("objet", 1, "$.objet: unknown key 'objet'; did you mean 'object'?"),
     ],

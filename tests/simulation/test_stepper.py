@@ -12,6 +12,7 @@ from mechanics import ur5_pair
 
 import multiarm as ma
 from multiarm.errors import ControlError, ModelError, SceneError, SolverError
+from multiarm.problems import ring_of_arms
 from multiarm.scene import parse_scene
 
 T, COUNT = 2e-3, 40
@@ -185,6 +186,9 @@ def test_reset_repeats_everything(ur5_system):
     stepper.reset(other)
     np.testing.assert_allclose(stepper.state.velocity, other.velocity, atol=1e-12)
     swing()
+    for wrong in (3, ma.compile_system(ring_of_arms(3)).initial_state()):
+        with pytest.raises(ma.MultiarmError):
+            stepper.reset(wrong)
     stepper.reset()  # to where it began last
     np.testing.assert_allclose(stepper.state.position, other.position, atol=1e-12)
 
