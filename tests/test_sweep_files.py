@@ -392,6 +392,24 @@ def test_what_is_no_sweep_is_neither_read_nor_replaced(tmp_path):
         SweepFile(tmp_path / "l.h5", StandInPlan(3))
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"count": -1}, r"header\.count: Input should be greater than or equal to 0"),
+        ({"files": None}, r"header\.files: Input should be an object"),
+        ({"columns": [{"name": "run"}]}, r"header\.columns\[0\]\.group: Field required"),
+        ({"columns": []}, r"its columns are not those of a sweep"),
+    ],
+)
+def test_a_header_that_is_none_of_a_sweep_is_refused_with_the_entry(tmp_path, change, words):
+    path = written(tmp_path / "s.h5", 3)
+    with h5py.File(path, "r+") as file:
+        header = json.loads(file["header"].asstr()[()]) | change
+        file["header"][()] = json.dumps(header)
+    with pytest.raises(SweepError, match=rf"cannot be used: {words}; copy it again"):
+        load_sweep(path)
+
+
 def test_a_full_disk_ends_the_writing_in_words_and_keeps_the_rows(tmp_path):
     path = tmp_path / "s.h5"
     plan = StandInPlan(100_000)

@@ -380,7 +380,8 @@ def differences(stored: StoredSweep, plan: SweepPlan) -> list[str]:
         *_changed_lines("scene", stored.texts["scene"], plan.scene_text),
         *_changed_lines("sweep", stored.texts["sweep"], plan.text),
     ]
-    there, here = stored.header.provenance.get("version"), program_version()
+    there = stored.header.provenance.get("version", "of unknown version")
+    here = program_version()
     if not differs and there != here:
         differs = [f"it was begun by multiarm {there}, this is {here}"]
     then = stored.header.files
