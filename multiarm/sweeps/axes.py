@@ -109,9 +109,10 @@ def counted(value: Any) -> list[int]:
         )
     if max(map(abs, value)) > LARGEST:
         raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
-    if value[2:] != [0] and len(range(*value)) > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*value)):,}")
-    if value[2:] == [0] or not range(*value):
+    numbers = () if value[2:] == [0] else range(*value)
+    if len(numbers) > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {len(numbers):,}")
+    if not numbers:
         raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
     return value
 

@@ -266,7 +266,7 @@ def run_cases(
     times = [0.0] * len(cases)  # simulated time of each run [s]
 
     def work() -> None:
-        for k, case in waiting:  # shared by all threads, so that each case is taken once
+        for k, case in waiting:  # one iterator of all threads: each case is taken once
             if stopped.is_set():
                 return
             try:

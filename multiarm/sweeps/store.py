@@ -30,13 +30,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Annotated, Any
 
 import h5py
 import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, ValidationError
 from typing_extensions import Self
 
 from multiarm.errors import SweepError
@@ -64,10 +64,10 @@ FINGERPRINT = b"fingerprint"
 class Header(BaseModel):
     """What a file says of its sweep, besides the texts of scene and sweep."""
 
-    model_config = ConfigDict(strict=True, frozen=True)
+    model_config = ConfigDict(frozen=True)
 
     fingerprint: str
-    count: NonNegativeInt
+    count: Annotated[StrictInt, Field(ge=0)]
     columns: tuple[Column, ...]
     folder: str
     files: dict[str, str]
@@ -154,7 +154,7 @@ class SweepReader(StoredFile):
             )
         self.texts = {name: self.text(name) for name in ("scene", "sweep", "header")}
         try:
-            self.header = Header.model_validate_json(self.texts["header"])
+            self.header = Header.model_validate(self.table(self.texts["header"], "'header'"))
         except ValidationError as error:
             first = error.errors()[0]
             raise self.broken(f"{place(first['loc'], 'header')}: {first['msg']}") from None
