@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,7 +39,6 @@ from multiarm.terminal.console import (
 from multiarm.terminal.progress import SweepProgress
 
 if TYPE_CHECKING:
-    from multiarm.scene import Scene
     from multiarm.sweeps.result import Sweep, SweepSummary
 
 __all__ = ["facts_table", "spread_table", "sweep", "trouble_lines"]
@@ -127,10 +128,22 @@ def sweep(
     written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
-    changes = {"repeat": repeat, "seed": seed, **settings, "workers": workers}
-    changes |= {"dask": True if dask == "config" else dask}
-    given = {key: value for key, value in changes.items() if value is not None}
-    found = _make(scene_to_run(scene, no_code, over), over, target, fresh, quiet, given)
+    loaded = scene_to_run(scene, no_code, over)
+    from multiarm.sweeps.sweep import sweep as run_sweep
+
+    with SweepProgress(quiet) as progress:
+        found = run_sweep(
+            loaded,
+            over,
+            out=target,
+            workers=workers,
+            dask=True if dask == "config" else dask,
+            repeat=repeat,
+            seed=seed,
+            progress=progress,
+            resume=not fresh,
+            **settings,
+        )
     summary = found.summary()
     if not quiet:
         output().print(facts_table(found.scene.name, summary, found.paths))
@@ -144,42 +157,33 @@ def sweep(
     _end(summary, target, quiet)
 
 
-def _make(
-    scene: Scene, over: Path, target: Path, fresh: bool, quiet: bool, given: dict[str, Any]
-) -> Sweep:
-    """Plan the sweep and make its runs behind a progress bar."""
-    from multiarm.sweeps.sweep import sweep as run_sweep
-
-    with SweepProgress(quiet) as progress:
-        return run_sweep(scene, over, out=target, resume=not fresh, progress=progress, **given)
-
-
 def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
     """Write the requested files; returns their paths."""
+    writers: dict[str, Callable[[Path], Path | None]] = {
+        "csv": found.to_csv,
+        "parquet": found.to_parquet,
+        "plot": partial(_draw, found),
+    }
     written = {}
     for what, path in targets.items():
-        if path is None or (what == "plot" and not _draw(found, path)):
+        if path is None or writers[what](path) is None:
             continue
-        if what == "csv":
-            found.to_csv(path)
-        if what == "parquet":
-            found.to_parquet(path)
         written[what] = str(path)
         if not quiet:
             print_written(what, path)
     return written
 
 
-def _draw(found: Sweep, path: Path) -> bool:
-    """Whether there is something to draw, which is then in the file."""
+def _draw(found: Sweep, path: Path) -> Path | None:
+    """The file with the figure; None if there is nothing to draw."""
     from multiarm.plots.sweep_figures import sweep_overview
 
     try:
         save_figure(sweep_overview(found), path)
     except SweepError as error:
         print_warnings([f"nothing was drawn: {error}"])
-        return False
-    return True
+        return None
+    return path
 
 
 def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:

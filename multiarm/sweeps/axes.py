@@ -109,9 +109,10 @@ def counted(value: Any) -> list[int]:
         )
     if max(map(abs, value)) > LARGEST:
         raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
-    if value[2:] != [0] and len(range(*value)) > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*value)):,}")
-    if value[2:] == [0] or not range(*value):
+    numbers = () if value[2:] == [0] else range(*value)
+    if len(numbers) > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {len(numbers):,}")
+    if not numbers:
         raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
     return value
 
@@ -161,23 +162,6 @@ class LogNormalSpec(Spec):
 
 
 @dataclass(frozen=True)
-class Enumerated:
-    """A kind of axis whose values come one after the other: the sequence of them, as given."""
-
-    sequence: Callable[[Any], Sequence[Any]]
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A kind of axis whose values are random: the quantile Q(u) as given, u in (0, 1).
-
-    A share ``u`` of all values lies below Q(u).
-    """
-
-    quantile: Callable[[Any, float], Any]
-
-
-@dataclass(frozen=True)
 class Spaced(Sequence):
     """Values from one bound to the other: with equal differences, or as ``between`` gives them."""
 
@@ -201,43 +185,35 @@ class Spaced(Sequence):
         return self.start + k * ((self.stop - self.start) / (self.size - 1))
 
 
-def with_ratio(start: float, stop: float, share: float) -> float:
+def _with_ratio(start: float, stop: float, share: float) -> float:
     low, high = math.log10(start), math.log10(stop)
     return 10.0 ** (low + share * (high - low))
 
 
-def whole_numbers(given: Sequence[int]) -> range:
-    """Whole numbers, as Python's range goes through them."""
-    return range(*given)
-
-
-def uniform_quantile(bounds: Sequence[float], u: float) -> float:
-    """All values between two bounds are equally likely."""
-    return bounds[0] + u * (bounds[1] - bounds[0])
-
-
-def loguniform_quantile(bounds: Sequence[float], u: float) -> float:
-    """All ratios between two positive bounds are equally likely."""
-    return bounds[0] * (bounds[1] / bounds[0]) ** u
-
-
-def normal_quantile(given: NormalSpec, u: float) -> float:
-    """The normal distribution."""
+def _standard_normal(u: float) -> float:
     from scipy.special import ndtri
 
-    return given.mean + given.deviation * float(ndtri(u))
+    return float(ndtri(u))
 
 
-def lognormal_quantile(given: LogNormalSpec, u: float) -> float:
-    """A value whose logarithm is normal."""
-    from scipy.special import ndtri
-
-    return given.median * math.exp(given.deviation * float(ndtri(u)))
-
-
-def one_of(values: Sequence[Any], u: float) -> Any:
-    """The value whose interval of (0, 1) contains u: all are equally likely."""
-    return values[int(u * len(values))]
+SEQUENCES: dict[str, Callable[[Any], Sequence[Any]]] = {
+    "values": list,
+    "linspace": lambda given: Spaced(given[0], given[1], given[2]),
+    "logspace": lambda given: Spaced(10.0 ** given[0], 10.0 ** given[1], given[2], _with_ratio),
+    "geomspace": lambda given: Spaced(given[0], given[1], given[2], _with_ratio),
+    "range": lambda given: range(*given),
+    "rows": list,
+}
+"""Kinds of axes whose values come one after the other: the sequence of them, as given."""
+QUANTILES: dict[str, Callable[[Any, float], Any]] = {
+    "uniform": lambda given, u: given[0] + u * (given[1] - given[0]),
+    "loguniform": lambda given, u: given[0] * (given[1] / given[0]) ** u,
+    "normal": lambda given, u: given.mean + given.deviation * _standard_normal(u),
+    "lognormal": lambda given, u: given.median * math.exp(given.deviation * _standard_normal(u)),
+    "integers": lambda given, u: given[0] + int(u * (given[1] + 1 - given[0])),
+    "choice": lambda given, u: given[int(u * len(given))],
+}
+"""Kinds whose values are random: the quantile Q(u), a share u in (0, 1) of all values is below."""
 
 
 class AxisSpec(Spec):
@@ -267,44 +243,31 @@ class AxisSpec(Spec):
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
-    values: Annotated[list[Any] | None, BeforeValidator(items), Enumerated(list)] = None
-    linspace: Annotated[
-        list[Any] | None, BeforeValidator(spaced), Enumerated(lambda own: Spaced(*own))
-    ] = None
-    logspace: Annotated[
-        list[Any] | None,
-        BeforeValidator(exponents),
-        Enumerated(lambda own: Spaced(10.0 ** own[0], 10.0 ** own[1], own[2], with_ratio)),
-    ] = None
+    values: Annotated[list[Any] | None, BeforeValidator(items)] = None
+    linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None
+    logspace: Annotated[list[Any] | None, BeforeValidator(exponents)] = None
     geomspace: Annotated[
-        list[Any] | None,
-        BeforeValidator(lambda own: in_ratio(spaced(own))),
-        Enumerated(lambda own: Spaced(*own, with_ratio)),
+        list[Any] | None, BeforeValidator(lambda given: in_ratio(spaced(given)))
     ] = None
-    range: Annotated[list[int] | None, BeforeValidator(counted), Enumerated(whole_numbers)] = None
-    rows: Annotated[list[Any] | None, BeforeValidator(items), Enumerated(list)] = None
-    uniform: Annotated[list[float] | None, BeforeValidator(bounds), Drawn(uniform_quantile)] = None
+    range: Annotated[list[int] | None, BeforeValidator(counted)] = None
+    rows: Annotated[list[Any] | None, BeforeValidator(items)] = None
+    uniform: Annotated[list[float] | None, BeforeValidator(bounds)] = None
     loguniform: Annotated[
-        list[float] | None,
-        BeforeValidator(lambda own: in_ratio(bounds(own))),
-        Drawn(loguniform_quantile),
+        list[float] | None, BeforeValidator(lambda given: in_ratio(bounds(given)))
     ] = None
-    normal: Annotated[NormalSpec | None, Drawn(normal_quantile)] = None
-    lognormal: Annotated[LogNormalSpec | None, Drawn(lognormal_quantile)] = None
-    integers: Annotated[
-        list[int] | None,
-        BeforeValidator(whole_bounds),
-        Drawn(lambda own, u: own[0] + int(u * (own[1] + 1 - own[0]))),
-    ] = None
-    choice: Annotated[list[Any] | None, BeforeValidator(items), Drawn(one_of)] = None
+    normal: NormalSpec | None = None
+    lognormal: LogNormalSpec | None = None
+    integers: Annotated[list[int] | None, BeforeValidator(whole_bounds)] = None
+    choice: Annotated[list[Any] | None, BeforeValidator(items)] = None
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
-        if len(self.model_fields_set) != 1:
-            given = listed(self.model_fields_set) if self.model_fields_set else "nothing"
+        known = type(self).model_fields
+        given = [key for key in known if key in self.model_fields_set]
+        if len(given) != 1:
             raise fault(
-                f"must be a list of values or a table with one of "
-                f"{', '.join(type(self).model_fields)}; got {given}"
+                f"must be a list of values or a table with one of {', '.join(known)}; got "
+                f"{listed(given) if given else 'nothing'}"
             )
         if self.given is None:
             raise fault(f"'{self.name}' is empty; write its values after the colon")
@@ -321,28 +284,18 @@ class AxisSpec(Spec):
         return getattr(self, self.name)
 
     @property
-    def meaning(self) -> Enumerated | Drawn:
-        """What the key means."""
-        marks = type(self).model_fields[self.name].metadata
-        return next(mark for mark in marks if isinstance(mark, (Enumerated, Drawn)))
-
-    @property
     def drawn(self) -> bool:
         """Whether values are drawn at random."""
-        return isinstance(self.meaning, Drawn)
+        return self.name in QUANTILES
 
     @cached_property
     def steps(self) -> Sequence[Any]:
         """The enumerated values; empty if they are drawn."""
-        meaning = self.meaning
-        return meaning.sequence(self.given) if isinstance(meaning, Enumerated) else ()
+        return () if self.drawn else SEQUENCES[self.name](self.given)
 
     def value(self, place: Any) -> Any:
         """The enumerated value of a number from 0 on; a drawn one at the quantile u in (0, 1)."""
-        meaning = self.meaning
-        return (
-            meaning.quantile(self.given, place) if isinstance(meaning, Drawn) else self.steps[place]
-        )
+        return QUANTILES[self.name](self.given, place) if self.drawn else self.steps[place]
 
     def written(self) -> Any:
         """The axis as in a sweep file."""

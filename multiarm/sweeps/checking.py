@@ -17,6 +17,7 @@ from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path
 from multiarm.scene.faults import place, shown
 from multiarm.scene.functions import (
     FunctionReference,
+    function_references,
     load_function,
     located,
     reference_fault,
@@ -82,7 +83,7 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
     Functions are loaded.  Those of a sweep file lie in its ``folder``.
     """
     faults = []
-    for _, function in _functions(spec):
+    for _, function in function_references(spec.keep):
         reason = reference_fault(function, folder)
         try:
             if not reason:
@@ -100,7 +101,8 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
 
 def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
     """The code that a sweep names: its quantities, and functions and user classes of its values."""
-    found = [NamedCode.function(("keep", k), function) for k, function in _functions(spec)]
+    named = function_references(spec.keep)
+    found = [NamedCode.function(("keep", parts[0]), function) for parts, function in named]
     used = {*words(scene.model_dump(mode="json"))}
     classes = [(own, name) for own in REGISTRIES for name in own.names() if name not in used]
     for axis in spec.axes:
@@ -112,14 +114,6 @@ def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
                 function = located(FunctionReference(text), scene.folder)
                 found.append(NamedCode.function(at, function))
     return found
-
-
-def _functions(spec: SweepSpec) -> Iterator[tuple[int, FunctionReference]]:
-    """Functions that are named as quantities, with their index in ``keep``."""
-    for k, entry in enumerate(spec.keep):
-        function = getattr(entry, "function", None)
-        if isinstance(function, FunctionReference):
-            yield k, function
 
 
 def words(value: Any) -> Iterator[str]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -209,15 +208,8 @@ def _compiled(scene: Scene, like: System) -> System:
     control, sampling = like.model.python_control, like.model.sampling
     if control is None or control.in_scene:
         return compile_system(scene, like=like)
-    if sampling is None:
-        return compile_system(scene, control.function, like=like)
-    return compile_system(
-        scene,
-        control.function,
-        sample_time=sampling.time,
-        sample_delay=sampling.delay,
-        like=like,
-    )
+    time, delay = (None, False) if sampling is None else (sampling.time, sampling.delay)
+    return compile_system(scene, control.function, sample_time=time, sample_delay=delay, like=like)
 
 
 def empty_result(
@@ -269,15 +261,13 @@ def run_cases(
 
     An error of the program, not of a run, is raised after the other runs have ended.
     """
-    waiting, stopped = deque(enumerate(cases)), threading.Event()
+    waiting, stopped = enumerate(cases), threading.Event()
     results: list[Trajectory | None] = [None] * len(cases)
     times = [0.0] * len(cases)  # simulated time of each run [s]
 
     def work() -> None:
-        while waiting and not stopped.is_set():
-            try:
-                k, case = waiting.popleft()
-            except IndexError:  # another thread took the last one
+        for k, case in waiting:  # one iterator of all threads: each case is taken once
+            if stopped.is_set():
                 return
             try:
                 results[k] = run_case(case, system, _Progress(times, k, stopped))

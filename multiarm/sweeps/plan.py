@@ -21,31 +21,38 @@ import hashlib
 import importlib.metadata
 import math
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, changed, dump_scene, load_scene
+from multiarm.scene.functions import FunctionReference
 from multiarm.sweeps.axes import Axis
-from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults, words
+from multiarm.sweeps.checking import axis_faults, axis_words, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
-__all__ = ["Job", "Record", "SweepPlan", "make_plan", "plan_of", "program_version"]
+__all__ = [
+    "Job",
+    "Record",
+    "SweepPlan",
+    "make_plan",
+    "plan_of",
+    "program_version",
+    "require_run",
+]
 
 
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """One run: its number, and the values that it sets in the scene."""
 
     run: int
-    values: Mapping[str, Any]
+    values: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -129,6 +136,12 @@ class SweepPlan:
         return dump_scene(self.scene)
 
     @cached_property
+    def words(self) -> frozenset[str]:
+        """All strings in the scene, and in the paths and values of the sweep."""
+        named = words(self.scene.model_dump(mode="json"))
+        return frozenset(named).union(*map(axis_words, self.axes))
+
+    @cached_property
     def files(self) -> dict[str, str]:
         """Path -> SHA-256 of the files that the scene or values of the sweep name.
 
@@ -136,13 +149,11 @@ class SweepPlan:
         packages, whose versions are in the file's provenance.
         """
         found: dict[str, str] = {}
-        written = [axis.spec.written() for axis in self.axes]
-        for text in words([self.scene.model_dump(mode="json"), written]):
-            function = _FUNCTION.fullmatch(text)
-            name = function[1] if function else text
-            if not name.lower().endswith(_ENDINGS):
+        for text in self.words:
+            name = FunctionReference(text).file or Path(text)
+            if name.suffix.lower() not in _SUFFIXES:
                 continue
-            path = (self.scene.folder / Path(name).expanduser()).resolve()
+            path = (self.scene.folder / name.expanduser()).resolve()
             if str(path) not in found and path.is_file():
                 found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
         return dict(sorted(found.items()))
@@ -175,19 +186,15 @@ class SweepPlan:
         SweepError
             When there is no such run.
         """
-        if not 1 <= run <= self.count:
-            raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
-        return self._values(run, self._sampler())
+        require_run(run, self.count)
+        return next(self.jobs([run])).values
 
-    def runs(self, start: int = 1) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Numbers and values of all runs from ``start`` on."""
-        return self.among(range(start, self.count + 1))
-
-    def among(self, runs: Iterable[int]) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Numbers and values of some runs."""
-        sampler = self._sampler()
-        for run in runs:
-            yield run, self._values(run, sampler)
+    def jobs(self, runs: Iterable[int] | None = None) -> Iterator[Job]:
+        """The jobs of all runs, or of some."""
+        drawn = sum(axis.drawn for axis in self.axes)
+        sampler = Sampler(self.spec.sampling, self.spec.seed, drawn, self.spec.repeat)
+        for run in range(1, self.count + 1) if runs is None else runs:
+            yield Job(run, self._values(run, sampler))
 
     def scene_of(self, run: int) -> Scene:
         """The scene of a run.
@@ -200,10 +207,6 @@ class SweepPlan:
             When its values make no valid scene.
         """
         return changed(self.scene, self.values(run))
-
-    def _sampler(self) -> Sampler:
-        drawn = sum(axis.drawn for axis in self.axes)
-        return Sampler(self.spec.sampling, self.spec.seed, drawn, self.spec.repeat)
 
     def _values(self, run: int, sampler: Sampler) -> dict[str, Any]:
         entries = iter(self._entries((run - 1) // self.spec.repeat))
@@ -269,6 +272,13 @@ def plan_of(scene: Scene, text: str) -> SweepPlan:
     """
     spec = parse_sweep(text)
     return SweepPlan(scene, spec, spec.quantities())
+
+
+def require_run(run: Any, count: int) -> None:
+    """Raise a SweepError unless this is the number of one of so many runs."""
+    whole = isinstance(run, (int, np.integer)) and not isinstance(run, bool)
+    if not whole or not 1 <= run <= count:
+        raise SweepError(f"there is no run {run}; runs are 1 to {count}")
 
 
 def program_version() -> str:
@@ -340,7 +350,5 @@ class Sampler:
         return self._sample.random(1)[0]
 
 
-# A user-defined function in a file.
-_FUNCTION = re.compile(r"(.+\.py):\w+")
-# Endings of strings that may name a file.
-_ENDINGS = (".urdf", ".xml", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")
+# Of strings that may name a file.
+_SUFFIXES = (".urdf", ".xml", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")

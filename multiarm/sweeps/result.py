@@ -24,7 +24,7 @@ from multiarm.errors import SweepError
 from multiarm.public import public_names
 from multiarm.results.files import resolved
 from multiarm.scene.faults import unknown
-from multiarm.sweeps.plan import Record
+from multiarm.sweeps.plan import Record, require_run
 from multiarm.sweeps.store import StoredSweep, differences
 from multiarm.sweeps.table import Column, numpy_column, records, write_csv, write_parquet
 
@@ -68,7 +68,7 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of planned runs."""
-        return self._stored.header["count"]
+        return self._stored.header.count
 
     @property
     def complete(self) -> bool:
@@ -83,7 +83,7 @@ class Sweep:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns of the table: run, status, message, values, quantities, wall time, worker."""
-        return self._stored.columns
+        return self._stored.header.columns
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -98,14 +98,14 @@ class Sweep:
     @property
     def provenance(self) -> Mapping[str, Any]:
         """Version, computer and time of the start."""
-        return dict(self._stored.header["provenance"])
+        return dict(self._stored.header.provenance)
 
     @cached_property
     def scene(self) -> Scene:
         """The scene that is varied."""
         from multiarm.scene import parse_scene
 
-        text, folder = self._stored.texts["scene"], self._stored.header["folder"]
+        text, folder = self._stored.texts["scene"], self._stored.header.folder
         return parse_scene(text, folder, stored=True, code=self._code)
 
     @property
@@ -157,7 +157,7 @@ class Sweep:
             There is no such column, with the alternatives.
         """
         stored = self._stored
-        named = {column.name: column for column in stored.columns}
+        named = {column.name: column for column in stored.header.columns}
         wanted = list(named if columns is None else columns)
         conditions = dict(where or {}) | ({} if status is None else {"status": status})
         for name in (*wanted, *conditions):
@@ -181,7 +181,7 @@ class Sweep:
         SweepError
             There is no such run, or it has no record yet.
         """
-        self._check(run)
+        require_run(run, self.count)
         place = np.flatnonzero(self.runs == run)
         if not len(place):
             raise SweepError(f"run {run} has not been made yet; resume the sweep")
@@ -199,7 +199,6 @@ class Sweep:
         SweepError
             There is no such run.
         """
-        self._check(run)
         return self.plan.values(run)
 
     def scene_of(self, run: int) -> Scene:
@@ -210,7 +209,6 @@ class Sweep:
         SweepError
             There is no such run.
         """
-        self._check(run)
         return self.plan.scene_of(run)
 
     def trajectory(self, run: int) -> Trajectory:
@@ -228,7 +226,7 @@ class Sweep:
         """
         from multiarm.sweeps.worker import simulate_run
 
-        self._check(run)
+        require_run(run, self.count)
         differs = differences(self._stored, self.plan)
         if differs:
             warnings.warn(
@@ -264,11 +262,6 @@ class Sweep:
 
     def _keys(self, group: str) -> tuple[str, ...]:
         return tuple(column.key for column in self.columns if column.group == group)
-
-    def _check(self, run: int) -> None:
-        whole = isinstance(run, (int, np.integer)) and not isinstance(run, bool)
-        if not whole or not 1 <= run <= self.count:
-            raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
 
 
 def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
@@ -380,11 +373,13 @@ def summarise(stored: StoredSweep) -> SweepSummary:
     """The summary of a stored sweep."""
     table = stored.table
     return SweepSummary(
-        count=stored.header["count"],
+        count=stored.header.count,
         done=len(table),
         statuses=status_counts(table),
         wall_time=math.fsum(table["wall_time"].to_pylist()),
-        spreads=tuple(_spread(table, own) for own in stored.columns if own.group == "quantities"),
+        spreads=tuple(
+            _spread(table, own) for own in stored.header.columns if own.group == "quantities"
+        ),
         failures=_failures(table),
     )
 

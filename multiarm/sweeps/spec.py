@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
-from typing_extensions import Self
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
@@ -88,10 +87,6 @@ class OwnQuantity(Spec):
             Quantity(f"{name}.{key}", self.unit, self.words, self.function, key, text)
             for key in self.gives
         ]
-
-    def located(self, folder: Path) -> OwnQuantity:
-        """A copy with the absolute path of its file."""
-        return self.model_copy(update={"function": located(self.function, folder)})
 
 
 def _kept(value: Any) -> Any:
@@ -189,14 +184,6 @@ class SweepSpec(Spec):
                 found.append(Quantity(entry, known.unit, known.words))
         return tuple(found)
 
-    def located(self, folder: Path) -> Self:
-        """A copy with absolute paths of the functions' files."""
-        keep = [
-            entry.located(folder) if isinstance(entry, OwnQuantity) else entry
-            for entry in self.keep
-        ]
-        return self.model_copy(update={"keep": tuple(keep)})
-
     def text(self) -> str:
         """Canonical YAML that :func:`parse_sweep` reads back."""
         data = {
@@ -273,12 +260,12 @@ def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
     folder = folder.expanduser().resolve()
     reader = TypeAdapter(SweepSpec)
     try:
-        return reader.validate_python(dict(data)).located(folder), []
+        return located(reader.validate_python(dict(data)), folder), []
     except ValidationError as error:
         faults = explain(error, SweepSpec)
         valid = _without(data, [details["loc"] for details in error.errors()])
     try:
-        return reader.validate_python(valid).located(folder), faults
+        return located(reader.validate_python(valid), folder), faults
     except ValidationError:
         return None, faults
 

@@ -25,25 +25,27 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Annotated, Any
 
 import h5py
 import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, ValidationError
 from typing_extensions import Self
 
 from multiarm.errors import SweepError
 from multiarm.results.files import atomic_file
 from multiarm.results.hdf5 import StoredFile, reason
 from multiarm.results.sinks import provenance
+from multiarm.scene.faults import place
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.sweeps.plan import Record, SweepPlan, program_version
+from multiarm.sweeps.plan import Record, SweepPlan, program_version, require_run
 from multiarm.sweeps.table import FIXED, MEASURED, TYPES, Column, columns_of, schema_of, table_of
 
 try:
@@ -59,14 +61,41 @@ FINGERPRINT = b"fingerprint"
 """Of the sweep, in the metadata of a shard."""
 
 
+class Header(BaseModel):
+    """What a file says of its sweep, besides the texts of scene and sweep."""
+
+    model_config = ConfigDict(frozen=True)
+
+    fingerprint: str
+    count: Annotated[StrictInt, Field(ge=0)]
+    columns: tuple[Column, ...]
+    folder: str
+    files: dict[str, str]
+    provenance: dict[str, Any]
+
+
 @dataclass(frozen=True)
 class StoredSweep:
     """What is stored of a sweep."""
 
     texts: dict[str, str]  # "scene" and "sweep" as YAML, "header" as JSON
-    header: dict[str, Any]  # fingerprint, count, columns, folder, files, provenance
-    columns: tuple[Column, ...]
+    header: Header
     table: pa.Table  # one row a run, in the order of the runs
+
+    @classmethod
+    def begun(cls, plan: SweepPlan) -> StoredSweep:
+        """The sweep of a plan, without rows."""
+        header = Header(
+            fingerprint=plan.fingerprint,
+            count=plan.count,
+            columns=columns_of(plan),
+            folder=str(plan.scene.folder),
+            files=plan.files,
+            provenance={key: value for key, value in provenance("").items() if key != "scene"},
+        )
+        text = json.dumps(header.model_dump())
+        texts = {"scene": plan.scene_text, "sweep": plan.text, "header": text}
+        return cls(texts, header, table_of([], header.columns))
 
     @classmethod
     def read(cls, path: Path) -> StoredSweep:
@@ -80,7 +109,7 @@ class StoredSweep:
         shards = list(_shards(path))  # first: rows only move from there to the file
         reader = SweepReader(path)
         reader.close()
-        mark = reader.header["fingerprint"].encode()
+        mark = reader.header.fingerprint.encode()
         parts = [reader.table_of_rows]
         parts += [
             shard.replace_schema_metadata()
@@ -92,10 +121,10 @@ class StoredSweep:
             runs = table["run"].to_numpy()
         except pa.ArrowException as error:
             raise reader.broken("the files beside it have other columns") from error
-        if len(runs) and not 1 <= runs.min() <= runs.max() <= reader.header["count"]:
-            raise reader.broken(f"its runs are not among 1 to {reader.header['count']}")
+        if len(runs) and not 1 <= runs.min() <= runs.max() <= reader.header.count:
+            raise reader.broken(f"its runs are not among 1 to {reader.header.count}")
         _, first = np.unique(runs, return_index=True)
-        return cls(reader.texts, reader.header, reader.columns, table.take(first))
+        return cls(reader.texts, reader.header, table.take(first))
 
 
 class SweepReader(StoredFile):
@@ -103,7 +132,7 @@ class SweepReader(StoredFile):
 
     Attributes
     ----------
-    texts, header, columns
+    texts, header
         See :class:`StoredSweep`.
     table_of_rows : pyarrow.Table
         The rows in the file itself.
@@ -124,34 +153,21 @@ class SweepReader(StoredFile):
                 "in Python resume=False)"
             )
         self.texts = {name: self.text(name) for name in ("scene", "sweep", "header")}
-        self.header = self.table(self.texts["header"], "'header'")
-        for name, sort in _HEADER.items():
-            if type(self.header.get(name)) is not sort:
-                raise self.broken(
-                    f"'{name}' is missing in its header, or nothing that stands there"
-                )
-        if self.header["count"] < 0 or "version" not in self.header["provenance"]:
-            raise self.broken("its header has no runs, or no version")
-        self.columns = tuple(map(self._column, self.header["columns"]))
-        names = [column.name for column in self.columns]
+        try:
+            self.header = Header.model_validate(self.table(self.texts["header"], "'header'"))
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise self.broken(f"{place(first['loc'], 'header')}: {first['msg']}") from None
+        columns = self.header.columns
+        names = [column.name for column in columns]
         fixed = {column.name for column in (*FIXED, *MEASURED)}
         if len(set(names)) < len(names) or not fixed.issubset(names):
             raise self.broken("its columns are not those of a sweep")
-        schema = schema_of(self.columns)
-        rows = [self._rows(column, kind) for column, kind in zip(self.columns, schema, strict=True)]
+        schema = schema_of(columns)
+        rows = [self._rows(column, kind) for column, kind in zip(columns, schema, strict=True)]
         if len(set(map(len, rows))) > 1:
             raise self.broken("its columns have different numbers of rows")
         self.table_of_rows = pa.table(rows, schema=schema)
-
-    def _column(self, own: Any) -> Column:
-        """A column as the header describes it."""
-        known = isinstance(own, dict) and all(isinstance(value, str) for value in own.values())
-        if not known or set(own) != {one.name for one in fields(Column)}:
-            raise self.broken("a column in its header is not described as one")
-        groups = ("fixed", "values", "quantities", "measured")
-        if own["type"] not in TYPES or own["group"] not in groups:
-            raise self.broken(f"column '{own['name']}' has an unknown type or group")
-        return Column(**own)
 
     def _rows(self, column: Column, kind: pa.Field) -> pa.Array:
         """The rows of a column, of its type."""
@@ -169,30 +185,23 @@ class SweepReader(StoredFile):
             raise self.broken(f"column '{column.name}' holds other values than it says") from None
 
 
-_HEADER = {
-    "count": int, "columns": list, "fingerprint": str, "folder": str, "files": dict,
-    "provenance": dict,
-}  # fmt: skip
-"""Entries of a sweep's header."""
-
-
 def _dataset(name: str) -> str:
     """The dataset of a column; in HDF5 a slash would make a group, so that it is U+2215 there."""
     return f"columns/{name.replace('/', chr(0x2215))}"
 
 
-def _write(path: Path, texts: Mapping[str, str], columns: Sequence[Column], rows: pa.Table) -> None:
+def _write(path: Path, sweep: StoredSweep) -> None:
     """Write the HDF5 file of a sweep, in memory first: HDF5 does not survive a full disk."""
     image = io.BytesIO()
     with h5py.File(image, "w") as file:
         file.attrs["format"], file.attrs["format_version"] = SweepReader.format, SweepReader.version
-        for name, text in texts.items():
+        for name, text in sweep.texts.items():
             file.create_dataset(name, data=text, dtype=h5py.string_dtype())
-        for own in columns:
-            is_text = pa.types.is_string(TYPES[own.type])
+        for own in sweep.header.columns:
+            is_text, cells = pa.types.is_string(TYPES[own.type]), sweep.table[own.name]
             stored = file.create_dataset(
                 _dataset(own.name),
-                data=rows[own.name].to_pylist() if is_text else rows[own.name].to_numpy(),
+                data=cells.to_pylist() if is_text else cells.to_numpy(),
                 dtype=h5py.string_dtype() if is_text else None,
             )
             stored.attrs.update({"unit": own.unit, "description": own.words, "type": own.type})
@@ -268,33 +277,23 @@ class SweepFile:
                 f"'{_folder(self.path)}' is a link, which is not followed: remove it, or choose "
                 "another folder"
             )
-        self._lock = WriterLock(self.path)
         self._shard: pa.Table
+        self._lock = WriterLock(self.path)
         try:
             if fresh or not self.path.exists():
-                self._begin(plan)
-            else:
-                self._resume(plan)
+                shutil.rmtree(
+                    _folder(self.path), ignore_errors=True
+                )  # of a file not wanted any more
+                with self._disk():
+                    _write(self.path, StoredSweep.begun(plan))
+            stored = StoredSweep.read(self.path)
+            _check_same(self.path, stored, plan)
         except BaseException:
             self._lock.release()
             raise
-
-    def _begin(self, plan: SweepPlan) -> None:
-        shutil.rmtree(_folder(self.path), ignore_errors=True)  # of a file that is no more wanted
-        self._columns = columns_of(plan)
-        self._texts = _texts(plan, self._columns)
-        self._done, self.made = bytearray(plan.count + 1), 0
-        self._open_shard(1)
-        with self._disk():
-            _write(self.path, self._texts, self._columns, table_of([], self._columns))
-
-    def _resume(self, plan: SweepPlan) -> None:
-        stored = StoredSweep.read(self.path)
-        _check_same(self.path, stored, plan)
-        self._columns, self._texts = stored.columns, stored.texts
-        self._done, self.made = bytearray(plan.count + 1), len(stored.table)
-        for run in stored.table["run"].to_pylist():
-            self._done[run] = True
+        self._header, self.made = stored.header, len(stored.table)
+        self._done = np.zeros(plan.count + 1, dtype=bool)  # by the number of the run
+        self._done[stored.table["run"].to_numpy()] = True
         self._open_shard(1 + max((int(own.stem) for own in _paths(self.path)), default=0))
 
     def missing(self) -> Iterator[int]:
@@ -313,14 +312,14 @@ class SweepFile:
         """
         new: dict[int, Record] = {}
         for row in rows:
-            if not 1 <= row.run < len(self._done):
-                raise SweepError(f"there is no run {row.run}; runs are 1 to {len(self._done) - 1}")
+            require_run(row.run, self._header.count)
             if not self._done[row.run]:
                 new.setdefault(row.run, row)
         if not new:
             return
-        shard = pa.concat_tables([self._shard, table_of(list(new.values()), self._columns)])
-        mark = {FINGERPRINT: json.loads(self._texts["header"])["fingerprint"]}
+        added = table_of(list(new.values()), self._header.columns)
+        shard = pa.concat_tables([self._shard, added])
+        mark = {FINGERPRINT: self._header.fingerprint}
         with self._disk():
             _folder(self.path).mkdir(exist_ok=True)
             _write_whole(
@@ -328,8 +327,7 @@ class SweepFile:
                 lambda file: parquet.write_table(shard.replace_schema_metadata(mark), file),
             )
         self._shard = shard
-        for run in new:
-            self._done[run] = True
+        self._done[list(new)] = True
         self.made += len(new)
         if len(shard) >= SHARD_ROWS:
             self._open_shard(self._number + 1)
@@ -345,7 +343,7 @@ class SweepFile:
         try:
             if _folder(self.path).exists():
                 with self._disk(), deferred_interrupt():
-                    _write(self.path, self._texts, self._columns, StoredSweep.read(self.path).table)
+                    _write(self.path, StoredSweep.read(self.path))
                 shutil.rmtree(_folder(self.path), ignore_errors=True)
         finally:
             self._lock.release()
@@ -362,7 +360,7 @@ class SweepFile:
         self.close()
 
     def _open_shard(self, number: int) -> None:
-        self._number, self._shard = number, table_of([], self._columns)
+        self._number, self._shard = number, table_of([], self._header.columns)
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
@@ -376,30 +374,17 @@ class SweepFile:
             ) from error
 
 
-def _texts(plan: SweepPlan, columns: Sequence[Column]) -> dict[str, str]:
-    """Scene, sweep and header of a new file."""
-    origin = {key: value for key, value in provenance("").items() if key != "scene"}
-    header = {
-        "fingerprint": plan.fingerprint,
-        "count": plan.count,
-        "columns": [asdict(column) for column in columns],
-        "folder": str(plan.scene.folder),
-        "files": plan.files,
-        "provenance": origin,
-    }
-    return {"scene": plan.scene_text, "sweep": plan.text, "header": json.dumps(header)}
-
-
 def differences(stored: StoredSweep, plan: SweepPlan) -> list[str]:
     """Differences between a file and a plan that change the numbers of runs, as text."""
     differs = [
         *_changed_lines("scene", stored.texts["scene"], plan.scene_text),
         *_changed_lines("sweep", stored.texts["sweep"], plan.text),
     ]
-    there, here = stored.header["provenance"]["version"], program_version()
+    there = stored.header.provenance.get("version", "of unknown version")
+    here = program_version()
     if not differs and there != here:
         differs = [f"it was begun by multiarm {there}, this is {here}"]
-    then = stored.header["files"]
+    then = stored.header.files
     for name in sorted({*then, *plan.files}):
         if then.get(name) != plan.files.get(name):
             differs.append(f"the file '{name}' has changed, or is missing")
@@ -408,7 +393,7 @@ def differences(stored: StoredSweep, plan: SweepPlan) -> list[str]:
 
 def _check_same(path: Path, stored: StoredSweep, plan: SweepPlan) -> None:
     """Refuse the file of another sweep."""
-    if stored.header["fingerprint"] == plan.fingerprint:
+    if stored.header.fingerprint == plan.fingerprint:
         return
     differs = differences(stored, plan) or ["the text of a function that gives a quantity"]
     lines = "\n".join(f"  {line}" for line in differs)

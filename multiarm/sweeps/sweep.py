@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from multiarm.errors import SweepError
 from multiarm.scene import Scene
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.sweeps.plan import Job, Record, SweepPlan, make_plan
+from multiarm.sweeps.plan import Record, SweepPlan, make_plan
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import SweepFile
 from multiarm.terminal.progress import SweepProgress as SweepBar
@@ -135,7 +135,7 @@ def _records(
     if not missing:
         return
     context = JobContext.of(plan, session=uuid.uuid4().hex)
-    jobs = (Job(run, values) for run, values in plan.among(file.missing()))
+    jobs = plan.jobs(file.missing())
     workers = workers or processors()
     if client is not None:
         yield from run_on_cluster(context, jobs, client, missing)

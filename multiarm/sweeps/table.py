@@ -13,12 +13,13 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import parquet
+from pydantic import ConfigDict
 
 from multiarm.results.files import atomic_output, printable
 from multiarm.sweeps.plan import Record, SweepPlan
@@ -35,7 +36,9 @@ __all__ = [
     "write_parquet",
 ]
 
-TYPES = {
+Group = Literal["fixed", "values", "quantities", "measured"]
+Type = Literal["bool", "int64", "float64", "string", "json"]
+TYPES: dict[Type, pa.DataType] = {
     "bool": pa.bool_(),
     "int64": pa.int64(),
     "float64": pa.float64(),
@@ -61,12 +64,14 @@ class Column:
         "bool", "int64", "float64", "string", or "json": values of several types, lists, tables.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")  # of columns that a file describes
+
     name: str
-    group: str
+    group: Group
     key: str
     unit: str
     words: str
-    type: str = "float64"
+    type: Type = "float64"
 
     def cell(self, record: Record) -> Any:
         """The entry of a record, as the table holds it."""
@@ -118,7 +123,7 @@ def columns_of(plan: SweepPlan) -> tuple[Column, ...]:
     return (*FIXED, *values, *quantities, *MEASURED)
 
 
-def type_of(values: Iterable[Any]) -> str:
+def type_of(values: Iterable[Any]) -> Type:
     """The type of a column for these values: one that leaves them equal to what they are."""
     values = list(values)
     types = {type(value) for value in values}

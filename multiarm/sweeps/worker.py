@@ -24,7 +24,6 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.scene import REGISTRIES, Scene, changed, parse_scene
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
-from multiarm.sweeps.checking import axis_words, words
 from multiarm.sweeps.plan import Job, Record, SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
 
@@ -49,8 +48,6 @@ class JobContext:
     @classmethod
     def of(cls, plan: SweepPlan, session: str = "") -> JobContext:
         """The context of a plan."""
-        named = {*words(plan.scene.model_dump(mode="json"))}
-        named = named.union(*map(axis_words, plan.axes))  # a class may occur in the sweep only
         return cls(
             scene=plan.scene_text,
             quantities=plan.quantities,
@@ -60,7 +57,7 @@ class JobContext:
                 (own.group, one)
                 for own in REGISTRIES
                 for name, one in own.registered.items()
-                if name in named
+                if name in plan.words  # of the scene, or of the sweep only
             ),
             folder=str(plan.scene.folder),
             session=session,

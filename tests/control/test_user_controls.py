@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import ur5_pair
-from sweep_runs import jobs, repeatable
+from sweep_runs import repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
@@ -240,9 +240,9 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
         ma.register_control(own)
     over = {"control": [{"kind": "pull", "stiffness": 5.0}, {"kind": "firm"}]}
     plan = make_plan(scene_of("none"), over, keep=["final_z"], run=RUN)
-    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
     assert [row[1] for row in here] == ["completed"] * 2
-    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
+    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import kernel_rows, random_pose, ur5_pair
-from sweep_runs import jobs, repeatable
+from sweep_runs import repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
@@ -357,9 +357,9 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
         ma.register_joint(own)
     over = {"joints[0].kind": ["hitch", "loose"]}
     plan = make_plan(scene_of({"kind": "ball"}), over, keep=["final_z"], run=RUN)
-    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
     assert len(here) == 2
-    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
+    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
 
 
 # --- what is refused ------------------------------------------------------------------------------

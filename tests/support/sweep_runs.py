@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from multiarm.sweeps.plan import Job
-
 MASS, LIFT, GRIP = "object.mass", "arms.left.base.xyz[2]", "joints[0].at"
 OVER = {MASS: [5.0, 10.0, 20.0], LIFT: {"uniform": [-1e-3, 1e-3]}}
 RUN = {"duration": 0.02, "arms": "compiled"}
@@ -30,10 +28,6 @@ def always(trajectory):
         die()
     return 1.0
 """
-
-
-def jobs(plan, order=lambda runs: runs):
-    return [Job(run, values) for run, values in order(list(plan.runs()))]
 
 
 def same(row):

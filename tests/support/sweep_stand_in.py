@@ -39,6 +39,7 @@ class StandInPlan:
     fingerprint: str = "stand-in"
     scene_text: str = "gravity: [0, 0, -9.81]\n"
     files: dict[str, str] = field(default_factory=dict)
+    folder: str = "."
 
     @property
     def quantities(self) -> tuple[Any, ...]:
@@ -49,7 +50,7 @@ class StandInPlan:
 
     @property
     def scene(self) -> Any:
-        return SimpleNamespace(folder=Path())
+        return SimpleNamespace(folder=Path(self.folder))
 
 
 def row_of(run: int, worker: str = "here") -> Record:

@@ -22,7 +22,6 @@ from sweep_runs import (
     MASS,
     OVER,
     RUN,
-    jobs,
     repeatable,
     same,
     statuses,
@@ -58,7 +57,7 @@ def plan(scene):
 
 @pytest.fixture(scope="module")
 def expected(plan):
-    return repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    return repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
 
 
 @pytest.fixture
@@ -100,10 +99,10 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
 
 @pytest.mark.slow
 def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
-    backwards = run_in_process(JobContext.of(plan), jobs(plan, lambda runs: runs[::-1]))
+    backwards = run_in_process(JobContext.of(plan), reversed(list(plan.jobs())))
     assert repeatable(backwards) == expected
     lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
-    between = [job for pair in zip(jobs(plan), jobs(lighter), strict=True) for job in pair]
+    between = [job for pair in zip(plan.jobs(), lighter.jobs(), strict=True) for job in pair]
     mixed = [
         run_job(JobContext.of(plan if k % 2 == 0 else lighter), job)
         for k, job in enumerate(between)
@@ -111,7 +110,7 @@ def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
     assert [same(row) for row in mixed[::2]] == expected
     assert mixed[0].quantities != mixed[1].quantities
     alone = [
-        run_job(JobContext.of(plan, session=str(k)), job) for k, job in enumerate(jobs(plan)[:2])
+        run_job(JobContext.of(plan, session=str(k)), job) for k, job in enumerate(plan.jobs([1, 2]))
     ]
     assert list(map(same, alone)) == expected[:2]
 
@@ -121,7 +120,7 @@ def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
     shared = JobContext.of(plan)
     threads = [
         threading.Thread(target=lambda part=part: found.append(worker.run_jobs(shared, part)))
-        for part in (jobs(plan)[:6], jobs(plan)[6:])
+        for part in (plan.jobs(range(1, 7)), plan.jobs(range(7, 13)))
     ]
     for thread in threads:
         thread.start()
@@ -136,7 +135,7 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 
     over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
     plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
-    rows = [row for rows in run_in_process(JobContext.of(plan), jobs(plan)) for row in rows]
+    rows = [row for rows in run_in_process(JobContext.of(plan), plan.jobs()) for row in rows]
     assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
     assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
     assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
@@ -147,7 +146,7 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
     broken = changed(scene, {GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
-    rows = [row for rows in run_in_process(JobContext.of(plan), jobs(plan)) for row in rows]
+    rows = [row for rows in run_in_process(JobContext.of(plan), plan.jobs()) for row in rows]
     assert [row.status for row in rows] == ["completed", "failed"]
     assert "does not satisfy the joint of arm 'left'" in rows[1].message
     assert rows[1].quantities == {"steps": None}
@@ -157,7 +156,7 @@ def test_another_version_of_the_program_is_refused(plan, monkeypatch):
     begun = JobContext.of(plan)
     monkeypatch.setattr(worker, "program_version", lambda: "0.0.1")
     with pytest.raises(SweepError, match=r"has multiarm 0\.0\.1, the sweep was begun by"):
-        worker.run_jobs(begun, jobs(plan)[:1])
+        worker.run_jobs(begun, plan.jobs([1]))
 
 
 # --- batches ------------------------------------------------------------------------------------
@@ -216,7 +215,7 @@ def test_jobs_are_made_when_they_are_asked_for(plan):
 
 @pytest.mark.slow
 def test_processes_give_the_same_rows(plan, expected):
-    batches = list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+    batches = list(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
     assert repeatable(batches) == expected
     workers = {row.worker for rows in batches for row in rows}
     assert len(workers) == 2
@@ -226,7 +225,7 @@ def test_processes_give_the_same_rows(plan, expected):
 @pytest.mark.slow
 def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
-    found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+    found = statuses(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
     assert (functions.parent / "died").exists()
     assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
 
@@ -235,7 +234,7 @@ def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
 def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
     over = {MASS: [5.0, 10.0, 20.0, 30.0]}
     plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
-    found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+    found = statuses(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
     assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
     assert found[2][1].startswith("its worker died 3 times")
 
@@ -346,20 +345,20 @@ def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypat
     plan = make_plan(
         scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
     )
-    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
+    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
     assert here[0][4] != here[1][4]
-    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
+    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
 
 
 CALLER = """
 from mechanics import ur5_pair
 from multiarm.sweeps.executors import run_in_processes
-from multiarm.sweeps.plan import Job, make_plan
+from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.worker import JobContext
 weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
-for rows in run_in_processes(JobContext.of(plan), (Job(*one) for one in plan.runs()), 2):
+for rows in run_in_processes(JobContext.of(plan), plan.jobs(), 2):
     print(rows[0].worker.rpartition(":")[2], flush=True)
 """
 
@@ -391,7 +390,7 @@ def test_what_cannot_be_sent_to_workers_is_told(scene):
     lock = threading.Lock()
     plan = make_plan(scene, {MASS: [5.0]}, keep=[lambda trajectory: lock and 1.0], run=RUN)
     with pytest.raises(SweepError, match=r"the workers cannot be given the work"):
-        list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
+        list(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
 
 
 # --- the whole ----------------------------------------------------------------------------------
@@ -443,7 +442,7 @@ def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, s
 
     ma.register_effect(Press)
     plan = make_plan(scene, {"effects.press": [{}]}, keep=["estimated_error"], run=RUN)
-    (job,), own = jobs(plan), JobContext.of(plan)
+    (job,), own = plan.jobs(), JobContext.of(plan)
     run_job(own, job)
     calls.clear()
     whole = run_job(own, job)

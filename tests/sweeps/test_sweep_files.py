@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import random
 import resource
 import shutil
@@ -391,6 +392,32 @@ def test_what_is_no_sweep_is_neither_read_nor_replaced(tmp_path):
     (tmp_path / "l.h5.rows").symlink_to(tmp_path)
     with pytest.raises(SweepError, match=r"l\.h5\.rows' is a link, which is not followed"):
         SweepFile(tmp_path / "l.h5", StandInPlan(3))
+
+
+def test_a_folder_whose_name_is_no_unicode_is_stored(tmp_path):
+    folder = os.fsdecode(b"/data/\xff")
+    with SweepFile(tmp_path / "s.h5", StandInPlan(2, folder=folder, files={folder: "0"})) as file:
+        file.append([row_of(1)])
+    assert list(load_sweep(tmp_path / "s.h5").rows()) == [row_of(1)]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"count": -1}, r"header\.count: Input should be greater than or equal to 0"),
+        ({"count": 3.0}, r"header\.count: Input should be a valid integer"),
+        ({"files": None}, r"header\.files: Input should be a valid dictionary"),
+        ({"columns": [{"name": "run"}]}, r"header\.columns\[0\]\.group: Field required"),
+        ({"columns": []}, r"its columns are not those of a sweep"),
+    ],
+)
+def test_a_header_that_is_none_of_a_sweep_is_refused_with_the_entry(tmp_path, change, words):
+    path = written(tmp_path / "s.h5", 3)
+    with h5py.File(path, "r+") as file:
+        header = json.loads(file["header"].asstr()[()]) | change
+        file["header"][()] = json.dumps(header)
+    with pytest.raises(SweepError, match=rf"cannot be used: {words}; copy it again"):
+        load_sweep(path)
 
 
 def test_a_full_disk_ends_the_writing_in_words_and_keeps_the_rows(tmp_path):
