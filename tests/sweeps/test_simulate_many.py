@@ -214,19 +214,13 @@ def test_a_run_that_fails_on_the_way_keeps_its_samples_and_leaves_the_others_alo
 
 
 def test_what_is_no_trouble_of_a_run_is_raised_after_the_others_ended(monkeypatch):
-    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
+    def compiled(scene, *given, **more):
+        if scene.object.mass == 7.0:
+            raise ZeroDivisionError("a bug")
+        return ma.compile_system(scene, *given, **more)
 
-    class Odd(ma.Effect):
-        name = "odd"
-
-        class Spec(ma.Effect.Spec):
-            size: float = 0.0
-
-        def build(self, site):
-            return [] if self.spec.size == 0.0 else 1 // 0
-
-    ma.register_effect(Odd)
-    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}, effects={"odd": {}}))
+    monkeypatch.setattr("multiarm.sweeps.many.compile_system", compiled)
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}))
     with pytest.raises(ZeroDivisionError):
-        ma.simulate_many(system, parameters=[{}, {"effects.odd.size": 1.0}, {}], threads=2, **RUN)
+        ma.simulate_many(system, parameters=[{}, {"object.mass": 7.0}, {}], threads=2, **RUN)
     assert [t.name for t in threading.enumerate() if t.name.startswith("multiarm")] == []
