@@ -82,10 +82,8 @@ class _Generator(GenerateJsonSchema):
         self, schema: core_schema.WrapValidatorFunctionSchema
     ) -> JsonSchemaValue:
         """Add user kinds to ours; tables without a kind have none of them."""
-        registry, kinds = (
-            getattr(schema["function"]["function"], "__self__", None),
-            schema["schema"],
-        )
+        registry = getattr(schema["function"]["function"], "__self__", None)
+        kinds = schema["schema"]
         if not isinstance(registry, Registry) or kinds["type"] != "tagged-union":
             return super().function_wrap_schema(schema)
         whole: Any = {**kinds, "choices": {**kinds["choices"], **self._user_classes(registry)}}

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element, tostring
 
 from multiarm.errors import ReplayError
 from multiarm.public import in_notebook
-from multiarm.results.files import atomic_file, printable_texts
+from multiarm.results.files import atomic_file, printable_texts, resolved
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -130,7 +130,7 @@ class InlineReplay:
 
 def _target(path: str | os.PathLike) -> Path:
     """Return the path of the page; raise before the work if it cannot be written."""
-    target = Path(path)
+    target = resolved(path, ReplayError)
     if target.is_dir():
         raise ReplayError(
             f"cannot write the replay to {target}: it is a folder; name a file "

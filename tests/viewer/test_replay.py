@@ -234,6 +234,13 @@ def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
 
 
 @pytest.mark.slow
+def test_a_home_folder_may_be_named_by_its_sign(monkeypatch, trajectory, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert replay(trajectory, "~/run.html", meshes=False) == tmp_path / "run.html"
+    assert (tmp_path / "run.html").exists()
+
+
+@pytest.mark.slow
 def test_without_meshes_the_file_is_small(trajectory, tmp_path):
     text = SCENE.replace("robot: textbook_6r", "robot: ur5").replace("tip: tool,", "tip: tool0,")
     run = ma.simulate(ma.compile_system(parse_scene(text, folder=None)), duration=0.02)
