@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -188,11 +187,13 @@ def _simulate(
 
 def _about_options(fault: str) -> str:
     """A fault of the run's settings, under the name of the command's option."""
+    from multiarm.scene.run import RunSpec
 
-    def option(place: re.Match) -> str:
-        return "--" + place[1].replace("_", "-") if place[1] else "the settings of the run"
-
-    return re.sub(r"^RunSpec(?:\.(\w+))?(?=:)", option, fault)
+    setting, _, text = fault.partition(":")
+    if setting == "run":
+        return f"the settings of the run:{text}"
+    name = setting.partition(".")[0]
+    return f"--{name.replace('_', '-')}:{text}" if name in RunSpec.model_fields else fault
 
 
 def _write_pages(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from numbers import Real
 
@@ -131,14 +132,24 @@ class Run:
 
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
-    """The scene's run settings with the caller's in their place, validated together."""
+    """The scene's run settings with the caller's in their place, validated together.
+
+    Raises
+    ------
+    SceneError
+        Every fault with its setting, or ``run`` where it is of several settings.
+    """
     data = dict(written)
     data.update({key: value for key, value in changes.items() if value is not None})
     if any(value is not None for value in choice.values()):
         data.update(choice)
     if solver is not None:
         data["solver"] = solver
-    return RunSpec(**data)
+    try:
+        return RunSpec(**data)
+    except SceneError as error:
+        faults = [re.sub(r"^RunSpec(\.|(?=:))", "", fault) for fault in error.faults]
+        raise SceneError([f"run{own}" if own[0] == ":" else own for own in faults]) from None
 
 
 def increasing_times(values: ArrayLike, name: str = "output_times") -> np.ndarray:

@@ -561,3 +561,16 @@ def test_a_trajectory_remembers_what_was_run(free_block_system):
     driven = ma.simulate(free_block_system, duration=0.01, control=lambda t, state: {})
     assert trajectory.provenance["control"] == "none"
     assert driven.provenance["control"] == "python function"
+
+
+@pytest.mark.parametrize(
+    ("settings", "fault"),
+    [
+        ({"duration": 0.0}, r"duration: must be greater than 0"),
+        ({"accuracy": 1e-6, "step": 0.1}, r"run: 'accuracy' and 'step' exclude each other"),
+        ({"stabilization": "springs"}, r"stabilization\.kind: unknown stabilization 'springs'"),
+    ],
+)
+def test_a_fault_of_a_setting_is_told_under_its_name(block_system, settings, fault):
+    with pytest.raises(ma.MultiarmError, match=f"^{fault}"):
+        ma.simulate(block_system, **settings)
