@@ -437,7 +437,7 @@ def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
         ("no_such_file.py:ball", "there is no file no_such_file.py"),
         (
             "mechanics:no_such_name",
-            "there is no 'no_such_name' in mechanics; its functions are 'replace', 'Path'",
+            "there is no 'no_such_name' in mechanics; its functions are 'replace',",
         ),
         ("numpy:pi", "'pi' in numpy is not a function"),
         ("math:hypot", "'math' belongs to Python's standard library; name a function in a .py"),
@@ -445,7 +445,7 @@ def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
         ("posix:system", "'posix' belongs to Python's standard library"),
         ("builtins:exec", "'builtins' belongs to Python's standard library"),
         ("mechanics:np.save", "'np.save' is not a plain name; name a function that stands in"),
-        ("mechanics:Path", "it is one of 'pathlib"),
+        ("repository:Path", "it is one of 'pathlib"),
         ("tests:<lambda>", "has no name by which it can be found again"),
     ],
 )

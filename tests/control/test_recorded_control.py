@@ -278,7 +278,7 @@ GOOD = "time,cart/slide\n0,1\n1,2\n"
         (None, r"no file at .*t\.csv"),
         ("", "t.csv is empty; its first line names the columns"),
         ("cart/slide\n1\n", "no column 'time' with the times; columns are 'cart/slide'; `time`"),
-        ("time\n0\n1\n", "has no column but 'time'; add one named 'arm/joint'"),
+        ("time\n0\n1\n", "has no column of numbers but 'time'; add one named 'arm/joint'"),
         ("time,cart/slid\n0,1\n1,2\n", "column 'cart/slid': unknown joint .*did you mean 'cart/sl"),
         ("time,a,a\n0,1,2\n", "two columns have the name 'a'"),
         ("time,cart/slide\n0,1\n\n1\n", "line 4: has 1 columns, the first line 2"),

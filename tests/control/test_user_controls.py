@@ -285,8 +285,8 @@ def test_a_function_of_a_scene_file_lies_in_its_folder(tmp_path):
     ("body", "message"),
     [
         ({"torques": lambda self, t, state: 1 / 0}, "the control 'odd' raised ZeroDivisionError"),
-        ({"torques": lambda self, t, state: {"lefd": 1}}, "torques of the control 'odd'.*'lefd'"),
-        ({"torques": lambda self, t, state: {"left": 1}}, "torques of the control 'odd'.*left"),
+        ({"torques": lambda self, t, state: {"lefd": 1}}, "the control 'odd'.s torques.*'lefd'"),
+        ({"torques": lambda self, t, state: {"left": 1}}, "the control 'odd'.s torques.*left"),
         ({"build": lambda self, c: 1 / 0}, r"'odd': build\(\) raised ZeroDivisionError"),
         ({"build": lambda self, c: 3}, r"build\(\) returned int; return a multiarm.control.Contr"),
         ({"build": lambda self, c: ControlProgram((pull,))}, "a law that is no"),
