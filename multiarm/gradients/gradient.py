@@ -70,7 +70,8 @@ class Gradient:
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.motion`).
     error : float
         Estimated error of the derivatives along this run, relative to the largest; of those by
-        numbers of the scene relative to each, or where these are roundings, to their terms.
+        numbers of the scene relative to each, or where that is a rounding, to what it would be if
+        the number's size changed the accelerations as a whole.
     times : ndarray, shape (K,)
         Nodes of a quadrature over the run [s], with ``weights`` (K,) [s].
     torque_density : ndarray, shape (K, n)
@@ -241,7 +242,7 @@ class _Solved(NamedTuple):
     start: np.ndarray  # (d,), the adjoint
     integrals: np.ndarray  # (1 + P,)
     magnitudes: np.ndarray  # (1 + P,), of the integrands
-    terms: np.ndarray  # (1 + P,), of the products that integrands are sums of
+    usual: np.ndarray  # (1 + P,), what the integrals by parameters are as a rule
     torque_density: np.ndarray  # (s, n)
     start_error: np.ndarray  # (d,)
     integral_errors: np.ndarray  # (1 + P,)
@@ -256,7 +257,7 @@ class _Backward:
         self._along, count = along, 1 + len(along.parameters)
         self._mu, self._error = slope, np.zeros_like(slope)
         self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
-        self._magnitudes, self._terms = np.zeros(count), np.zeros(count)
+        self._magnitudes, self._usual = np.zeros(count), np.zeros(count)
         self._integrals[0], self._magnitudes[0] = value, abs(value)
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
@@ -272,7 +273,7 @@ class _Backward:
                     own[k] += added
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(along.count - k)
-        sizes, admissible = self._sizes(self._magnitudes, self._terms), along.admissible
+        sizes, admissible = self._sizes(self._magnitudes, self._usual), along.admissible
         start = admissible @ self._mu
         of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
         self._pieces.reverse()
@@ -312,9 +313,9 @@ class _Backward:
         missed_integrals = (panel.length * WEIGHTS @ integrand - integrals) / RICHARDSON
         magnitudes = late.magnitudes + early.magnitudes
         part = panel.length / (along.end - along.begin)
-        terms = late.terms + early.terms
+        usual = late.usual + early.usual
         sizes = np.maximum(magnitudes, part * self._magnitudes)
-        sizes = self._sizes(sizes, np.maximum(terms, part * self._terms))
+        sizes = self._sizes(sizes, np.maximum(usual, part * self._usual))
         wrong = np.abs(missed).max() / (part * np.abs(early.start).max(initial=TINY))
         wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
         if wrong > along.panel_tolerance and (finer := halving.next(wrong, part)):
@@ -325,7 +326,7 @@ class _Backward:
         self._integrals += integrals
         self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
         self._magnitudes += magnitudes
-        self._terms += terms
+        self._usual += usual
         densities = late.torque_density, early.torque_density
         self._pieces += zip((second.panel, first.panel), densities, strict=True)
         return (
@@ -333,9 +334,9 @@ class _Backward:
             late.series_integrals + early.series_integrals,
         )
 
-    def _sizes(self, magnitudes: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    def _sizes(self, magnitudes: np.ndarray, usual: np.ndarray) -> np.ndarray:
         """What errors of integrals are relative to: with smaller sizes they would be roundings."""
-        return np.maximum(magnitudes, ROUNDING / self._along.tolerance * terms) + TINY
+        return np.maximum(magnitudes, ROUNDING / self._along.tolerance * usual) + TINY
 
 
 def _adjoint(piece: Piece, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -354,14 +355,13 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
     start_error, error_stages = piece.collocation.backward(error, wrong)
     of_series = _integrand(defect, stages) + defect.rates
-    terms = np.zeros_like(integrand)
-    usual = np.maximum(np.abs(at.beta), piece.scale)
-    terms[:, 1:] = np.einsum("id,idp->ip", np.abs(stages), usual)
+    usual = np.zeros_like(integrand)
+    usual[:, 1:] = np.abs(stages) @ piece.scale
     return _Solved(
         start,
         weights @ integrand,
         weights @ np.abs(integrand),
-        weights @ terms,
+        weights @ usual,
         np.einsum("idn,id->in", at.B, stages),
         start_error,
         weights @ (_integrand(at, error_stages) + of_series),

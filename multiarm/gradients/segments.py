@@ -24,9 +24,9 @@ of order p, the result of the halves is wrong by
 Counted on is the order of the stages, p = 5, which long panels and strong damping leave of nine.
 Panels for which that is too much are divided.
 
-*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of their terms: of what
-they are as a rule, and of products that cancel.  Smaller ones, such as those that vanish by
-symmetry, are not resolved any finer.
+*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of what they are as a rule:
+if a change of a parameter by its size changes accelerations as a whole.  Smaller ones, such as
+those that vanish by symmetry, are not resolved any finer.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SHORTEST = 1e-6
 RICHARDSON = 2.0**COUNT - 1.0
 # Panels are divided so many times more where that lessens their error by less than this factor.
 PATIENCE, LESSENED = 6, 0.5
-# Of derivatives by parameters, relative to their terms.
+# Of derivatives by parameters, relative to what they are as a rule.
 ROUNDING = 1e-9
 # In place of sizes that are zero.
 TINY = 1e-300
