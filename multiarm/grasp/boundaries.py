@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import array_of
+from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
 from multiarm.grasp.programs import LinearSolution, linear_program
 from multiarm.scene.object import TOO_THIN, hull_triangles
@@ -41,7 +41,7 @@ Loops = list[list[list[int]]]
 
 def hull(points: Any) -> tuple[np.ndarray, Loops]:
     """Corners and faces of the convex hull of points."""
-    cloud = _finite(points, "the points of a hull")
+    cloud = numbers_of(points, "a hull is of four or more rows of three finite numbers", (-4, 3))
     try:
         triangles = hull_triangles(cloud)
     except ValueError as error:
@@ -57,13 +57,13 @@ def halfspaces(normals: Any, offsets: Any) -> tuple[np.ndarray, Loops]:
     """All x with normals[k] . x <= offsets[k]; those that cut nothing, or no more, make no face."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
-    directions = _finite(normals, "the normals of half-spaces")
-    levels = np.array(offsets, dtype=float)
+    needed = "half-spaces need four or more normals of three finite numbers"
+    directions = numbers_of(normals, needed, (-4, 3))
+    needed = "half-spaces need one finite offset for each normal"
+    levels = numbers_of(offsets, needed, (len(directions),))
     lengths = np.linalg.norm(directions, axis=1)
-    if levels.shape != (len(directions),) or not np.all(np.isfinite(levels)) or not lengths.all():
-        raise GraspError(
-            "half-spaces need one finite offset for each normal, and no normal is zero"
-        )
+    if not lengths.all():
+        raise GraspError("half-spaces have directions: no normal is zero")
     n, h = directions / lengths[:, None], levels / lengths
     inside = _deepest_point(n, h)
     depths = h - n @ inside
@@ -117,12 +117,8 @@ def outline_of(corners: Any) -> np.ndarray:
     """A simple polygon (K, 2), counter-clockwise."""
     from shapely.geometry import Polygon
 
-    outline = array_of(corners, "a polygon is a list of corners (x, y)")
-    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
-        raise GraspError(
-            f"a polygon has shape (K, 2) with three corners or more, not {outline.shape}"
-        )
-    shape = Polygon(outline) if np.all(np.isfinite(outline)) else Polygon()
+    outline = numbers_of(corners, "a polygon has three corners (x, y) or more", (-3, 2))
+    shape = Polygon(outline)
     if not shape.is_valid or not shape.area > 0.0:
         raise GraspError("the polygon crosses itself or has no area; list its corners in order")
     return outline if shape.exterior.is_ccw else outline[::-1]
@@ -130,20 +126,11 @@ def outline_of(corners: Any) -> np.ndarray:
 
 def positive(values: Any, count: int, what: str) -> np.ndarray:
     """So many positive numbers; a GraspError if they are not."""
-    refusal = f"{what}: {count} positive numbers in metres, not {values!r}"
-    numbers = array_of(values, refusal)
-    if numbers.shape != (count,) or not np.all(np.isfinite(numbers) & (numbers > 0.0)):
-        raise GraspError(refusal)
+    needed = f"{what}: {count} positive numbers in metres"
+    numbers = numbers_of(values, needed, (count,))
+    if not np.all(numbers > 0.0):
+        raise GraspError(f"{needed}, not {values!r}")
     return numbers
-
-
-def _finite(values: Any, what: str) -> np.ndarray:
-    table = array_of(values, f"{what} are rows of three numbers")
-    if table.ndim != 2 or table.shape[1] != 3 or len(table) < 4 or not np.all(np.isfinite(table)):
-        raise GraspError(
-            f"{what} are four or more rows of three finite numbers, not of shape {table.shape}"
-        )
-    return table
 
 
 # --- One solid, and plane faces from its triangles ------------------------------------------------

@@ -35,7 +35,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import rank_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, numbers_of
 from multiarm.grasp.form_closure import closed_many, is_form_closure
 
 # Sides of the polygons that stand for a disc.
@@ -97,8 +97,8 @@ def closure_radius(
     GraspError
         Fewer than seven contacts, contacts in the plane, another shape, axes out of the face.
     """
-    contacts = _checked(contacts, shape, least=7)
-    tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
+    contacts = contacts_in_space(contacts, 7)
+    tangents = _tangents(contacts, shape, axes)
     if not is_form_closure(contacts):
         return ClosureRadius(0.0, 0.0, np.zeros_like(contacts.points), shape, "not a grasp at all")
     if contacts.count > 7:
@@ -119,10 +119,8 @@ def independence_radius(
     GraspError
         Not six contacts, or contacts in the plane.
     """
-    contacts = _checked(contacts, shape, least=6)
-    if contacts.count != 6:
-        raise GraspError(f"independence is a property of six contacts, not {contacts.count}")
-    tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
+    contacts = contacts_in_space(contacts, 6, 6)
+    tangents = _tangents(contacts, shape, axes)
     if rank_of(contacts) < 6:
         return ClosureRadius(0.0, 0.0, np.zeros((6, 3)), shape, "they are dependent as they are")
     return _radius([Minor(contacts, tangents, None)], contacts, shape, "they become dependent")
@@ -214,29 +212,19 @@ def _of_subsets(contacts: Contacts, tangents: np.ndarray, shape: str) -> Closure
     return ClosureRadius(best, float("inf"), None, shape, words)
 
 
-def _given_axes(contacts: Contacts, axes: Any) -> np.ndarray:
-    tangents = np.asarray(axes, dtype=float)
-    if tangents.shape != (contacts.count, 2, 3):
-        raise GraspError(
-            f"axes have shape ({contacts.count}, 2, 3), two in the face of each contact, not "
-            f"{tangents.shape}"
-        )
+def _tangents(contacts: Contacts, shape: str, axes: Any) -> np.ndarray:
+    """Two axes in the plane of each contact, as given or by themselves, shape (N, 2, 3)."""
+    if shape not in ("disc", "square"):
+        raise GraspError(f"shape is 'disc' or 'square', not {shape!r}")
+    if axes is None:
+        return tangents_of(contacts)
+    wanted = (contacts.count, 2, 3)
+    tangents = numbers_of(axes, f"axes have shape {wanted}, two in the face of each", wanted)
     gram = np.einsum("jax,jbx->jab", tangents, tangents) - np.eye(2)
     out = np.einsum("jax,jx->ja", tangents, contacts.normals)
     if not max(np.abs(gram).max(), np.abs(out).max()) < 1e-6:
         raise GraspError("axes must be orthonormal and lie in the faces")
     return tangents
-
-
-def _checked(given: Contacts | HeldByContacts, shape: str, least: int) -> Contacts:
-    contacts = as_contacts(given)
-    if contacts.dimension != 3:
-        raise GraspError("contacts in the plane: this question is answered for contacts in space")
-    if contacts.count < least:
-        raise GraspError(f"{least} contacts at least are needed, not {contacts.count}")
-    if shape not in ("disc", "square"):
-        raise GraspError(f"shape is 'disc' or 'square', not {shape!r}")
-    return contacts
 
 
 # --- Determinants of six wrenches whose contacts slide --------------------------------------------

@@ -59,14 +59,7 @@ class Contacts:
 
     def __init__(self, points: Any, normals: Any, names: Sequence[str] | None = None) -> None:
         directions = _table(normals, "normals")
-        lengths = np.linalg.norm(directions, axis=1)
-        wrong = np.flatnonzero(np.abs(lengths - 1.0) > UNIT_TOLERANCE)
-        if wrong.size:
-            j = int(wrong[0])
-            raise GraspError(
-                f"normal {j + 1}, {directions[j].tolist()}, has length {lengths[j]:.6g}, not 1; "
-                f"Contacts.along takes directions of any length"
-            )
+        unit_vectors(directions, "; Contacts.along takes directions of any length")
         self._fill(points, normals, directions, names)
 
     @classmethod
@@ -228,6 +221,24 @@ def as_contacts(given: Contacts | HeldByContacts) -> Contacts:
     return found
 
 
+def contacts_in_space(
+    given: Contacts | HeldByContacts, least: int = 1, most: int | None = None
+) -> Contacts:
+    """Contacts in space, or those of a grasp: at least and at most so many.
+
+    Raises
+    ------
+    GraspError
+        Contacts in the plane, or another number.
+    """
+    contacts = as_contacts(given)
+    if contacts.dimension != 3 or not least <= contacts.count <= (most or contacts.count):
+        wanted = f"{least} contacts" + (" or more" if most is None else "")
+        where = "in space" if contacts.dimension == 3 else "in the plane"
+        raise GraspError(f"{wanted} in space are needed here, not {contacts.count} {where}")
+    return contacts
+
+
 def wrenches_of(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Wrenches of unit pushes, shape (6, ...) or (3, ...), from arrays (..., d)."""
     if points.shape[-1] == 3:
@@ -245,25 +256,9 @@ def nearest_to_lines(points: np.ndarray, directions: np.ndarray) -> tuple[np.nda
     return found, np.einsum("jab,jb->ja", projectors, points - found)
 
 
-def array_of(values: Any, refusal: str) -> np.ndarray:
-    """The values as an array of floats, own memory; a GraspError that says ``refusal`` if not."""
-    try:
-        return np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(refusal) from error
-
-
 def _table(values: Any, what: str) -> np.ndarray:
-    """An array (N, 2) or (N, 3) of finite numbers, own memory."""
-    table = array_of(values, f"{what} are a list of vectors of numbers, all of one length")
-    if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] not in (2, 3):
-        raise GraspError(
-            f"{what} have shape (N, 3) in space or (N, 2) in the plane, not {table.shape}"
-        )
-    if not np.all(np.isfinite(table)):
-        j = int(np.flatnonzero(~np.all(np.isfinite(table), axis=1))[0])
-        raise GraspError(f"{what} must be finite; number {j + 1} is {table[j].tolist()}")
-    return table
+    needed = f"{what} are finite numbers of shape (N, 3) in space or (N, 2) in the plane"
+    return numbers_of(values, needed, (-1, 3), (-1, 2))
 
 
 def _kept(values: Any, table: np.ndarray) -> Any:
@@ -279,3 +274,74 @@ def _fractions(given: Any) -> tuple[tuple[Fraction, ...], ...]:
 
 def _numbered(count: int) -> tuple[str, ...]:
     return tuple(f"contact {j + 1}" for j in range(count))
+
+
+# --- Input of users -------------------------------------------------------------------------------
+
+Shape = tuple[Any, ...]
+# Arrays of so many numbers are shown in messages; of larger ones the shape.
+SHOWN = 7
+
+
+def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False) -> np.ndarray:
+    """The values as an array of floats, own memory.
+
+    Parameters
+    ----------
+    values : array-like
+    needed : str
+        What they should be, as the message says it.
+    *shapes : tuple
+        Those that will do.  A length -n stands for n or more, None for any; an ellipsis in front
+        for any number of lengths.
+    infinite : bool
+        Whether infinite numbers will do, too.
+
+    Raises
+    ------
+    GraspError
+        They are something else.
+    """
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{needed}, not {values!r}") from error
+    if not any(_fits(array.shape, shape) for shape in shapes):
+        given = array.tolist() if array.size <= SHOWN else f"of shape {array.shape}"
+        raise GraspError(f"{needed}, not {given}")
+    wrong = np.isnan(array) if infinite else ~np.isfinite(array)
+    if wrong.any() and array.ndim < 2:
+        raise GraspError(f"{needed}, not {array.tolist()}")
+    if wrong.any():
+        first = int(np.argwhere(wrong)[0, 0])
+        raise GraspError(f"{needed}; number {first + 1} is {array[first].tolist()}")
+    return array
+
+
+def _fits(given: Shape, shape: Shape) -> bool:
+    if shape[:1] == (...,):
+        shape = shape[1:]
+        given = given[max(len(given) - len(shape), 0) :]
+    return len(given) == len(shape) and all(
+        m is None or (n >= -m if m < 0 else n == m) for n, m in zip(given, shape, strict=True)
+    )
+
+
+def unit_vectors(vectors: np.ndarray, remedy: str = "") -> np.ndarray:
+    """Vectors (..., d) of length 1 but for rounding, with that taken away.
+
+    Raises
+    ------
+    GraspError
+        One has another length.
+    """
+    lengths = np.linalg.norm(vectors, axis=-1)
+    wrong = np.argwhere(np.abs(lengths - 1.0) > UNIT_TOLERANCE)
+    if len(wrong):
+        place = tuple(wrong[0])
+        number = " of set ".join(str(k + 1) for k in reversed(place))
+        raise GraspError(
+            f"normal {number}, {vectors[place].tolist()}, has length {lengths[place]:.6g}, not "
+            f"1{remedy}"
+        )
+    return vectors / lengths[..., None]

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import array_of
+from multiarm.grasp.contacts import numbers_of
 
 if TYPE_CHECKING:
     from shapely.geometry import MultiPolygon, Polygon
@@ -123,9 +123,7 @@ class Face:
         GraspError
             Something else than finite points of three coordinates.
         """
-        at = array_of(points, "points are an array of numbers, shape (..., 3)")
-        if at.shape[-1:] != (3,) or not np.all(np.isfinite(at)):
-            raise GraspError(f"points are finite, of shape (..., 3), not {at.shape}")
+        at = numbers_of(points, "points are finite, of shape (..., 3)", (..., 3))
         return (at - self.frame[:3, 3]) @ self.frame[:3, :2]
 
     def at(self, coordinates: Any) -> np.ndarray:
@@ -217,13 +215,8 @@ def as_face(face: Face | Any) -> Face:
 
 
 def _loop(corners: Sequence[Any] | np.ndarray, name: str) -> np.ndarray:
-    loop = array_of(corners, f"{name}: corners are an array of numbers, shape (K, 3)")
-    if loop.ndim != 2 or loop.shape[1] != 3 or len(loop) < 3 or not np.all(np.isfinite(loop)):
-        raise GraspError(
-            f"{name}: a face needs three or more corners of three finite coordinates, shape "
-            f"(K, 3), not {loop.shape}"
-        )
-    return _fixed(loop)
+    needed = f"{name}: a face needs three or more corners of three finite coordinates"
+    return _fixed(numbers_of(corners, needed, (-3, 3)))
 
 
 def _fixed(array: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import BAND, floor_of, rank_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, array_of, as_contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, numbers_of
 from multiarm.grasp.form_closure import about_origin, motion_in_words, twist_of
 from multiarm.grasp.programs import LeastDistance, LinearSolution, least_distance, linear_program
 
@@ -340,19 +340,16 @@ def bounds_of(contacts: Contacts, minimum: Any, limit: Any) -> tuple[np.ndarray,
 
 def wrench_of(contacts: Contacts, wrench: Any) -> np.ndarray:
     """A wrench about the frame's origin in scaled coordinates, shape (6,) or (3,)."""
-    given = array_of(wrench, f"a wrench is a list of numbers, not {wrench!r}")
-    n, d = contacts.freedoms, contacts.dimension
-    if given.shape != (n,) or not np.all(np.isfinite(given)):
-        shape = "three finite numbers [fx, fy, m]" if d == 2 else "six finite numbers"
-        raise GraspError(f"a wrench of these contacts is {shape}, not {wrench!r}")
+    d = contacts.dimension
+    numbers = "three finite numbers [fx, fy, m]" if d == 2 else "six finite numbers"
+    given = numbers_of(wrench, f"a wrench of these contacts is {numbers}", (contacts.freedoms,))
     force, c = given[:d], contacts.centre
     shift = np.cross(c, force) if d == 3 else c[0] * force[1] - c[1] * force[0]
     return np.concatenate([force, (given[d:] - shift) / contacts.length])
 
 
 def _each(contacts: Contacts, values: Any, what: str) -> np.ndarray:
-    wanted = f"the {what} of the forces is a number or {contacts.count} of them"
-    numbers = array_of(values, wanted)
-    if numbers.ndim > 1 or numbers.size not in (1, contacts.count) or np.isnan(numbers).any():
-        raise GraspError(f"{wanted}, one for each contact, not {values!r}")
-    return np.broadcast_to(numbers, (contacts.count,)).astype(float)
+    count = contacts.count
+    needed = f"the {what} of the forces is a number or {count} of them, one for each contact"
+    numbers = numbers_of(values, needed, (), (1,), (count,), infinite=True)
+    return np.broadcast_to(numbers, (count,)).copy()

@@ -52,12 +52,12 @@ from multiarm.grasp.balances import (
     simplices,
 )
 from multiarm.grasp.contacts import (
-    UNIT_TOLERANCE,
     Contacts,
     HeldByContacts,
-    array_of,
     as_contacts,
     nearest_to_lines,
+    numbers_of,
+    unit_vectors,
     wrenches_of,
 )
 from multiarm.grasp.immobility import Immobility, immobility
@@ -445,22 +445,14 @@ def closed_many(points: Any, normals: Any) -> ManyClosures:
 
 
 def _checked(points: Any, normals: Any) -> tuple[np.ndarray, np.ndarray]:
-    refusal = "points and normals are arrays (M, N, 3) or (M, N, 2)"
-    p, e = array_of(points, refusal), array_of(normals, refusal)
-    if p.ndim != 3 or p.shape != e.shape or p.shape[1] == 0 or p.shape[2] not in (2, 3):
-        raise GraspError(
-            f"M sets of N contacts have points and normals of shape (M, N, 3) in space or "
-            f"(M, N, 2) in the plane, not {p.shape} and {e.shape}"
-        )
-    lengths = np.linalg.norm(e, axis=2)
-    wrong = ~(np.abs(lengths - 1.0) <= UNIT_TOLERANCE) | ~np.isfinite(p).all(axis=2)
-    if wrong.any():
-        m, j = np.argwhere(wrong)[0]
-        raise GraspError(
-            f"contact {j + 1} of set {m + 1}, at {p[m, j].tolist()} with the normal "
-            f"{e[m, j].tolist()}: numbers must be finite and normals of length 1"
-        )
-    return p, e / lengths[..., None]
+    needed = (
+        "M sets of N contacts have points and normals of finite numbers, of shape (M, N, 3) in "
+        "space or (M, N, 2) in the plane"
+    )
+    p, e = (numbers_of(given, needed, (None, -1, 3), (None, -1, 2)) for given in (points, normals))
+    if p.shape != e.shape:
+        raise GraspError(f"{needed}, not {p.shape} and {e.shape}")
+    return p, unit_vectors(e)
 
 
 def scaled_wrenches_of(p: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

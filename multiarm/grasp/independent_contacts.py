@@ -43,7 +43,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import rounding, tolerance_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def block_inverse(contacts: Contacts | HeldByContacts) -> BlockInverse:
     GraspError
         Not six contacts in space, or dependent ones; the message says why.
     """
-    contacts = as_contacts(contacts)
+    contacts = contacts_in_space(contacts, 6, 6)
     found = independence(contacts)
     if not found:
         raise GraspError(f"{found.message}: there is no inverse")
@@ -147,7 +147,7 @@ def independence(contacts: Contacts | HeldByContacts) -> Independence:
     GraspError
         Not six contacts in space.
     """
-    contacts = six_in_space(contacts)
+    contacts = contacts_in_space(contacts, 6, 6)
     W = contacts.scaled_wrenches
     _, s, Vt = np.linalg.svd(W)
     rank = int(np.count_nonzero(s > tolerance_of(contacts) * s[0]))
@@ -209,7 +209,7 @@ def violated_conditions(contacts: Contacts | HeldByContacts) -> tuple[Violation,
     GraspError
         Not six contacts in space.
     """
-    contacts = six_in_space(contacts)
+    contacts = contacts_in_space(contacts, 6, 6)
     lines = _Lines(contacts)
     crowds = [*_crowds(contacts, lines)]
     crowded = [set(crowd.contacts) for crowd in crowds]
@@ -226,15 +226,6 @@ def violated_conditions(contacts: Contacts | HeldByContacts) -> tuple[Violation,
 def incidence(points: np.ndarray, length: float) -> float:
     """Tolerance of incidence: 1e-9, and the rounding of points far from the origin."""
     return INCIDENCE + rounding(float(np.abs(points).max()), length)
-
-
-def six_in_space(given: Contacts | HeldByContacts) -> Contacts:
-    """Six contacts in space, or those of a grasp; a GraspError if they are not."""
-    contacts = as_contacts(given)
-    if contacts.dimension != 3 or contacts.count != 6:
-        where = "in space" if contacts.dimension == 3 else "in the plane"
-        raise GraspError(f"this is about six contacts in space, not {contacts.count} {where}")
-    return contacts
 
 
 def named(contacts: Contacts, numbers: tuple[int, ...]) -> str:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts, HeldByContacts, array_of, as_contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, numbers_of
 from multiarm.grasp.force_distribution import (
     ForceDistribution,
     bounds_of,
@@ -345,7 +345,4 @@ class LiftableMap:
 
 def _pair(values: Any) -> np.ndarray:
     """Coordinates (x, y) in the map."""
-    pair = array_of(values, f"a place in the map is two numbers (x, y), not {values!r}")
-    if pair.shape != (2,) or not np.all(np.isfinite(pair)):
-        raise GraspError(f"a place in the map is two finite numbers (x, y), not {values!r}")
-    return pair
+    return numbers_of(values, "a place in the map is two finite numbers (x, y)", (2,))

@@ -34,12 +34,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.rotations_from_planes import (
     ContactData,
     RotationEquations,
     angle_between,
     contact_data,
-    numbers_of,
     outside,
     rotations_of,
     table_of,
@@ -97,8 +97,9 @@ def object_frame_from_contacts(
         Shapes; a pair of faces without a contact on both; contacts of one face that coincide, so
         that fewer than seven remain; distances that no pose fits.
     """
-    normals = numbers_of(normals_in_object_frame, (3, 3), "normals_in_object_frame")
-    lengths = numbers_of(distances, (3,), "distances")
+    needed = "normals_in_object_frame has shape (3, 3): a finite normal for each pair of faces"
+    normals = numbers_of(normals_in_object_frame, needed, (3, 3))
+    lengths = numbers_of(distances, "distances has shape (3,) and finite numbers", (3,))
     if np.any(lengths <= 0.0):
         raise GraspError(f"distances between parallel faces are positive, not {lengths.tolist()}")
     at = table_of(points, "points")
@@ -461,7 +462,7 @@ def _certainty(data: ContactData, pose: FrameCandidate) -> tuple[float, np.ndarr
 def _previous_pose(previous: Any) -> np.ndarray | None:
     if previous is None or isinstance(previous, ObjectFrame):
         return None if previous is None else previous.pose
-    pose = numbers_of(previous, (4, 4), "previous")
+    pose = numbers_of(previous, "previous has shape (4, 4) and finite numbers", (4, 4))
     R = pose[:3, :3]
     turned = np.abs(R @ R.T - np.eye(3)).max() < RIGID and np.linalg.det(R) > 0.0
     if not turned or np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > RIGID:

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, numbers_of
 from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
@@ -161,7 +161,8 @@ def optimise_grasp(
     started = time.perf_counter()
     goal = _objective(objective, wrenches)
     _check_limits(fingers, gripper_size, tip_radius, gap, nodes)
-    where = body.vertices if places is None else _places(places)
+    needed = "places have shape (M, 3), two at least, and are finite"
+    where = body.vertices if places is None else numbers_of(places, needed, (-2, 3))
     size, middle = body.size, np.asarray(body.centre, dtype=float)
     regions = touch_regions(body, where, gripper_size, clearance=tip_radius, faces=faces)
     limits = Limits(
@@ -199,12 +200,9 @@ def _objective(objective: str, wrenches: Any) -> Objective:
         return Margin()
     if objective == "stability":
         return Stability()
-    loads = np.vstack([np.eye(6), -np.eye(6)]) if wrenches is None else np.asarray(wrenches, float)
-    if loads.ndim != 2 or loads.shape[1] != 6 or not len(loads) or not np.all(np.isfinite(loads)):
-        raise GraspError(
-            f"wrenches have shape (K, 6), [force; moment over the size of the body], and are "
-            f"finite; given: shape {loads.shape}"
-        )
+    given = np.vstack([np.eye(6), -np.eye(6)]) if wrenches is None else wrenches
+    needed = "wrenches have shape (K, 6), [force; moment over the size of the body], and are finite"
+    loads = numbers_of(given, needed, (-1, 6))
     if not np.any(loads, axis=1).all():
         raise GraspError("a wrench that is zero loads nothing; leave it out")
     return Force(loads)
@@ -221,13 +219,6 @@ def _check_limits(
         )
     if not 0.0 < gap < 1.0 or nodes < 1:
         raise GraspError(f"gap lies between 0 and 1, nodes is positive; given: {gap}, {nodes}")
-
-
-def _places(places: Any) -> np.ndarray:
-    where = np.asarray(places, dtype=float)
-    if where.ndim != 2 or where.shape[1] != 3 or len(where) < 2 or not np.isfinite(where).all():
-        raise GraspError(f"places have shape (M, 3), two at least; given: shape {where.shape}")
-    return where
 
 
 def _grasp(

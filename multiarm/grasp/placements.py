@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import wrenches_of
+from multiarm.grasp.contacts import numbers_of, wrenches_of
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
@@ -124,10 +124,8 @@ def _shapes(
         face = body.faces[number]
         shape = face.shape.buffer(-clearance, join_style="mitre") if clearance else face.shape
         if corners is not None:
-            given = np.asarray(corners, dtype=float)
-            if given.ndim != 2 or given.shape[1] != 3 or len(given) < 3:
-                raise GraspError(f"face {number}: the part to be touched has corners (K, 3)")
-            part = Polygon(face.coordinates(given))
+            needed = f"face {number}: the part to be touched has corners (K, 3)"
+            part = Polygon(face.coordinates(numbers_of(corners, needed, (-3, 3))))
             if not part.is_valid:
                 raise GraspError(f"face {number}: the corners do not go round a polygon")
             shape = shape.intersection(part)

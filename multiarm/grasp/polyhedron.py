@@ -19,6 +19,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp import boundaries
+from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
 from multiarm.scene.object import MassProperties, Moments, moments
 
@@ -63,15 +64,13 @@ class Polyhedron:
         loops: Sequence[Sequence[Sequence[int]]],
         names: Sequence[str] | None = None,
     ) -> None:
+        corners = numbers_of(vertices, "corners are finite, of shape (V, 3)", (-1, 3))
         try:
-            corners = np.array(vertices, dtype=float)
             numbers = tuple(tuple(tuple(int(v) for v in loop) for loop in face) for face in loops)
         except (TypeError, ValueError) as error:
             raise GraspError(
-                "a body needs corners (V, 3), and for each face a list of loops of their numbers"
+                "a body needs for each face a list of loops of the numbers of its corners"
             ) from error
-        if corners.ndim != 2 or corners.shape[1] != 3 or not np.all(np.isfinite(corners)):
-            raise GraspError(f"corners are finite, of shape (V, 3), not {corners.shape}")
         corners.setflags(write=False)
         called = (
             tuple(names) if names is not None else tuple(f"face {k}" for k in range(len(loops)))
@@ -142,11 +141,10 @@ class Polyhedron:
     def pyramid(cls, base: Any, apex: Any) -> Polyhedron:
         """A pyramid on a polygon (K, 2) in the plane z = 0, with its apex (3,) above or below."""
         outline = boundaries.outline_of(base)
-        top = np.array(apex, dtype=float)
-        if top.shape != (3,) or not np.all(np.isfinite(top)) or top[2] == 0.0:
-            raise GraspError(
-                f"the apex of a pyramid is a point (x, y, z) with z not 0, not {apex!r}"
-            )
+        needed = "the apex of a pyramid is a point (x, y, z) with z other than 0"
+        top = numbers_of(apex, needed, (3,))
+        if top[2] == 0.0:
+            raise GraspError(f"{needed}, not {apex!r}")
         if top[2] < 0.0:
             outline = outline[::-1]
         n = len(outline)
@@ -276,9 +274,10 @@ class Polyhedron:
         GraspError
             A pose that is not a rotation and a displacement.
         """
-        X = np.asarray(pose, dtype=float)
-        if X.shape != (4, 4) or not np.all(np.isfinite(X)) or not _is_rotation(X[:3, :3]):
-            raise GraspError("a pose has shape (4, 4): a rotation matrix and a displacement in it")
+        needed = "a pose has shape (4, 4): a rotation matrix and a displacement in it"
+        X = numbers_of(pose, needed, (4, 4))
+        if not _is_rotation(X[:3, :3]):
+            raise GraspError(needed)
         return self._with(self.vertices @ X[:3, :3].T + X[:3, 3])
 
     def centred(self) -> Polyhedron:

@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import UNIT_TOLERANCE, array_of
+from multiarm.grasp.contacts import numbers_of, unit_vectors
 
 # Normals span space when the third singular value is above this part of the first.
 SPANNING = 1e-9
@@ -143,15 +143,11 @@ def contact_data(
         Shapes, numbers that are not finite, fewer than six contacts, normals that do not span.
     """
     p = table_of(points, "points")
-    n = _unit_normals(table_of(normals, "normals"))
-    h = np.asarray(offsets, dtype=float)
     if len(p) < 6:
         raise GraspError(f"six contacts at least fix a pose; {len(p)} were given")
-    if n.shape != p.shape or h.shape != (len(p),) or not np.all(np.isfinite(h)):
-        raise GraspError(
-            f"{len(p)} points need as many normals and finite offsets; the shapes are {n.shape} "
-            f"and {h.shape}"
-        )
+    needed = f"{len(p)} points need as many normals and finite offsets"
+    n = unit_vectors(numbers_of(normals, needed, p.shape))
+    h = numbers_of(offsets, needed, (len(p),))
     singular = np.linalg.svd(n, compute_uv=False)
     if singular[2] <= SPANNING * singular[0]:
         raise GraspError(
@@ -191,18 +187,7 @@ def outside(data: ContactData, R: np.ndarray, x: np.ndarray) -> float:
 
 def table_of(values: Any, what: str) -> np.ndarray:
     """Finite vectors, shape (N, 3), own memory."""
-    table = array_of(values, f"{what} are a list of vectors of three numbers")
-    if table.ndim != 2 or table.shape[1] != 3 or not np.all(np.isfinite(table)):
-        raise GraspError(f"{what} have shape (N, 3) and are finite; given: shape {table.shape}")
-    return table
-
-
-def numbers_of(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
-    """A finite array of a given shape."""
-    array = array_of(values, f"{what} consists of numbers, shape {shape}")
-    if array.shape != shape or not np.all(np.isfinite(array)):
-        raise GraspError(f"{what} has shape {shape} and finite numbers, not shape {array.shape}")
-    return array
+    return numbers_of(values, f"{what} are finite vectors of three numbers", (-1, 3))
 
 
 def _beyond(point: np.ndarray, polygon: np.ndarray, normal: np.ndarray) -> float:
@@ -211,15 +196,6 @@ def _beyond(point: np.ndarray, polygon: np.ndarray, normal: np.ndarray) -> float
 
     across = np.linalg.svd(normal[None])[2][1:]
     return float(Polygon((polygon - point) @ across.T).distance(Point(0.0, 0.0)))
-
-
-def _unit_normals(n: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(n, axis=1)
-    wrong = np.flatnonzero(np.abs(lengths - 1.0) > UNIT_TOLERANCE)
-    if wrong.size:
-        k = int(wrong[0])
-        raise GraspError(f"normal {k + 1}, {n[k].tolist()}, has length {lengths[k]:.6g}, not 1")
-    return n / lengths[:, None]
 
 
 def _polygons(
@@ -236,21 +212,20 @@ def _covariances(given: Any, count: int) -> np.ndarray | None:
     """Covariance of every point (N, 3, 3) from a deviation, one per point, or matrices."""
     if given is None:
         return None
-    value = np.asarray(given, dtype=float)
-    if value.shape in ((), (count,)):
+    needed = (
+        f"point_covariance is one standard deviation, one for each of the {count} points, or "
+        f"covariances of shape (3, 3) or ({count}, 3, 3)"
+    )
+    value = numbers_of(given, needed, (), (count,), (3, 3), (count, 3, 3))
+    if value.ndim < 2:
         each = np.broadcast_to(value, (count,))
         matrices = each[:, None, None] ** 2 * np.eye(3)
-    elif value.shape in ((3, 3), (count, 3, 3)):
-        matrices = np.broadcast_to(value, (count, 3, 3)).copy()
     else:
-        raise GraspError(
-            f"point_covariance is one standard deviation, one for each of the {count} points, or "
-            f"covariances of shape (3, 3) or ({count}, 3, 3), not of shape {value.shape}"
-        )
+        matrices = np.broadcast_to(value, (count, 3, 3)).copy()
     largest = float(np.abs(matrices).max())
     skewed = np.abs(matrices - matrices.transpose(0, 2, 1)).max()
-    if not np.all(np.isfinite(matrices)) or skewed > COVARIANCE_ROUNDING * largest:
-        raise GraspError("point_covariance must be finite and symmetric")
+    if skewed > COVARIANCE_ROUNDING * largest:
+        raise GraspError("point_covariance must be symmetric")
     if value.ndim < 2 and np.any(value < 0.0):
         raise GraspError("point_covariance: standard deviations are not negative")
     lowest = np.linalg.eigvalsh(matrices)[:, 0]

@@ -46,8 +46,16 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, nearest_to_lines
-from multiarm.grasp.independent_contacts import INCIDENCE, Violation, incidence, named, six_in_space
+from multiarm.grasp.contacts import (
+    Contacts,
+    HeldByContacts,
+    contacts_in_space,
+    nearest_to_lines,
+    numbers_of,
+)
+from multiarm.grasp.independent_contacts import INCIDENCE, Violation, incidence, named
+
+POINT = "a point has three finite coordinates"
 
 
 def case_I(points: Any, normals: Any, centre: Any = (0.0, 0.0, 0.0)) -> Contacts:
@@ -67,8 +75,8 @@ def case_I(points: Any, normals: Any, centre: Any = (0.0, 0.0, 0.0)) -> Contacts
     GraspError
         Dependent normals, or moments that break the rules for three moments; which, in words.
     """
-    three = _contacts(points, normals, 3)
-    middle = point_of(centre)
+    three = contacts_in_space(Contacts(points, normals), 3, 3)
+    middle = numbers_of(centre, POINT, (3,))
     _check_normals(three, "Case I", "three faces of independent directions")
     _check_moments(three, middle, "Case I")
     return three.joined(Contacts(2.0 * middle - three.points, -three.normals))
@@ -88,7 +96,7 @@ def case_II(points: Any, normals: Any) -> Contacts:
         First three normals that are dependent or whose lines do not meet, or other three whose
         moments about that point break the rules for three moments; which, in words.
     """
-    six = _contacts(points, normals, 6)
+    six = contacts_in_space(Contacts(points, normals), 6, 6)
     first, last = six.subset(range(3)), six.subset(range(3, 6))
     _check_normals(first, "Case II", "first three normals that are independent")
     meeting = _meeting(first)
@@ -115,7 +123,7 @@ def case_III(points: Any, normals: Any) -> Contacts:
         Lines 1 and 2 that do not meet, normals 3 to 5 that are not parallel, or one of the
         conditions (a), (b), (c) of the module; which, in words.
     """
-    six = _contacts(points, normals, 6)
+    six = contacts_in_space(Contacts(points, normals), 6, 6)
     e, e1, e2 = six.normals[2], six.normals[0], six.normals[1]
     meeting = None
     if np.linalg.norm(np.cross(e1, e2)) > INCIDENCE:
@@ -164,15 +172,6 @@ def _faults_of_case_III(six: Contacts, e: np.ndarray, meeting: np.ndarray) -> li
 def _meeting(contacts: Contacts) -> np.ndarray | None:
     tolerance = incidence(contacts.points, contacts.length)
     return meeting_point(contacts.points, contacts.normals, tolerance)
-
-
-def _contacts(points: Any, normals: Any, count: int) -> Contacts:
-    given = Contacts(points, normals)
-    if count == 6:
-        six_in_space(given)
-    elif given.dimension != 3 or given.count != count:
-        raise GraspError(f"Case I takes {count} contacts in space, not {given.count}")
-    return given
 
 
 def _check_normals(three: Contacts, case: str, what: str) -> None:
@@ -239,10 +238,7 @@ def three_moments(
     GraspError
         Not three contacts in space, or no point.
     """
-    contacts = as_contacts(contacts)
-    if contacts.dimension != 3 or contacts.count != 3:
-        raise GraspError(f"the rules are about three contacts in space, not {contacts.count}")
-    o = point_of(about)
+    contacts, o = contacts_in_space(contacts, 3, 3), numbers_of(about, POINT, (3,))
     e, arms = contacts.normals, contacts.points - o
     offsets = arms - np.sum(arms * e, axis=1)[:, None] * e
     moments = np.cross(arms, e)
@@ -255,14 +251,6 @@ def three_moments(
     independent = bool(abs(np.linalg.det(np.cross(c, e))) > tolerance)
     determinant = float(np.linalg.det(moments))
     return ThreeMoments(independent, moments, offsets, determinant, tuple(broken))
-
-
-def point_of(values: Any) -> np.ndarray:
-    """A point of space; a GraspError if it is none."""
-    point = np.asarray(values, dtype=float)
-    if point.shape != (3,) or not np.all(np.isfinite(point)):
-        raise GraspError(f"a point has three finite coordinates, not {values!r}")
-    return point
 
 
 def meeting_point(

@@ -40,7 +40,13 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import tolerance_of
 from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, tangents_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, wrenches_of
+from multiarm.grasp.contacts import (
+    Contacts,
+    HeldByContacts,
+    contacts_in_space,
+    numbers_of,
+    wrenches_of,
+)
 from multiarm.grasp.form_closure import closed_many
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.independent_contacts import blocks_of
@@ -170,12 +176,7 @@ def configuration_stability(
     GraspError
         Fewer than six contacts, contacts in the plane, no six independent ones among them.
     """
-    contacts = as_contacts(contacts)
-    if contacts.dimension != 3 or contacts.count < 6:
-        raise GraspError(
-            f"configuration stability needs six contacts or more in space, not {contacts.count} in "
-            f"dimension {contacts.dimension}"
-        )
+    contacts = contacts_in_space(contacts, 6)
     delta = displacements_of(displacement, contacts)
     six = _independent_six(contacts)
     at = contacts.points - contacts.centre
@@ -229,12 +230,13 @@ def own_regions(grasp: Grasp) -> tuple[ContactRegion | None, ...]:
 def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
     """Largest displacement of each contact [m], shape (N,)."""
     value = DISPLACEMENT * contacts.length if given is None else given
-    delta = np.asarray(value, dtype=float)
-    if delta.shape not in ((), (contacts.count,)) or not np.all(np.isfinite(delta) & (delta >= 0)):
-        raise GraspError(
-            f"displacement is one length or one for each of the {contacts.count} contacts, not "
-            f"negative and finite; given: {given}"
-        )
+    needed = (
+        f"displacement is one length or one for each of the {contacts.count} contacts, finite and "
+        f"at least 0"
+    )
+    delta = numbers_of(value, needed, (), (contacts.count,))
+    if np.any(delta < 0.0):
+        raise GraspError(f"{needed}, not {given}")
     return np.broadcast_to(delta, (contacts.count,)).copy()
 
 
@@ -337,14 +339,12 @@ def monte_carlo_stability(
     """
     from scipy.stats import binomtest
 
-    contacts = as_contacts(contacts)
+    contacts = contacts_in_space(contacts)
     if not isinstance(samples, Real) or not float(samples).is_integer() or samples < 1:
         raise GraspError(f"samples is a positive whole number, not {samples!r}")
     samples = int(samples)
     if not isinstance(confidence, Real) or not 0.0 < confidence < 1.0:
         raise GraspError(f"confidence is a number between 0 and 1, not {confidence!r}")
-    if contacts.dimension != 3:
-        raise GraspError("contacts in the plane: displacements are drawn for contacts in space")
     delta = displacements_of(displacement, contacts)
     generator = np.random.default_rng(rng)
     far = np.sqrt(generator.random((samples, contacts.count))) * delta

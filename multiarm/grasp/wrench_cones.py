@@ -29,10 +29,11 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import BAND, rank_of, rounding
 from multiarm.grasp.contacts import (
-    UNIT_TOLERANCE,
     Contacts,
     HeldByContacts,
-    as_contacts,
+    contacts_in_space,
+    numbers_of,
+    unit_vectors,
     wrenches_of,
 )
 from multiarm.grasp.face import distinct
@@ -109,19 +110,13 @@ class WrenchCone:
 
     def _wrenches(self, points: Any, normals: Any) -> np.ndarray:
         """Scaled wrenches (6, ...) of candidates."""
+        needed = "points and normals are arrays (..., 3) of finite numbers"
+        at, along = (numbers_of(given, needed, (..., 3)) for given in (points, normals))
         try:
-            at, along = np.broadcast_arrays(np.asarray(points, float), np.asarray(normals, float))
-        except (TypeError, ValueError) as error:
-            raise GraspError("points and normals are arrays (..., 3) of numbers") from error
-        if at.shape[-1:] != (3,) or not np.all(np.isfinite(at) & np.isfinite(along)):
-            raise GraspError(
-                f"points and normals are arrays (..., 3) of finite numbers; they have shapes "
-                f"{np.shape(points)} and {np.shape(normals)}"
-            )
-        lengths = np.linalg.norm(along, axis=-1)
-        if np.any(np.abs(lengths - 1.0) > UNIT_TOLERANCE):
-            worst = float(lengths.flat[int(np.argmax(np.abs(lengths - 1.0)))])
-            raise GraspError(f"normals have length 1; one has length {worst:.6g}: divide by it")
+            at, along = np.broadcast_arrays(at, along)
+        except ValueError as error:
+            raise GraspError(f"{needed}, not of shapes {at.shape} and {along.shape}") from error
+        unit_vectors(along, ": divide by it")
         return wrenches_of((at - self.contacts.centre) / self.contacts.length, along)
 
 
@@ -133,9 +128,7 @@ def wrench_cone(contacts: Contacts | HeldByContacts) -> WrenchCone:
     GraspError
         Contacts in the plane; fewer than six; wrenches of a rank below 6.
     """
-    contacts = as_contacts(contacts)
-    if contacts.dimension != 3:
-        raise GraspError("contacts in space are needed here; these are in the plane")
+    contacts = contacts_in_space(contacts)
     W, rank = contacts.scaled_wrenches, rank_of(contacts)
     if rank < 6:
         teller = "independence says what depends on what"

@@ -891,9 +891,9 @@ def test_what_is_not_contacts_is_refused():
     [
         (np.zeros((2, 7)), np.zeros((2, 7)), r"\(M, N, 3\)"),
         (np.zeros((2, 7, 3)), np.zeros((2, 6, 3)), r"not \(2, 7, 3\) and \(2, 6, 3\)"),
-        (np.zeros((1, 2, 2)), [[[1, 0], [0, 0.5]]], "contact 2 of set 1"),
-        ([[[0, np.nan]]], [[[1, 0]]], "must be finite"),
-        ([[["a", 0]]], [[[1, 0]]], "arrays"),
+        (np.zeros((1, 2, 2)), [[[1, 0], [0, 0.5]]], "normal 2 of set 1"),
+        ([[[0, np.nan]]], [[[1, 0]]], "finite numbers, .*; number 1 is .*nan"),
+        ([[["a", 0]]], [[[1, 0]]], "finite numbers, .*'a'"),
     ],
 )
 def test_many_sets_of_the_wrong_kind_are_refused(points, normals, words):

@@ -96,7 +96,7 @@ def test_dependent_contacts_have_no_inverse_and_are_named():
 
 @pytest.mark.parametrize("ask", [block_inverse, independence, violated_conditions])
 def test_only_six_contacts_in_space_will_do(ask):
-    with pytest.raises(GraspError, match="six contacts in space, not 5 in space"):
+    with pytest.raises(GraspError, match="6 contacts in space are needed here, not 5 in space"):
         ask(Contacts(np.eye(3)[[0, 1, 2, 0, 1]], np.eye(3)[[0, 1, 2, 0, 1]]))
     with pytest.raises(GraspError, match="not 6 in the plane"):
         ask(Contacts(np.zeros((6, 2)), np.eye(2)[[0] * 6]))
@@ -312,7 +312,7 @@ def test_three_moments_do_not_depend_on_size(scale, rng):
 
 
 def test_three_moments_refuse_other_numbers_of_contacts_and_points_that_are_none():
-    with pytest.raises(GraspError, match="three contacts in space, not 2"):
+    with pytest.raises(GraspError, match="3 contacts in space are needed here, not 2"):
         three_moments(Contacts(np.eye(3)[:2], np.eye(3)[:2]))
     with pytest.raises(GraspError, match="three finite coordinates"):
         three_moments(Contacts(np.eye(3), np.eye(3)), about=[0, np.inf, 0])
@@ -343,10 +343,12 @@ def test_case_I_refuses_dependent_normals_and_dependent_moments(rng):
         case_I(points, unit(np.array([[1, 0, 0], [0, 1, 0], [1, 1, 0]])))
     with pytest.raises(GraspError, match=r"rule 4: the three normal lines meet"):
         case_I([[1, 1, 9], [1, 9, 1], [9, 1, 1]], np.eye(3)[::-1])
-    with pytest.raises(GraspError, match="Case I takes 3 contacts in space, not 2"):
+    with pytest.raises(GraspError, match="3 contacts in space are needed here, not 2"):
         case_I(np.eye(3)[:2], np.eye(3)[:2])
     with pytest.raises(GraspError, match="three finite coordinates"):
         case_I(points, np.eye(3), centre=[0, 0])
+    with pytest.raises(GraspError, match="three finite coordinates, not 'middle'"):
+        case_I(points, np.eye(3), centre="middle")
 
 
 def test_case_I_looks_at_the_moments_about_its_centre(rng):
@@ -386,7 +388,7 @@ def test_case_II_refuses_what_is_not_one_and_says_which_rule(rng):
     points, along = stack(flat, last)
     with pytest.raises(GraspError, match=r"first three normals that are independent"):
         case_II(points, unit(along))
-    with pytest.raises(GraspError, match="six contacts in space, not 3"):
+    with pytest.raises(GraspError, match="6 contacts in space are needed here, not 3"):
         case_II(np.eye(3), np.eye(3))
 
 

@@ -579,7 +579,7 @@ def test_questions_without_sense_are_refused():
         seventh_contact_region(SIX, TOP, "magic")  # type: ignore[arg-type]
     with pytest.raises(GraspError, match="not list"):
         seventh_contact_region([1, 2, 3], TOP)  # type: ignore[arg-type]
-    with pytest.raises(GraspError, match="shape"):
+    with pytest.raises(GraspError, match="three finite coordinates"):
         seventh_contact_region(SIX, [[0, 0], [1, 0], [0, 1]])
     flat = Contacts([[0, 0], [1, 0], [0, 1]], [[0, 1], [1, 0], [0, -1]])
     with pytest.raises(GraspError, match="in the plane"):
@@ -593,7 +593,7 @@ def test_questions_without_sense_are_refused():
         closes_on_surface(SIX, [[0, 0, np.nan]], [[0, 0, 1]])
     with pytest.raises(GraspError, match="arrays"):
         closes_on_surface(SIX, np.zeros((2, 3)), np.zeros((4, 3)))
-    with pytest.raises(GraspError, match="one has length 3"):
+    with pytest.raises(GraspError, match=r"normal 2, .* has length 3, not 1: divide"):
         wrench_cone(SIX).levels([0.4, 0.4, 0.4], [[0, 0, -1], [0, 0, -3]])
     for points in ([0.4, 0.4], [0.4, np.nan, 0.4], "ab"):
         region = seventh_contact_region(SIX, TOP)

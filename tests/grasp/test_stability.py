@@ -417,7 +417,9 @@ def test_only_the_contacts_that_may_move_do():
 def test_unusable_questions_are_refused_by_name():
     flat = Contacts([[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]])
     contacts = block_grasp()
-    with pytest.raises(GraspError, match=r"six contacts or more in space, not 2"):
+    with pytest.raises(
+        GraspError, match=r"6 contacts or more in space are needed here, not 2 in the plane"
+    ):
         configuration_stability(flat)
     with pytest.raises(GraspError, match=r"rank 5|rank 4|rank 3"):
         configuration_stability(
@@ -427,7 +429,11 @@ def test_unusable_questions_are_refused_by_name():
         configuration_stability(contacts, displacement=[1.0, 2.0])
     with pytest.raises(GraspError, match=r"displacement"):
         configuration_stability(contacts, displacement=-1.0)
-    with pytest.raises(GraspError, match=r"7 contacts at least"):
+    with pytest.raises(GraspError, match=r"displacement .* not 'far'"):
+        configuration_stability(contacts, displacement="far")
+    with pytest.raises(GraspError, match=r"axes have shape .* not 'x and y'"):
+        closure_radius(contacts, axes="x and y")
+    with pytest.raises(GraspError, match=r"7 contacts or more in space"):
         closure_radius(contacts.subset(range(6)))
     with pytest.raises(GraspError, match=r"'disc' or 'square', not 'ball'"):
         closure_radius(contacts, shape="ball")
