@@ -32,7 +32,7 @@ from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.motion import Motion
-from multiarm.gradients.segments import SHORTEST, TINY, Panel, Segment
+from multiarm.gradients.segments import LESSENED, SHORTEST, TINY, Panel, Segment
 from multiarm.gradients.variation import Parameter, Variation, state_columns, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
@@ -44,9 +44,8 @@ FINEST = 1e-8
 # Numbers of all matrices that are kept, at nodes and of segments.
 MOST_KEPT = 3e7
 MOST_WALKS = 12
-# Walks over shorter segments go on while they lessen the error at least so; derivatives with a
-# larger relative error than the second are of no use.
-LESSENED, USELESS = 0.5, 1e-2
+# Derivatives with a larger relative error are of no use.
+USELESS = 1e-2
 # How much larger the last terms of a series of the matrices are than those of the velocities.
 ROUGHER = 100.0
 # Series that alone may make an error of so many times the tolerance are refined at once.

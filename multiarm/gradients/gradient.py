@@ -26,7 +26,7 @@ from multiarm.control.recorded import DEGREES, polynomials
 from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
-from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
+from multiarm.errors import ModelError
 from multiarm.gradients.along import Along, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.segments import (
@@ -44,6 +44,7 @@ from multiarm.gradients.variation import displaced, state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.faults import shown, unknown
+from multiarm.scene.registry import called
 from multiarm.simulation.setup import increasing_times, positive
 from multiarm.terminal.progress import Progress, Report, displayed
 
@@ -395,15 +396,8 @@ def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np
 
 def _scalar(function: Scalar, t: float, state: State) -> object:
     """What a user's function returns."""
-    try:
-        return function(t, state)
-    except MultiarmError:
-        raise
-    except USER_FAULTS as error:
-        raise ModelError(
-            f"gradient: the scalar, f(t, state), raised {type(error).__name__} at t = {t:.9g} s: "
-            f"{error}"
-        ) from error
+    who = f"gradient: the scalar, f(t, state) at t = {t:.9g} s,"
+    return called(lambda: function(t, state), who)
 
 
 def _number(value: object) -> float:

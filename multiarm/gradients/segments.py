@@ -48,8 +48,9 @@ from multiarm.gradients.variation import Variation
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
 RICHARDSON = 2.0**COUNT - 1.0
-# Panels are divided so many times more where that lessens their error by less than this factor.
-PATIENCE, LESSENED = 6, 0.5
+# Shorter pieces of time are worth it as long as they lessen an error at least so; panels are
+# divided so many times more before that counts.
+LESSENED, PATIENCE = 0.5, 6
 # Of derivatives by parameters, relative to what they are as a rule.
 ROUNDING = 1e-9
 # In place of sizes that are zero.
@@ -79,7 +80,7 @@ class Panel(NamedTuple):
 
 
 class Halving(NamedTuple):
-    """How panels have been divided so far: as long as that lessens their error, or nearly so."""
+    """How a panel came to be divided, which goes on as long as that lessens its error."""
 
     error: float = math.inf
     vain: int = 0

@@ -281,9 +281,8 @@ class SweepFile:
         self._lock = WriterLock(self.path)
         try:
             if fresh or not self.path.exists():
-                shutil.rmtree(
-                    _folder(self.path), ignore_errors=True
-                )  # of a file not wanted any more
+                # shards of a file that is not wanted any more
+                shutil.rmtree(_folder(self.path), ignore_errors=True)
                 with self._disk():
                     _write(self.path, StoredSweep.begun(plan))
             stored = StoredSweep.read(self.path)

@@ -24,7 +24,7 @@ from multiarm.gradients.collocation import COUNT, NODES, ORDER, WEIGHTS, Colloca
 from multiarm.gradients.gradient import _Backward
 from multiarm.gradients.gradient import _solved as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
-from multiarm.gradients.segments import RICHARDSON, Panel, Piece, Segment
+from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, Panel, Piece, Segment
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import Variation, displaced, displacement
@@ -147,6 +147,14 @@ def test_the_error_of_a_panel_in_halves_is_not_underestimated_where_damping_is_s
     error = abs(halves - math.sin(3.0 * (start + length)))
     assert error <= 3.0 * abs(whole - halves) / RICHARDSON + 1e-15
     assert error > 1e-14
+
+
+def test_panels_are_divided_as_long_as_that_lessens_their_error():
+    for factor, most in ((1.0, PATIENCE), (0.1, 20)):  # 20 halvings leave a millionth of the run
+        halving, times = WHOLE, 0
+        while halving := halving.next(factor**times, 0.5**times):
+            times += 1
+        assert times == most
 
 
 @pytest.mark.parametrize("degree", DEGREES)
@@ -571,7 +579,7 @@ def test_wrong_questions_are_answered_with_the_remedy():
     refused(ModelError, "must be a finite number.*got 'high'", pair, final=lambda t, s: "high")
     refused(ModelError, r"expected shape \(36,\)", pair, final=lambda t, s: (1.0, np.zeros(3)))
     refused(ModelError, r"`final` is a function f\(t, state\), got 'height'", pair, final="height")
-    refused(ModelError, "raised ZeroDivisionError at t = 0.2 s", pair, final=lambda t, s: 1 / 0)
+    refused(ModelError, "at t = 0.2 s, raised ZeroDivisionError", pair, final=lambda t, s: 1 / 0)
     refused(ModelError, "the scalar, .* raised TypeError", pair, final=lambda t: 1.0)
     system = ma.compile_system(pair)
     with pytest.raises(SceneError, match=r"'times' must be a list of times \[s\], got \['a'\]"):
