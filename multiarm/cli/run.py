@@ -92,7 +92,9 @@ def run(
     The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
     evaluations, wall_time_s, realtime_factor, error_estimate, position_drift_max_m,
     velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
-    final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), rank_lowest,
+    final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), limit_use
+    (largest shares of effort, speed and range of each joint, 1 at the limit, their times in s; and
+    the joints that use most), rank_lowest,
     rank_highest (independent constraints), coupled_steps (steps in which some arm could not be
     eliminated), integrator, stabilization, solver, arms (backend of each), accuracy, tolerance,
     certificate (null where nothing was checked; else met, text, reason, asked, estimated_error,
@@ -135,6 +137,7 @@ def run(
 def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     """Warnings about a run, also about a completed one."""
     from multiarm.assembly.start_warnings import start_warnings
+    from multiarm.results.limit_use import joint_uses, limit_warnings, peaks
 
     start, remarks = system.start_report, start_warnings(system)
     gap = max(start.gaps.values(), default=0.0)
@@ -146,6 +149,7 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
         )
     if trajectory.status == "completed":
         remarks += trajectory.message.split("; ")[1:]
+    remarks += limit_warnings(peaks(joint_uses(trajectory)))
     if trajectory.certificate is not None and not trajectory.certificate["met"]:
         remarks.append(f"the accuracy is {trajectory.certificate['text']}")
     return remarks
@@ -270,8 +274,26 @@ def summary_table(figures: dict[str, Any]) -> Table:
         rows["object at the end"] = vector(figures["final_object_position"], "m")
     for arm, force in figures["contact_force_max_N"].items():
         rows[f"largest contact force, {arm}"] = number(force, "N")
+    rows["joint limits used"] = _limits(figures["limit_use"]["largest"])
     rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
+
+
+def _limits(largest: dict[str, dict[str, Any] | None]) -> RenderableType:
+    """The joints that use most of their effort, speed and range."""
+    from multiarm.results.limit_use import percent
+
+    known = [peak for peak in largest.values() if peak is not None]
+    if not known:
+        return Text("not known: the robots' files name none", "dim")
+    return Text("\n").join(
+        Text(
+            f"{peak['quantity']}: {percent(peak['share'])} of {peak['joint']} "
+            f"at {number(peak['time'], 's')}",
+            "bold yellow" if peak["beyond"] else "",
+        )
+        for peak in known
+    )
 
 
 def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from multiarm.plots.limit_figure import limit_use
 from multiarm.plots.run_figures import (
     accuracy_course,
     contact_forces,
@@ -36,6 +37,7 @@ __all__ = [
     "figures",
     "joint_positions",
     "joint_torques",
+    "limit_use",
     "object_pose",
 ]
 
@@ -46,6 +48,7 @@ def figures(trajectory: Trajectory) -> dict[str, Figure]:
         "Object": object_pose(trajectory),
         "Joint positions": joint_positions(trajectory),
         "Joint torques": joint_torques(trajectory),
+        "Joint limits": limit_use(trajectory),
         "Contact forces": contact_forces(trajectory),
         "Contact states": contact_states(trajectory),
         "Energy": energy(trajectory),
