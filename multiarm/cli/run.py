@@ -95,11 +95,12 @@ def run(
     final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), wrench_max
     (likewise: force_N, force_time_s, moment_N_m, moment_time_s; on the object, about its centre of
     mass), rank_lowest, rank_highest (independent constraints), coupled_steps (steps in which some
-    arm could not be eliminated), integrator, stabilization, solver, arms (backend of each), accuracy, tolerance,
-    certificate (null where nothing was checked; else met, text, reason, asked, estimated_error,
-    by_output, over_time, checks, growth_rate_per_s, safety, attempts), events (time, kind, text;
-    arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
-    (result, replay, report). Numbers are finite, or null where there is none.
+    arm could not be eliminated), integrator, stabilization, solver, arms (backend of each),
+    accuracy, tolerance, certificate (null where nothing was checked; else met, text, reason, asked,
+    estimated_error, by_output, over_time, checks, growth_rate_per_s, safety, attempts), events
+    (time, kind, text; arm, contact or joint, where in m, before and after as they apply),
+    compiled_kernels, and files (result, replay, report). Numbers are finite, or null where there is
+    none.
     """
     from multiarm.results.trajectory_file import TrajectoryReader
 

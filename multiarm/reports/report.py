@@ -113,10 +113,9 @@ def _largest_force(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str,
         return {"value": forces[at_contact], "note": note}
     arm = max(wrenches, key=lambda name: wrenches[name]["force_N"])
     force, when = wrenches[arm]["force_N"], quantity(wrenches[arm]["force_time_s"], "s")
-    note = (
-        f"{_bearer(trajectory, arm)} at {when}; at a contact up to "
-        f"{quantity(forces[at_contact], 'N')}, {_bearer(trajectory, at_contact)}"
-    )
+    whose = "" if arm == at_contact else f" of {_bearer(trajectory, at_contact)}"
+    contact_force = quantity(forces[at_contact], "N")
+    note = f"{_bearer(trajectory, arm)} at {when}; {contact_force} at a contact{whose}"
     return {"value": force, "note": note}
 
 
