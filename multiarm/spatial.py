@@ -53,7 +53,7 @@ def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
 
 @plain
 def quaternion_of(X, Y, Z):
-    """Unit quaternion ``(x, y, z, w)`` with ``w >= 0`` of the rows of a rotation matrix.
+    """Unit quaternion ``(x, y, z, w)`` with ``w >= 0`` of the columns of a rotation matrix.
 
     Shepperd's method: the largest of the four components is computed first, so that no division
     is by a small number.
@@ -61,13 +61,13 @@ def quaternion_of(X, Y, Z):
     a, b, c = X[0], Y[1], Z[2]
     trace = a + b + c
     if trace >= max(a, b, c):
-        x, y, z, w = Z[1] - Y[2], X[2] - Z[0], Y[0] - X[1], 1.0 + trace
+        x, y, z, w = Y[2] - Z[1], Z[0] - X[2], X[1] - Y[0], 1.0 + trace
     elif a >= b and a >= c:
-        x, y, z, w = 1.0 + 2.0 * a - trace, Y[0] + X[1], Z[0] + X[2], Z[1] - Y[2]
+        x, y, z, w = 1.0 + 2.0 * a - trace, X[1] + Y[0], X[2] + Z[0], Y[2] - Z[1]
     elif b >= c:
-        x, y, z, w = X[1] + Y[0], 1.0 + 2.0 * b - trace, Z[1] + Y[2], X[2] - Z[0]
+        x, y, z, w = Y[0] + X[1], 1.0 + 2.0 * b - trace, Y[2] + Z[1], Z[0] - X[2]
     else:
-        x, y, z, w = X[2] + Z[0], Y[2] + Z[1], 1.0 + 2.0 * c - trace, Y[0] - X[1]
+        x, y, z, w = Z[0] + X[2], Z[1] + Y[2], 1.0 + 2.0 * c - trace, X[1] - Y[0]
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if w < 0.0:
         norm = -norm
@@ -76,7 +76,7 @@ def quaternion_of(X, Y, Z):
 
 def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Unit quaternion ``xyzw`` with ``w >= 0`` of a rotation matrix, shape (3, 3)."""
-    return np.array(quaternion_of(*rotation.tolist()))
+    return np.array(quaternion_of(*rotation.T.tolist()))
 
 
 @plain

@@ -63,6 +63,10 @@ def samples(duration=6.0, step=0.01):
         "solver/residual": 3e-15 * np.abs(np.sin(7 * time)),
     }
     for arm, share in (("left", 0.6), ("right", 0.4)):
+        rod = np.column_stack([-sine, zero, cosine, zero, zero, zero])
+        block[f"arms/{arm}/wrench"] = share * tension[:, None] * rod
+        for quantity in ("position", "quaternion_xyzw", "twist"):
+            block[f"arms/{arm}/tip_{quantity}"] = block[f"object/{quantity}"]
         joint = np.arange(len(JOINTS[arm]))
         block[f"arms/{arm}/joint_position"] = np.outer(theta, 0.9**joint) + 0.3 * joint
         block[f"arms/{arm}/joint_velocity"] = np.outer(omega, 0.9**joint)
