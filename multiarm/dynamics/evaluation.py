@@ -189,10 +189,11 @@ class Evaluation:
 
     def __repr__(self) -> str:
         left = self.residuals
-        forces = [np.max(np.abs(own), initial=0.0) for own in self.contact_forces.values()]
+        arm = max((np.linalg.norm(w[:3]) for w in self.wrenches.values()), default=0.0)
+        forces = [np.max(np.abs(force), initial=0.0) for force in self.contact_forces.values()]
         return (
-            f"Evaluation(time={self.time:g}, rank={self.rank}, largest contact force "
-            f"{max(forces, default=0.0):.3g} N,\n  residuals: arm {left.arm:.2g}, "
+            f"Evaluation(time={self.time:g}, rank={self.rank}, forces up to {arm:.3g} N of an arm, "
+            f"{max(forces, default=0.0):.3g} N at a contact,\n  residuals: arm {left.arm:.2g}, "
             f"object {left.object:.2g}, constraint {left.constraint:.2g})"
         )
 
@@ -202,6 +203,7 @@ class Evaluation:
 
         facts = {
             "object's acceleration [m/s², rad/s²]": numbers(self.object_acceleration),
+            **{f"wrench of {a} [N, N m]": numbers(w) for a, w in self.wrenches.items()},
             **{f"contact forces of {a} [N]": numbers(f) for a, f in self.contact_forces.items()},
             "rank": self.rank,
             "residuals": ", ".join(f"{k} {v:.1g}" for k, v in vars(self.residuals).items()),

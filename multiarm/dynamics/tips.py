@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from multiarm.arms.arm import Arm
 from multiarm.arms.terms import TipKinematics
-from multiarm.dynamics.state import State
+from multiarm.dynamics.state import NAMED_ARMS, State
 from multiarm.errors import ModelError
 from multiarm.public import public_names
+from multiarm.scene.faults import counted
 
 
 class _UnknownArmError(ModelError, KeyError):
@@ -42,11 +43,7 @@ class Kinematics:
     __dir__ = public_names
 
     def __repr__(self) -> str:
-        places = (
-            f"{arm} at ({', '.join(f'{x:.4g}' for x in tip.position)}) m"
-            for arm, tip in self.tips.items()
-        )
-        return f"Kinematics(tips: {', '.join(places)})"
+        return f"Kinematics(tips of {counted(list(self.tips), NAMED_ARMS)})"
 
 
 def kinematics_of(arms: Iterable[Arm], state: State) -> Kinematics:

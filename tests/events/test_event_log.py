@@ -76,6 +76,7 @@ def eventful(events=(), channels=FULL, sink=None, step=0.01, **outcome):
         "arms/right/contact_state": np.where(late, OPEN, [[1, 2, 3]]),
         "environment/contact_state": np.where(block["time"][:, None] >= 3.0, SLIDING, [[3, 4]]),
         "environment/contact_force": np.where(late, 70.0, [[20.0, -5.0]]),
+        "environment/wrench": np.where(late, 0.0, [[0.0, 0.0, 15.0, 1.0, 0.0, 0.0]]),
         "effects/joint_damping/work": -2.0 * block["time"],
         "effects/drag/work": -0.1 * block["time"] ** 2,
     }
@@ -102,7 +103,7 @@ def test_states_and_floor_have_channels_with_the_names_of_the_contacts():
     added = {c.name: c for c in FULL if c not in CHANNELS}
     assert set(added) == {
         "arms/right/contact_state", "environment/contact_state", "environment/contact_force",
-        "effects/joint_damping/work", "effects/drag/work",
+        "environment/wrench", "effects/joint_damping/work", "effects/drag/work",
     }  # fmt: skip
     assert added["environment/contact_force"].labels == CORNERS
     assert added["environment/contact_force"].unit == "N"
@@ -115,12 +116,18 @@ def test_trajectory_has_the_floor_beside_the_arms(tmp_path):
     eventful(sink=Hdf5Sink(tmp_path / "run.h5"))
     run = load_trajectory(tmp_path / "run.h5")
     assert list(run.contact_forces) == list(run.contact_states) == ["left", "right", "floor"]
+    assert list(run.wrenches) == ["left", "right", "floor"]
+    assert list(run.tip_positions) == ["left", "right"]
     assert len(run.contact_states) == 3
     assert run.contact_states["left"].shape == (len(run), 0)
     assert run.contact_states["right"][0].tolist() == [1, 2, 3]
     assert run.contact_states["floor"][-1].tolist() == [SLIDING, SLIDING]
     assert run.contact_forces["floor"][0].tolist() == [20.0, -5.0]
-    assert run.summary()["contact_force_max_N"]["floor"] == 70.0
+    summary = run.summary()
+    assert summary["contact_force_max_N"]["floor"] == 70.0
+    assert summary["wrench_max"]["floor"] == {
+        "force_N": 15.0, "force_time_s": 0.0, "moment_N_m": 1.0, "moment_time_s": 0.0
+    }  # fmt: skip
     assert run.arm_names == ("left", "right")
 
 
@@ -493,15 +500,20 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
 
 
 @pytest.mark.slow
-def test_report_says_whose_the_largest_contact_force_is():
-    assert "largest contact force 135 n arm left" in Page(render(eventful())).text.lower()
+def test_report_says_whose_the_largest_forces_are_and_when():
+    run = eventful()
+    force = np.linalg.norm(run.wrenches["left"][:, :3], axis=1)
+    when = run.time[force.argmax()]
+    told = f"largest force {force.max():.3g} n arm left at {when:.4g} s; 135 n at a contact"
+    assert told in Page(render(run)).text.lower()
     block = samples(step=0.5)
     block["environment/contact_force"] = np.full((len(block["time"]), 2), 1e3)
+    block["environment/wrench"] = np.outer(block["time"], [0.0, 0.0, 400.0, 0.0, 0.0, 0.0])
     sink, channels = MemorySink(), trajectory_channels(JOINTS, CONTACTS, environment=CORNERS)
     sink.open(channels, {"scene": SCENE})
     sink.append(rows_of(channels, block))
     text = Page(render(sink.finish("completed", "", {}))).text.lower()
-    assert "largest contact force 1000 n floor" in text
+    assert "largest force 2400 n floor at 6 s; 1000 n at a contact" in text
 
 
 # Terminal

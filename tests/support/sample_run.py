@@ -16,7 +16,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import trajectory_channels
-from multiarm.results.sinks import Hdf5Sink
+from multiarm.results.sinks import Hdf5Sink, MemorySink
 
 MASS, LENGTH, GRAVITY, DAMPING = 20.0, 0.9, 9.81, 0.25  # [kg], [m], [m/s^2], [1/s]
 JOINTS = {
@@ -89,6 +89,16 @@ def record(sink, blocks=None, status="completed", message="", metadata=None, **r
         sink.append(rows_of(CHANNELS, block))
         sink.checkpoint()
     return sink.finish(status, message, results.pop("statistics", STATISTICS), **results)
+
+
+def earlier_run():
+    """A run of a version that did not record wrenches and tips."""
+    later = ("wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist")
+    channels = [c for c in CHANNELS if c.name.rpartition("/")[2] not in later]
+    sink = MemorySink()
+    sink.open(channels, {"scene": SCENE})
+    sink.append(rows_of(channels, samples()))
+    return sink.finish("completed", "", STATISTICS)
 
 
 def _pendulum(time):
