@@ -21,6 +21,7 @@ from multiarm.cli.run import SHOWN_KINDS, run_figures, summary_table
 from multiarm.errors import TrajectoryError
 from multiarm.plots.panels import DISTINCT
 from multiarm.plots.run_figures import MOST_ROWS, spans
+from multiarm.reports.pages import quantity
 from multiarm.reports.report import SHOWN_EVENTS, render
 from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
 from multiarm.results.event_log import (
@@ -351,6 +352,7 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     sink, block = MemorySink(), samples(step=0.1)
     for name in ("contact_state", "contact_force"):
         block[f"environment/{name}"] = np.full((len(block["time"]), len(corners)), STICKING)
+    block["environment/wrench"] = np.zeros((len(block["time"]), 6))
     sink.open(channels, {"scene": SCENE})
     sink.append(rows_of(channels, block))
     axes = plots.contact_states(sink.finish("completed", "", {})).axes[0]
@@ -503,8 +505,8 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
 def test_report_says_whose_the_largest_forces_are_and_when():
     run = eventful()
     force = np.linalg.norm(run.wrenches["left"][:, :3], axis=1)
-    when = run.time[force.argmax()]
-    told = f"largest force {force.max():.3g} n arm left at {when:.4g} s; 135 n at a contact"
+    when = quantity(run.time[force.argmax()], "s")
+    told = f"largest force {force.max():.3g} n arm left at {when}; 135 n at a contact"
     assert told in Page(render(run)).text.lower()
     block = samples(step=0.5)
     block["environment/contact_force"] = np.full((len(block["time"]), 2), 1e3)
