@@ -236,7 +236,7 @@ def test_the_report_shows_the_scene_and_its_name_as_text(page):
 
 @pytest.mark.slow
 def test_a_run_of_an_earlier_version_has_a_report_that_says_what_is_missing():
-    run = earlier_run()
+    run = earlier_run(record(MemorySink()))
     text = Page(render(run)).text
     assert "wrenches were not recorded" in text and "Wrenches of the arms" not in text
     assert plots.wrenches(run) is None

@@ -184,7 +184,7 @@ def test_largest_wrenches_are_found_in_any_block_and_do_not_overflow():
 
 
 def test_a_run_of_an_earlier_version_says_what_it_has_not(tmp_path):
-    run = load_trajectory(earlier_run().save(tmp_path / "old.h5"))
+    run = load_trajectory(earlier_run(record(MemorySink())).save(tmp_path / "old.h5"))
     for mapping in (run.wrenches, run.tip_positions, run.tip_quaternions_xyzw, run.tip_twists):
         assert dict(mapping) == {}
         for error in (TrajectoryError, KeyError):

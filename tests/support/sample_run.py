@@ -91,14 +91,14 @@ def record(sink, blocks=None, status="completed", message="", metadata=None, **r
     return sink.finish(status, message, results.pop("statistics", STATISTICS), **results)
 
 
-def earlier_run():
-    """A run of a version that did not record wrenches and tips."""
+def earlier_run(run):
+    """The run as a version has it that did not record wrenches and tips."""
     later = ("wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist")
-    channels = [c for c in CHANNELS if c.name.rpartition("/")[2] not in later]
+    channels = [c for c in run.channels.values() if c.name.rpartition("/")[2] not in later]
     sink = MemorySink()
-    sink.open(channels, {"scene": SCENE})
-    sink.append(rows_of(channels, samples()))
-    return sink.finish("completed", "", STATISTICS)
+    sink.open(channels, run.provenance)
+    sink.append(rows_of(channels, {c.name: run.channel(c.name) for c in channels}))
+    return sink.finish(run.status, run.message, run.statistics)
 
 
 def _pendulum(time):
