@@ -189,12 +189,13 @@ class Evaluation:
 
     def __repr__(self) -> str:
         left = self.residuals
-        arm = max((np.linalg.norm(w[:3]) for w in self.wrenches.values()), default=0.0)
+        totals = [np.linalg.norm(wrench[:3]) for wrench in self.wrenches.values()]
         forces = [np.max(np.abs(force), initial=0.0) for force in self.contact_forces.values()]
         return (
-            f"Evaluation(time={self.time:g}, rank={self.rank}, forces up to {arm:.3g} N of an arm, "
-            f"{max(forces, default=0.0):.3g} N at a contact,\n  residuals: arm {left.arm:.2g}, "
-            f"object {left.object:.2g}, constraint {left.constraint:.2g})"
+            f"Evaluation(time={self.time:g}, rank={self.rank}, forces up to "
+            f"{max(totals, default=0.0):.3g} N of an arm, {max(forces, default=0.0):.3g} N at one "
+            f"contact,\n  residuals: arm {left.arm:.2g}, object {left.object:.2g}, "
+            f"constraint {left.constraint:.2g})"
         )
 
     def _repr_html_(self) -> str:

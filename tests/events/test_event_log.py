@@ -392,6 +392,19 @@ def test_forces_of_the_floor_have_a_panel_of_their_own():
     assert axes[2].lines[-1].get_ydata()[0] == -5.0
 
 
+def test_wrenches_have_panels_of_force_and_moment_for_arms_and_floor():
+    run = eventful()
+    axes = plots.wrenches(run).axes
+    panels = [(a.get_title(loc="left"), a.get_ylabel()) for a in axes]
+    quantities = ("force [N]", "moment [N m]")
+    assert panels == [(who, what) for who in ("left", "right", "floor") for what in quantities]
+    drawn = np.column_stack(
+        [line.get_ydata() for line in axes[0].lines if len(line.get_xdata()) > 2]
+    )
+    np.testing.assert_allclose(drawn[0], run.wrenches["left"][0, :3])
+    np.testing.assert_allclose(drawn[-1], run.wrenches["left"][-1, :3])
+
+
 def test_work_of_each_effect_is_drawn_and_named():
     axes = plots.energy(eventful()).axes
     assert len(axes) == 3

@@ -33,10 +33,10 @@ function showFacts(facts) {
   }
   if (facts.force_scale > 0) {
     const spike = facts.peak_force > facts.force_scale ? ` (peak ${newtons(facts.peak_force)})` : "";
-    const arms = facts.legend.map(([, , force]) => force ?? 0), largest = Math.max(0, ...arms);
-    const carried = largest > 0 ? `; an arm's force up to ${newtons(largest)}` : "";
+    const [name, , total] = facts.legend.reduce((a, b) => (b[2] > a[2] ? b : a));
+    const sum = total > 0 ? `; ${name} up to ${newtons(total)} in all` : "";
     byId("scale").textContent
-      = `longest arrow ${newtons(facts.force_scale)} at a contact${spike}${carried}`;
+      = `longest arrow ${newtons(facts.force_scale)} at a contact${spike}${sum}`;
     byId("scale").title = "dark arrows push the object, light ones pull it";
   }
 }
