@@ -669,11 +669,6 @@ def test_an_unexpected_exception_is_not_hidden(monkeypatch):
     assert isinstance(result.exception, RuntimeError)
 
 
-def test_numbers_of_arms_must_be_numbers():
-    assert_refused(multiarm("scaling", "--arms", "2,four"), "--arms", "2,four", "2,4,8")
-    assert_refused(multiarm("scaling", "--arms", "0"), "--arms", "from 1 up")
-
-
 # --- results ------------------------------------------------------------------------------------
 
 

@@ -44,7 +44,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "llvmlite": ("jit",),
     "matplotlib": (
         "plots",
-        "studies.scaling_page",
         "studies.hard_case_page",
         "studies.effect_costs.page",
         "studies.work_precision.page",
@@ -63,7 +62,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
-    "pydrake": ("studies.drake_peer",),
     "rich": ("cli", "terminal"),
     "scipy": (
         "contacts.unilateral",
@@ -82,8 +80,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "sweeps.axes",
         "sweeps.plan",
         "studies.timing",
-        "studies.solver_forms",
-        "studies.peer_trials",
         "studies.pinocchio_peer",
         "viewer.animation",
     ),
