@@ -49,7 +49,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.effect_costs.page",
         "studies.work_precision.page",
     ),
-    "meshcat": ("viewer",),
     "mujoco": ("studies.mujoco_peer",),
     "numba": ("jit", "studies.mujoco_peer"),
     "pinocchio": (
@@ -61,6 +60,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pandas": ("results.trajectory",),
     "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
+    "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "pydrake": ("studies.drake_peer",),
@@ -89,15 +89,13 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
-    "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
-    "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
 }
 
-HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
+HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "scipy", "pydantic"}
 
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
