@@ -48,7 +48,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.effect_costs.page",
         "studies.work_precision.page",
     ),
-    "meshcat": ("viewer",),
     "mujoco": ("studies.mujoco_peer",),
     "numba": ("jit", "studies.mujoco_peer"),
     "pinocchio": (
@@ -60,6 +59,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pandas": ("results.trajectory",),
     "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
+    "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "rich": ("cli", "terminal"),
@@ -85,15 +85,13 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
-    "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
-    "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
 }
 
-HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
+HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "scipy", "pydantic"}
 
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
