@@ -12,6 +12,7 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
 from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
+from multiarm.notation import count_of
 from multiarm.terminal.console import (
     accuracy,
     columns,
@@ -175,7 +176,7 @@ def _effect(name: str, added: EffectFacts | None) -> tuple[RenderableType, ...]:
     spread = f"{added.microseconds:.2f} \N{PLUS-MINUS SIGN} {added.uncertainty_microseconds:.2f}"
     time = Text(f"{spread}, within noise" if added.within_noise else spread)
     counts = (added.states, added.rows, added.callbacks)
-    return name, time, f"{added.bytes:,} bytes", *(str(count or "-") for count in counts)
+    return name, time, count_of(added.bytes, "byte"), *(str(count or "-") for count in counts)
 
 
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:

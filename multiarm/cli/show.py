@@ -12,6 +12,7 @@ from rich.text import Text
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import Code, file_option, option, switch
 from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.notation import count_of
 from multiarm.results.files import resolved
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -163,8 +164,8 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     try:
         if run is None:
             raise MultiarmError(
-                f"'{result}' is a sweep of {sweep.count} runs; choose the one to show: --run 1 to "
-                f"--run {sweep.count}"
+                f"'{result}' is a sweep of {count_of(sweep.count, 'run')}; choose the one "
+                f"to show: --run 1 to --run {sweep.count}"
             )
         values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
         messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)

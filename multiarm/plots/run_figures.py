@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from multiarm.notation import count_of
 from multiarm.plots.decimation import POINTS, RotationSinceStart, decimate
 from multiarm.plots.panels import DECADES, LEGEND_ROW, EventMarks, Panel, draw, sheet
 from multiarm.plots.style import (
@@ -278,7 +279,7 @@ def _dress(axes: Axes, names: list[str], left_out: int) -> None:
     style: dict[str, Any] = {"va": "center", "fontsize": 8.5, "parse_math": False}
     for place, name in enumerate(names):
         axes.text(1.012, place + 0.5, name, transform=axes.get_yaxis_transform(), **style)
-    more = f"; {left_out} more contacts are not shown" if left_out > 0 else ""
+    more = f"; {count_of(left_out, 'more contact')} not shown" if left_out > 0 else ""
     axes.set_xlabel(f"time [s]{more}")
 
 

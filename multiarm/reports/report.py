@@ -27,7 +27,8 @@ _STATISTICS = {
     "steps": "Steps",
     "rejected_steps": "Rejected steps",
     "evaluations": "Evaluations of the dynamics",
-    "wall_time_s": "Wall time [s]",
+    "wall_time_s": "Wall time without compilation [s]",
+    "compile_time_s": "Compiling kernels [s]",
     "realtime_factor": "Simulated time / wall time",
     "error_estimate": "Error estimate",
 }

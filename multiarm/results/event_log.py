@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from textwrap import shorten
 from typing import Any
 
+from multiarm.notation import count_of
+
 Event = dict[str, Any]
 START = "start"
 """Kind of the remarks on how a run was prepared; they are no events of the motion."""
@@ -153,8 +155,8 @@ class EventLog:
             for (kind, arm), count in self.dropped.most_common()
         ]
         return (
-            f"{self.dropped.total():,} more events from t = {begin:.4g} s to {end:.4g} s are not "
-            f"listed: {_some(names)}"
+            f"not listed: {count_of(self.dropped.total(), 'event')} from t = {begin:.4g} s to "
+            f"{end:.4g} s: {_some(names)}"
         )
 
 

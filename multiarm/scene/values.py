@@ -33,6 +33,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
+from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import Parts, explain, fault, listed, path_fault, shown, unknown
 from multiarm.scene.urdf import JointOutline
@@ -503,7 +504,7 @@ def joint_value_faults(
     if values is None or isinstance(values, (float, Real)) or len(values) == len(names):
         return []
     message = (
-        f"{len(values)} values for {len(names)} movable joints; "
+        f"{count_of(len(values), 'value')} for {count_of(len(names), 'movable joint')}; "
         f"give one each, base to tip: {listed(names)}"
     )
     return [((), message)]

@@ -143,7 +143,7 @@ def simulate(
         system = system.with_control(control, sample_time, sample_delay)
     if max_step is None:
         max_step = spec.output_step if system.model.calls_user else np.inf
-    own = partial(RunProgress, spec.duration, integrator=spec.integrator, begin=start_time)
+    own = partial(RunProgress, spec.duration, begin=start_time)
     with displayed(progress, own) as show, system.borrow() as data:
         for callback in data.user_callbacks:
             callback.forget()

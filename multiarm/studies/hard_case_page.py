@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from multiarm.notation import count_of
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
@@ -34,7 +35,7 @@ def rank_text(case: CaseResult) -> str:
     low, high = (case.statistics.get(key) for key in ("lowest_rank", "highest_rank"))
     text = "-" if low is None else f"{low}" if low == high else f"{low} to {high}"
     count = len(case.events)
-    return text if not count else f"{text}, {count} event{'s' if count > 1 else ''}"
+    return text if not count else f"{text}, {count_of(count, 'event')}"
 
 
 def path_text(case: CaseResult) -> str:
@@ -44,7 +45,7 @@ def path_text(case: CaseResult) -> str:
         return "-"
     if not coupled:
         return "linear"
-    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
+    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {count_of(steps, 'step')}"
 
 
 RIGHT = DOUBTFUL = 1e-6
@@ -248,7 +249,7 @@ def _run(case: CaseResult) -> list[str]:
     wall = pages.quantity(case.wall_time_s, "s")
     return [
         f"{pages.quantity(counted['simulated_s'], 's')} simulated in {wall}",
-        f"{counted['integrator']}, {counted['steps']:,} steps "
+        f"{counted['integrator']}, {count_of(counted['steps'], 'step')} "
         f"({counted['rejected_steps']:,} rejected)",
         f"solver {counted['solver']}, {counted['stabilization']}",
         f"rank {rank_text(case)}",

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, model_validator
 from typing_extensions import Self
 
+from multiarm.notation import count_of
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import fault, listed, shown, unknown
 from multiarm.scene.functions import UserFunction
@@ -200,7 +201,7 @@ def read_wrench_table(path: Path) -> tuple[list[list[float]], str]:
 
 def _row_fault(cells: list[str]) -> str:
     if len(cells) != len(_TABLE_COLUMNS):
-        return f"has {len(cells)} columns; they are {', '.join(_TABLE_COLUMNS)}"
+        return f"has {count_of(len(cells), 'column')}; they are {', '.join(_TABLE_COLUMNS)}"
     for name, cell in zip(_TABLE_COLUMNS, cells, strict=True):
         try:
             finite = math.isfinite(float(cell))
