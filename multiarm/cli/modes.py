@@ -10,7 +10,8 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import JsonFile, NoCode, SceneFile, file_option, option, switch
-from multiarm.terminal.console import columns, facts, number, output, print_warnings, print_written
+from multiarm.notation import number
+from multiarm.terminal.console import columns, facts, output, print_warnings, print_written
 
 if TYPE_CHECKING:
     from multiarm.linear.linearisation import LinearSystem

@@ -26,18 +26,16 @@ from multiarm.cli.options import (
 from multiarm.cli.show import serve_until_interrupt
 from multiarm.errors import SceneError
 from multiarm.jit.compilation import compile_time
-from multiarm.notation import count_of
+from multiarm.notation import count_of, number, numbers
 from multiarm.results.event_log import counts, who
 from multiarm.terminal.console import (
     STATUS_STYLES,
     accuracy,
     facts,
-    number,
     output,
     print_error,
     print_warnings,
     print_written,
-    vector,
 )
 from multiarm.terminal.progress import RunProgress
 
@@ -273,7 +271,7 @@ def summary_table(figures: dict[str, Any], compilation: float) -> Table:
         **_exactness(figures),
     }
     if figures["final_object_position"] is not None:
-        rows["object at the end"] = vector(figures["final_object_position"], "m")
+        rows["object at the end"] = numbers(figures["final_object_position"], "m")
     for arm, force in figures["contact_force_max_N"].items():
         rows[f"largest contact force, {arm}"] = number(force, "N")
     rows |= _events(figures["events"])
@@ -287,9 +285,9 @@ def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
         return {}
     lines = []
     for kind in kinds[:SHOWN_KINDS]:
-        times = f", {number(kind.count)} times, first" if kind.count > 1 else ""
+        times = f", {kind.count:,} times, first" if kind.count > 1 else ""
         whose = f" ({who(kind.first)})" if who(kind.first) else ""
-        lines.append(f"{kind.kind}{times} at {number(float(kind.first['time']), 's')}{whose}")
+        lines.append(f"{kind.words}{times} at {number(float(kind.first['time']), 's')}{whose}")
     if len(kinds) > SHOWN_KINDS:
         lines.append(f"and {count_of(len(kinds) - SHOWN_KINDS, 'more kind')}")
     return {"events": "\n".join(lines)}

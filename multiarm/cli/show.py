@@ -25,6 +25,7 @@ RESULT = typer.Argument(
     help="A result of multiarm run, or of multiarm sweep with --run; an HDF5 file.",
     metavar="RESULT.h5",
 )
+REPORT = Path("report.html")
 RUN = option("Number of a run of a sweep, which is simulated again.", "N", default="none")
 
 
@@ -88,9 +89,14 @@ def replay(
 
 def report(
     result: Annotated[Path, RESULT],
-    html: Annotated[Path, option("The HTML file; replaced if it exists.", "FILE.html")] = Path(
-        "report.html"
-    ),
+    html: Annotated[
+        Path | None,
+        option(
+            "The HTML file; one that is named here is replaced if it exists.",
+            "FILE.html",
+            default=f"{REPORT}, which must not exist",
+        ),
+    ] = None,
     run: Annotated[int | None, RUN] = None,
     code: Code = False,
 ) -> None:
@@ -98,6 +104,9 @@ def report(
 
     Of a sweep, --run names the run.
     """
+    if html is None and REPORT.exists():
+        raise MultiarmError(f"'{REPORT}' exists; name the file to be written or replaced: --html")
+    html = html or REPORT
     check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result, run, code)
     import multiarm

@@ -12,8 +12,8 @@ from rich.text import Text
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import JsonFile, file_option
 from multiarm.cli.studies import rendered, write_files
-from multiarm.notation import count_of
-from multiarm.terminal.console import columns, number, output, print_error
+from multiarm.notation import count_of, number
+from multiarm.terminal.console import columns, output, print_error
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:

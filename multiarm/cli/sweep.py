@@ -24,14 +24,13 @@ from multiarm.cli.options import (
     with_settings,
 )
 from multiarm.errors import SweepError
-from multiarm.notation import count_of
+from multiarm.notation import count_of, number
 from multiarm.results.files import save_figure
 from multiarm.terminal.console import (
     STATUS_STYLES,
     columns,
     facts,
     messages,
-    number,
     output,
     print_error,
     print_warnings,

@@ -310,8 +310,8 @@ def _echelon(
     chosen = pivots(A) if rows is None else chosen_rows(rows, labels, "contacts")
     if len(chosen) != size:
         raise GraspError(
-            f"the contacts have {size} internal coordinates, which takes as many of them, not "
-            f"{len(chosen)}{_advice(A, labels)}"
+            f"the contacts have {count_of(size, 'internal coordinate')}, which takes as many of "
+            f"them, not {len(chosen)}{_advice(A, labels)}"
         )
     block = A[list(chosen)]
     smallest = np.linalg.svd(block, compute_uv=False)[-1] if size else 1.0

@@ -65,7 +65,8 @@ def read_table(control: RecordedControl, joints: Sequence[str]) -> Table:
     for name, own in zip(chosen.values(), values, strict=True):
         if len(own) != len(times):
             raise _fault(
-                f"{path}: column {name!r} has {len(own)} rows, {control.time!r} has {len(times)}"
+                f"{path}: column {name!r} has {count_of(len(own), 'row')}, "
+                f"{control.time!r} has {len(times)}"
             )
     return Table(times, list(chosen), np.column_stack(values))
 

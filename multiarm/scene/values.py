@@ -330,6 +330,21 @@ def rotation_matrix(
     )
 
 
+def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Angles [rad] of a rotation (3, 3): the inverse of :func:`rotation_matrix`.
+
+    Where yaw and roll turn about one axis, the yaw is 0.
+    """
+    import numpy as np
+
+    R = rotation
+    cosine = np.hypot(R[0, 0], R[1, 0])
+    pitch = float(np.arctan2(-R[2, 0], cosine))
+    if cosine < 1e-9:
+        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
+    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
+
+
 class Pose(Spec):
     """A placement: where a frame's origin is and how its axes are turned."""
 

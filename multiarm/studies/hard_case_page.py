@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from multiarm.notation import count_of
+from multiarm.notation import count_of, number
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
@@ -74,8 +74,8 @@ def solver_table(cases: Sequence[CaseResult]) -> Table:
 
 def _solver_rows(cases: Sequence[CaseResult]) -> Iterator[tuple[Any, ...]]:
     given = [case for case in cases if case.answers]
-    for number, solver in enumerate(answer.solver for answer in given[0].answers):
-        found = [(case.name, case.answers[number]) for case in given]
+    for place, solver in enumerate(answer.solver for answer in given[0].answers):
+        found = [(case.name, case.answers[place]) for case in given]
         tried = [(name, answer) for name, answer in found if not answer.refusal]
         if not tried:
             yield solver, "0", None, None, None, found[0][1].refusal
@@ -246,9 +246,9 @@ def _run(case: CaseResult) -> list[str]:
     counted = case.statistics
     if not counted:
         return []
-    wall = pages.quantity(case.wall_time_s, "s")
+    wall = number(case.wall_time_s, "s")
     return [
-        f"{pages.quantity(counted['simulated_s'], 's')} simulated in {wall}",
+        f"{number(counted['simulated_s'], 's')} simulated in {wall}",
         f"{counted['integrator']}, {count_of(counted['steps'], 'step')} "
         f"({counted['rejected_steps']:,} rejected)",
         f"solver {counted['solver']}, {counted['stabilization']}",

@@ -43,7 +43,7 @@ EXPRESSIBLE = ("weld", "ball", "revolute")
 """Kinds of joint that the peers have constraints for."""
 BYTES_PER_CUBE = 64
 """Memory of Pinocchio's Data, as measured, grows with the cube of the number of joints."""
-NOT_INSTALLED = "not installed: pip install multiarm[peers]"
+NOT_INSTALLED = "not installed: pip install mujoco drake"
 
 
 @dataclass(frozen=True)

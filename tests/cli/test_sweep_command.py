@@ -170,7 +170,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(made, tmp_path, monkeyp
     assert called.exit_code == 1
     safe = len(load_sweep(out))
     assert 1 <= safe < 6
-    told = f"interrupted: {safe} of 6 runs are in '{out}'; the same command resumes from there"
+    told = f"interrupted: {safe} of 6 runs in '{out}'; the same command resumes from there"
     assert told in called.output
     assert multiarm(*words).exit_code == 0
     assert same_table(out, folder / "m.h5")

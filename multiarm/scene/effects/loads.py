@@ -172,7 +172,8 @@ class WrenchTable(Spec):
         if self.times is None or self.values is None:
             raise fault("needs 'times' and 'values', or a 'file'")
         if len(self.times) != len(self.values):
-            raise fault(f"has {len(self.times)} times and {len(self.values)} values; give as many")
+            times, values = count_of(len(self.times), "time"), count_of(len(self.values), "value")
+            raise fault(f"has {times} and {values}; give as many")
         return self
 
 
