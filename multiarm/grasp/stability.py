@@ -51,7 +51,6 @@ from multiarm.grasp.form_closure import closed_many
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.independent_contacts import blocks_of
 from multiarm.grasp.seventh_contact import ContactRegion, region_of
-from multiarm.notation import count_of
 
 # A measure should be at least so many times its largest change to first order.
 ENOUGH = 2.0
@@ -232,8 +231,8 @@ def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
     """Largest displacement of each contact [m], shape (N,)."""
     value = DISPLACEMENT * contacts.length if given is None else given
     needed = (
-        f"displacement is one length or one for each of "
-        f"{count_of(contacts.count, 'contact')}, finite and at least 0"
+        f"displacement is one length or one for each of the {contacts.count} contacts, finite and "
+        f"at least 0"
     )
     delta = numbers_of(value, needed, (), (contacts.count,))
     if np.any(delta < 0.0):
