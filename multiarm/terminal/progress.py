@@ -49,7 +49,8 @@ SHORTEST = 1e-9
 """[s] No pace is taken over less, as clocks may show equal times."""
 CLOCK_TIMES = 90.0
 """Where more time is left [s], the end is given as a time of day too."""
-PREPARING, COMPILING = "preparing", "compiling kernels (only the first time on this machine)"
+PREPARING, SIMULATING = "preparing", "simulating"
+COMPILING = "compiling kernels (only the first time on this machine)"
 
 
 def displayed(progress: bool | Callable[..., None] | None, own: Callable[[], Shown]) -> Shown:
@@ -134,10 +135,20 @@ class _Display:
         return COMPILING if is_compiling() else self._work
 
     def _amount_and_left(self) -> str:
-        return ", ".join(filter(None, (self._amount, self._pace.left())))
+        return ", ".join(filter(None, (self._amount, self._left())))
+
+    def _left(self) -> str:
+        """How long the work will take, and when it ends; empty if that is not known."""
+        seconds = self._pace.left()
+        if seconds is None:
+            return ""
+        if seconds < CLOCK_TIMES:
+            return f"about {span(seconds)} left"
+        ends = datetime.now() + timedelta(seconds=seconds)
+        return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
 
     def _line(self) -> str:
-        end = self._pace.left() or f"{span(self._pace.passed())} so far"
+        end = self._left() or f"{span(self._pace.passed())} so far"
         return ", ".join(filter(None, (self._words(), self._amount, end)))
 
     def _print_lines(self) -> None:
@@ -187,26 +198,22 @@ class _Pace:
         first = self._marks[0]
         return (self._done - first.done) / max(process_running_time() - first.time, SHORTEST)
 
-    def left(self) -> str:
-        """How long it will take at the pace so far, and when it ends.
+    def left(self) -> float | None:
+        """How long it will take at the pace so far [s].
 
-        Empty if that is not known, and where the pace changes much: parts of the work that take
+        None if that is not known, and where the pace changes much: parts of the work that take
         longer than those before would prove every estimate wrong.
         """
         average = self.rate()
         if average is None or not self._done < self._total:
-            return ""
+            return None
         now, (first, recent, _) = process_running_time(), self._marks
         if now - first.time < SETTLED:
-            return ""
+            return None
         latest = (self._done - recent.done) / max(now - recent.time, SHORTEST)
         if not average < STEADY * latest < STEADY**2 * average:
-            return ""
-        seconds = (self._total - self._done) / min(average, latest)
-        if seconds < CLOCK_TIMES:
-            return f"about {span(seconds)} left"
-        ends = datetime.now() + timedelta(seconds=seconds)
-        return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
+            return None
+        return (self._total - self._done) / min(average, latest)
 
 
 class Progress(_Display):
@@ -228,21 +235,32 @@ class RunProgress(_Display):
         As of every display.
     begin : float
         Time at which the run begins [s].
+
+    Attributes
+    ----------
+    checked : bool
+        The accuracy of the run will be checked, which takes about as long again.
     """
 
     def __init__(self, duration: float, quiet: bool = False, begin: float = 0.0) -> None:
         super().__init__(quiet)
-        self._duration, self._begin = duration, begin
+        self._duration, self._begin, self.checked = duration, begin, False
 
     def __call__(self, t: float) -> None:
         """Show that the run has come to time ``t`` [s]; what ``simulate`` calls."""
-        self._show_simulated("simulating", t - self._begin, self._duration)
+        self._show_simulated(SIMULATING, t - self._begin, self._duration)
 
     def checking(self, t: float, number: int) -> None:
         """Show that a rerun has come to time ``t`` [s]: the second, third, ... run."""
         repeated = "" if number < 2 else f" (run {number + 1})"
         words = f"checking the accuracy{repeated}"
         self._show_simulated(words, t - self._begin, self._duration)
+
+    def _left(self) -> str:
+        seconds = self._pace.left()
+        if seconds is None or not self.checked or self._work != SIMULATING:
+            return super()._left()
+        return f"about {span(seconds)} until its accuracy is checked"
 
 
 class ManyRunsProgress(_Display):
@@ -262,7 +280,7 @@ class ManyRunsProgress(_Display):
     def __call__(self, t: float, done: int) -> None:
         """Show that the runs have come to ``t`` seconds together, and that some are done."""
         if t > 0.0:  # before, the first one may still wait for its kernels
-            self._show_simulated(f"{done} of {count_of(self._runs, 'run')}", t, self._duration)
+            self._show_simulated(f"{done:,} of {count_of(self._runs, 'run')}", t, self._duration)
 
 
 class PartProgress(_Display):
@@ -278,7 +296,7 @@ class SweepProgress(_Display):
 
     def __call__(self, done: int, total: int, failed: int = 0) -> None:
         """Show how many runs are done, and how many of them failed."""
-        words = f"{done} of {count_of(total, 'run')}{f', {failed} failed' if failed else ''}"
+        words = f"{done:,} of {count_of(total, 'run')}{f', {failed} failed' if failed else ''}"
         self._show(words, done, total, f"{100 * done // max(total, 1)} %")
 
 

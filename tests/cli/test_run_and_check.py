@@ -362,7 +362,7 @@ def test_progress_says_that_kernels_are_compiled_while_they_are(monkeypatch):
     with RunProgress(3.0) as progress:
         progress(0.5)
         progress(1.0)
-        before, left = progress._line(), progress._pace.left()
+        before, left = progress._line(), progress._left()
         with compiling():
             time.sleep(0.05)
             during = progress._line()
@@ -373,6 +373,21 @@ def test_progress_says_that_kernels_are_compiled_while_they_are(monkeypatch):
     assert after.startswith("simulating, 1.5 of 3 s, ")
     (rate,) = re.findall(r"(\S+) x real time", after)
     assert float(rate) > 100.0, "1 s in some microseconds: the 50 ms of the compiler do not count"
+
+
+def test_the_estimate_of_a_run_that_is_checked_afterwards_ends_with_the_check(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr("multiarm.terminal.progress.process_running_time", lambda: clock[0])
+    progress = RunProgress(40.0)
+    progress.checked = True
+    for step in range(4):
+        progress(10.0 * step)
+        clock[0] += 6.0
+    assert progress._line().endswith(" x real time, about 12 s until its accuracy is checked")
+    for step in range(4):
+        progress.checking(10.0 * step, 1)
+        clock[0] += 6.0
+    assert progress._line().endswith(" x real time, about 12 s left")
 
 
 def test_no_time_is_estimated_where_the_parts_of_the_work_take_unequally_long(monkeypatch):

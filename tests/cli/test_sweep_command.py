@@ -331,9 +331,9 @@ def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
         bar(done, 1000, 3)
         printed.append(bar._line())
     # 200 runs in the 80 s after the first ten, which came with compiling: 290 take 116 s
-    assert printed[0] == "500 of 1000 runs, 3 failed, 50 %, 0 s so far"
-    assert printed[3].startswith("710 of 1000 runs, 3 failed, 71 %, about 2 min left, ends ")
-    assert printed[4] == "1000 of 1000 runs, 3 failed, 100 %, 3 min so far"
+    assert printed[0] == "500 of 1,000 runs, 3 failed, 50 %, 0 s so far"
+    assert printed[3].startswith("710 of 1,000 runs, 3 failed, 71 %, about 2 min left, ends ")
+    assert printed[4] == "1,000 of 1,000 runs, 3 failed, 100 %, 3 min so far"
     assert all(
         text.startswith(f"{n} of") for text, n in zip(printed, (500, 510, 610), strict=False)
     )
