@@ -23,7 +23,7 @@ from multiarm.cli.options import (
     switch,
     with_settings,
 )
-from multiarm.cli.show import serve_until_interrupt
+from multiarm.cli.show import show_replay
 from multiarm.errors import SceneError
 from multiarm.jit.compilation import compile_time
 from multiarm.notation import count_of, number, numbers
@@ -128,7 +128,7 @@ def run(
     if json is not None:
         write_json(json, figures)
     if replay and len(trajectory):
-        serve_until_interrupt(trajectory, quiet=quiet)
+        show_replay(trajectory, quiet=quiet)
     if trajectory.status != "completed":
         raise typer.Exit(1)
 
