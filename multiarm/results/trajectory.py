@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from multiarm.errors import SceneError, TrajectoryError
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import STATUSES, temporary_name
@@ -119,7 +120,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         span = f", t = {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else ""
-        return f"Trajectory({len(self)} samples{span}, {self.status})"
+        return f"Trajectory({count_of(len(self), 'sample')}{span}, {self.status})"
 
     def _repr_html_(self) -> str:
         span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else "none"
@@ -391,8 +392,8 @@ class Trajectory:
         ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
         ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
         bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
-        evaluations, wall_time_s, errors, returned). The errors are estimates, from a rerun with
-        smaller tolerances.
+        evaluations, wall_time_s, compile_time_s, errors, returned). The errors are estimates, from
+        a rerun with smaller tolerances.
         """
         return self._outcome.certificate
 
@@ -437,7 +438,8 @@ class Trajectory:
         -------
         dict
             status, message, samples, duration_s; steps, rejected_steps, evaluations,
-            wall_time_s, realtime_factor, error_estimate as far as the run counted them;
+            wall_time_s (without compilation), compile_time_s (of all runs of its check
+            together), realtime_factor, error_estimate as far as the run counted them;
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
             contact_force_max_N, the largest magnitude per arm, and of the floor; wrench_max, per
@@ -446,8 +448,8 @@ class Trajectory:
             coupled_steps. Numbers are finite; unknown ones are None.
         """
         counted = (
-            "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
-            "error_estimate",
+            "steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
+            "realtime_factor", "error_estimate",
         )  # fmt: skip
         forces, wrenches = (
             channels_of(self._store.channels, quantity) for quantity in ("contact_force", "wrench")
