@@ -28,7 +28,7 @@ from multiarm.plots.style import (
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
+from multiarm.results.channels import CONTACT_STATES, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
 from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
@@ -184,7 +184,7 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
     panels = []
     for arm, channel in zip(named, channels, strict=True):
         time, values = decimate(trajectory, [channel.name], points=points)
-        labels = _short(_labels(channel))
+        labels = _short(channel.column_labels)
         for unit in dict.fromkeys(channel.column_units):
             chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
             shown, factor = _SHOWN[quantity, unit]
@@ -199,10 +199,6 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
                 )
             )  # fmt: skip
     return panels
-
-
-def _labels(channel: Channel) -> tuple[str, ...]:
-    return channel.labels or tuple(str(i + 1) for i in range(int(np.prod(channel.shape))))
 
 
 def _short(labels: Sequence[str]) -> list[str]:

@@ -21,6 +21,7 @@ from multiarm.reports import pages
 from multiarm.reports.pages import heading
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import atomic_file, printable, resolved
+from multiarm.results.limit_use import LIMITS
 from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
 
 SHOWN_EVENTS = 200
@@ -192,11 +193,14 @@ def _row(group: Group) -> tuple[str, str, str, str]:
 
 
 def _flat(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The values under headings; versions of dependencies by their own names, without the scene."""
+    """The values under headings; versions of dependencies by their own names.
+
+    Without the scene and the limits of joints, which have sections of their own.
+    """
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if key == "dependencies":
             flat |= value
-        elif key != "scene":
+        elif key not in ("scene", LIMITS):
             flat[heading(str(key))] = value
     return flat

@@ -145,18 +145,9 @@ class Trajectory:
             One row a sample, with the time [s] as index; a column for each number, named
             ``channel/label``, such as ``arms/left/joint_position/elbow_joint``. ``attrs["units"]``
             maps columns to units.
-
-        Raises
-        ------
-        TrajectoryError
-            The package pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise TrajectoryError(
-                "to_pandas: the package pandas is not installed: pip install pandas"
-            ) from None
+        import pandas
+
         columns: dict[str, np.ndarray] = {}
         units: dict[str, str] = {}
         for channel in self._store.channels.values():
@@ -168,6 +159,39 @@ class Trajectory:
         frame = pandas.DataFrame(columns, index=time)
         frame.attrs["units"] = {name: unit for name, unit in units.items() if name != "time"}
         return frame
+
+    @property
+    def limit_use(self) -> Any:
+        r"""How much of its limits each joint uses: the largest shares and their times.
+
+        The limits are those of the robot's file, whether or not the scene enforces them. The share
+        is 1 at the limit: :math:`|\tau| / \hat\tau` of the effort, with the torque of the drive
+        (`joint_torques`: within limits and lag of the drive if the scene has any; friction is no
+        part of it), :math:`|v| / \hat v` of the speed, and
+        :math:`|q - (q_- + q_+)/2| / ((q_+ - q_-)/2)` of the range. Peaks between two stored samples
+        are not seen.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a joint, with the columns ``joint`` (``left/shoulder_pan_joint``), ``effort``,
+            ``speed``, ``range`` (shares), and ``effort_time``, ``speed_time``, ``range_time`` [s],
+            of the first such sample. NaN where the robot's file names no limit (an effort or a
+            speed of 0 is none), and everywhere in results of earlier versions, which do not store
+            the limits.
+
+        Raises
+        ------
+        TrajectoryError
+            The limits in the file cannot be read.
+        """
+        import pandas
+
+        from multiarm.results.limit_use import JointUse, joint_uses
+
+        columns = tuple(JointUse("", None, None, None).row())
+        frame = pandas.DataFrame([use.row() for use in joint_uses(self)], columns=columns)
+        return frame.astype(dict.fromkeys(columns[1:], float))
 
     @property
     def channels(self) -> Mapping[str, Channel]:
