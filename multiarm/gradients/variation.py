@@ -18,24 +18,30 @@ many they are does not depend on the number of arms; they have coordinates of th
 
 *Parameters* p are numbers of the scene.  What they change of the accelerations at a state, of its
 gaps, and of the start, are differences of order four between systems that are compiled with other
-numbers.  Where they move the joints themselves, as lengths do, nearby motions keep
-:math:`C\delta = -\partial(\varphi, \dot\varphi)/\partial p\;\delta p`.
+numbers.  A start that is given is put on the joints of each, as that of a run is: derivatives are
+those of runs from the same state in other scenes.  Where parameters move the joints themselves, as
+lengths do, nearby motions keep
+:math:`C\delta = -\partial(\varphi, \dot\varphi)/\partial p\;\delta p`; changes of the gaps that are
+roundings do not count.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.loop_closure import projection_tolerance
+from multiarm.assembly.start import project_start
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.sensitivity import STATE, Derivatives, Motions, columns_of
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
-from multiarm.errors import MultiarmError, SceneError, SolverError
+from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.scene.changes import changed, parse_path, value_at
 from multiarm.scene.faults import place, shown
@@ -47,6 +53,9 @@ from multiarm.spatial import skew
 PART, ROUNDING = 1e-3, 1e-6
 # Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
 CLOSED = 1e-5
+# Changes of the start [m, rad] by four displacements are those of a smooth function when they agree
+# to this part, or to what closing the joints leaves of them.
+UNEVEN, START_ROUNDINGS = 0.1, 1e-9
 OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
 
@@ -161,18 +170,50 @@ class Parameter:
         if size is None:
             size = abs(value) if abs(value) > ROUNDING else 1.0
         self.path, self.size = path, positive(f"parameters[{path!r}]", size)
-        self._start, step = system.initial_state(), PART * self.size
+        self._system, step = system, PART * self.size
         self._systems = {
             weight / step: _with_value(system, path, value + offset * step)
             for offset, weight in OFFSETS.items()
         }
 
-    def of_start(self) -> np.ndarray:
-        """The derivative of the scene's start, shape (D,)."""
-        own, found = self._start, np.zeros(12 + 2 * self._start.layout.joints)
-        for weight, system in self._systems.items():
-            found += weight * displacement(own, system.initial_state())
-        return found
+    def of_start(self, state: State | None) -> np.ndarray:
+        """The derivative of the state in which runs begin, shape (D,).
+
+        Runs begin in the scene's start, or in a given state, which is put on the joints.
+
+        Raises
+        ------
+        SceneError
+            When that state jumps, or cannot be put on the joints.
+        """
+        try:
+            start = _start(self._system, state)
+            ends = {w: _start(system, state) for w, system in self._systems.items()}
+        except ModelError as error:
+            raise SceneError(
+                f"{self.path}: derivatives by it need runs from the given `state` with "
+                f"{shown(self.path)} nearby; name a smaller size, "
+                f"`parameters={{{self.path!r}: ...}}` ({error})"
+            ) from None
+        changes = {w: displacement(start, end) for w, end in ends.items()}
+        self._require_smooth(list(changes.values()))
+        return np.sum([w * change for w, change in changes.items()], axis=0)
+
+    def _require_smooth(self, changes: Sequence[np.ndarray]) -> None:
+        """Compare first and second differences over the long and over the short steps."""
+        far_back, back, ahead, far_ahead = changes
+        slopes = 0.5 * (far_ahead - far_back) - (ahead - back)
+        curvatures = 0.25 * (far_ahead + far_back) - (ahead + back)
+        uneven, largest = np.abs([slopes, curvatures]).max(), np.abs([ahead, back]).max()
+        if uneven > START_ROUNDINGS + UNEVEN * largest:
+            raise SceneError(
+                f"{self.path}: the start of the run does not depend on it smoothly: a change of "
+                f"{PART * self.size:.3g} moves it by {np.abs(ahead).max():.3g}, and one of "
+                f"{-PART * self.size:.3g} by {np.abs(back).max():.3g} m or rad; where `posture: "
+                "solve` or a base to be found jumps, write what was found, "
+                "`system.initial_state().joint_positions`; else name another size, "
+                f"`parameters={{{self.path!r}: ...}}`"
+            )
 
     def at(self, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
         """The derivatives of the state's rate at a time [s], shape (D,), and of gaps and gap rates.
@@ -184,20 +225,29 @@ class Parameter:
         SolverError
             When the parameter moves contacts that can open.
         """
-        found = [(w, *self._evaluated(system, t, state)) for w, system in self._systems.items()]
-        rate = np.sum([w * accelerations for w, accelerations, _ in found], axis=0)
-        gaps = np.sum([w * residuals for w, _, residuals in found], axis=0)
+        pairs = [self._evaluated(system, t, state) for system in self._systems.values()]
+        accelerations, residuals = map(np.array, zip(*pairs, strict=True))
+        weights = np.array(list(self._systems))
+        rate, gaps = weights @ accelerations, weights @ residuals
+        if not np.ptp(residuals, axis=0).max(initial=0.0) > self._closed(state):
+            gaps[:] = 0.0
         still = np.zeros(6), np.zeros(state.layout.joints)
         return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), gaps
+
+    def _closed(self, state: State) -> float:
+        """Changes of gaps [m] and gap rates [m/s] that are roundings, at a state."""
+        with self._system.borrow() as data:
+            fastest = np.abs(state.velocity).max()
+            return projection_tolerance(data) * max(1.0, fastest)
 
     def _evaluated(self, system: System, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Accelerations of one system, and its gaps and gap rates."""
         if system.model.unilateral is None:
             with system.borrow() as data:
-                found = evaluation.evaluate(data, t, state)
+                accelerations = evaluation.evaluate(data, t, state).accelerations
                 codes, contacts = data.model.constants.codes, data.arrays.contacts
                 gaps = contacts[codes[:, KIND] != TANGENT, GAP]
-                return found.accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
+                return accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
         found = evaluate(system, t, state)
         if max(found.position_residual, found.velocity_residual) > CLOSED:
             raise SolverError(
@@ -205,6 +255,14 @@ class Parameter:
                 "by such numbers only where all contacts hold both ways"
             )
         return found.accelerations, np.zeros(0)
+
+
+def _start(system: System, state: State | None) -> State:
+    """The state in which a run of a system begins."""
+    if state is None:
+        return system.initial_state()
+    with system.borrow() as data:
+        return project_start(data, system.scene, state)[0]
 
 
 def _with_value(system: System, path: str, value: float) -> System:
