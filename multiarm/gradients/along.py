@@ -29,15 +29,14 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from multiarm.dynamics.sensitivity import Derivatives, Motions
-from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
+from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.motion import Motion
-from multiarm.gradients.segments import LESSENED, SHORTEST, TINY, Panel, Segment
+from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
 from multiarm.gradients.variation import Parameter, Variation, state_columns, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
@@ -167,7 +166,7 @@ class Along:
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
         self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
         self._segments: list[tuple[Panel, int]] = []
-        of_start = [parameter.of_start(start) for parameter in self.parameters]
+        of_start = [parameter.of_start(begin, start) for parameter in self.parameters]
         self.start_by_parameters = np.reshape(of_start, (-1, self.size)).T
         self._values: dict[float, Variation] = {}
         self._made: dict[tuple[Panel, int], Segment] = {}
@@ -219,6 +218,13 @@ class Along:
         if len(self._made) * segment.numbers < MOST_KEPT:
             self._made[own] = segment
         return segment
+
+    @cached_property
+    def _accelerations(self) -> np.ndarray:
+        """Which components of a displacement's rate are accelerations, (D,)."""
+        at, which = state_columns(self.layout), np.zeros(self.size, bool)
+        which[at["object_twist"]] = which[at["joint_velocities"]] = True
+        return which
 
     @cached_property
     def admissible(self) -> np.ndarray:
@@ -278,9 +284,7 @@ class Along:
 
     def neighbour(self) -> tuple[dict[float, State], list[list[float]]]:
         """The states of a neighbour, and the times at which its matrices are wanted, by segment."""
-        times = [
-            nodes(*panel, max(LOWEST, degree // COARSER)) for panel, degree in self._segments
-        ]
+        times = [nodes(*panel, max(LOWEST, degree // COARSER)) for panel, degree in self._segments]
         return self._motion.neighbour([*chain.from_iterable(times)]), times
 
     def _plan(self) -> None:
@@ -331,23 +335,22 @@ class Along:
         """The equation at a state."""
         count, D = len(self.parameters), self._derivatives(t, state)
         beta, offset = np.zeros((2, self.size, count))
+        A, B = variation(D)
         for k, parameter in enumerate(self.parameters):
-            beta[:, k], gaps = parameter.at(t, state)
-            offset[:, k] = _following(D.motions, gaps)
+            along_joints, offset[:, k] = parameter.at(t, state, D.motions)
+            at_state = along_joints - A @ offset[:, k]
+            beta[:, k] = np.where(self._accelerations, at_state, 0.0)
         rate, slope = 0.0, np.zeros(self.size)
         if self._integrand is not None:
             rate, slope = self._integrand(t, state)
-        A, B = variation(D)
         scale = self._scale(D.evaluation.accelerations)
         return Variation(A, B, beta, D.motions, offset, slope, rate, scale)
 
     def _scale(self, accelerations: np.ndarray) -> np.ndarray:
         """What the derivatives of the accelerations by parameters are as a rule, shape (D, P)."""
         largest = np.abs(np.append(accelerations, self.system.scene.gravity or 0.0)).max()
-        at, found = state_columns(self.layout), np.zeros((self.size, len(self.parameters)))
-        for velocity in ("object_twist", "joint_velocities"):
-            found[at[velocity]] = [largest / parameter.size for parameter in self.parameters]
-        return found
+        usual = np.array([largest / parameter.size for parameter in self.parameters])
+        return np.outer(self._accelerations, usual)
 
     def _derivatives(self, t: float, state: State) -> Derivatives:
         try:
@@ -394,15 +397,6 @@ def _thread_pools() -> ThreadpoolController:
 
 def _show(show: Report, total: int, words: str, done: int) -> None:
     show(done, total, words)
-
-
-def _following(motions: Motions, gaps: np.ndarray) -> np.ndarray:
-    """The least displacement (D,) that closes gaps and gap rates again, by their derivatives."""
-    C = motions.constraint
-    if not np.any(gaps):
-        return np.zeros(C.shape[1])
-    lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
-    return -np.linalg.lstsq(C / lengths[:, None], gaps / lengths, SYSTEM_TOLERANCE)[0]
 
 
 def _refuse(system: System) -> None:

@@ -32,7 +32,6 @@ from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.segments import (
     RICHARDSON,
     ROUNDING,
-    TINY,
     WHOLE,
     Coefficients,
     Halving,
@@ -40,7 +39,7 @@ from multiarm.gradients.segments import (
     Piece,
     Segment,
 )
-from multiarm.gradients.variation import displaced, state_columns
+from multiarm.gradients.variation import TINY, displaced, state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.faults import shown, unknown

@@ -48,7 +48,7 @@ from multiarm.dynamics.sensitivity import free_bases
 from multiarm.errors import SolverError
 from multiarm.gradients.collocation import COUNT, NODES, Collocation
 from multiarm.gradients.interpolation import Series, nodes
-from multiarm.gradients.variation import Variation
+from multiarm.gradients.variation import TINY, Variation
 
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
@@ -58,8 +58,6 @@ RICHARDSON = 2.0**COUNT - 1.0
 LESSENED, PATIENCE = 0.5, 6
 # Of derivatives by parameters, relative to what they are as a rule.
 ROUNDING = 1e-9
-# In place of sizes that are zero.
-TINY = 1e-300
 
 
 class Panel(NamedTuple):

@@ -25,13 +25,12 @@ from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.segments import (
     RICHARDSON,
     ROUNDING,
-    TINY,
     WHOLE,
     Coefficients,
     Halving,
     Piece,
 )
-from multiarm.gradients.variation import state_columns
+from multiarm.gradients.variation import TINY, state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.setup import increasing_times

@@ -22,12 +22,12 @@ numbers.  A start that is given is put on the joints of each, as that of a run i
 those of runs from the same state in other scenes.  Where parameters move the joints themselves, as
 lengths do, nearby motions keep
 :math:`C\delta = -\partial(\varphi, \dot\varphi)/\partial p\;\delta p`; changes of the gaps that are
-roundings do not count.
+roundings do not count.  Accelerations are then differentiated along states that follow the joints:
+where an arm is singular they have no derivative off them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,7 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.sensitivity import STATE, Derivatives, Motions, columns_of
+from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
@@ -51,11 +52,16 @@ from multiarm.spatial import skew
 # Displacement of a difference, as part of the size of a number of the scene; numbers below the
 # second may be roundings of zero, and have the size 1.
 PART, ROUNDING = 1e-3, 1e-6
+# In place of lengths that are zero.
+TINY = 1e-300
 # Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
 CLOSED = 1e-5
-# Changes of the start [m, rad] by four displacements are those of a smooth function when they agree
-# to this part, or to what closing the joints leaves of them.
-UNEVEN, START_ROUNDINGS = 0.1, 1e-9
+# Steps by which a state follows joints that a parameter moves, each with the derivatives at the
+# state itself: a rest of the third order in the change is left.
+NEWTON_STEPS = 2
+# Changes by four displacements are those of a smooth function when they agree to this part, or to
+# what closing the joints leaves of the start [m, rad] and of its accelerations, relative to these.
+UNEVEN, START_ROUNDINGS, ACCELERATION_ROUNDINGS = 0.1, 1e-9, 1e-5
 OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
 
@@ -176,15 +182,15 @@ class Parameter:
             for offset, weight in OFFSETS.items()
         }
 
-    def of_start(self, state: State | None) -> np.ndarray:
-        """The derivative of the state in which runs begin, shape (D,).
+    def of_start(self, t: float, state: State | None) -> np.ndarray:
+        """The derivative of the state in which runs begin at a time [s], shape (D,).
 
         Runs begin in the scene's start, or in a given state, which is put on the joints.
 
         Raises
         ------
         SceneError
-            When that state jumps, or cannot be put on the joints.
+            When that state or its accelerations jump, or it cannot be put on the joints.
         """
         try:
             start = _start(self._system, state)
@@ -195,44 +201,59 @@ class Parameter:
                 f"{shown(self.path)} nearby; name a smaller size, "
                 f"`parameters={{{self.path!r}: ...}}` ({error})"
             ) from None
-        changes = {w: displacement(start, end) for w, end in ends.items()}
-        self._require_smooth(list(changes.values()))
-        return np.sum([w * change for w, change in changes.items()], axis=0)
-
-    def _require_smooth(self, changes: Sequence[np.ndarray]) -> None:
-        """Compare first and second differences over the long and over the short steps."""
-        far_back, back, ahead, far_ahead = changes
-        slopes = 0.5 * (far_ahead - far_back) - (ahead - back)
-        curvatures = 0.25 * (far_ahead + far_back) - (ahead + back)
-        uneven, largest = np.abs([slopes, curvatures]).max(), np.abs([ahead, back]).max()
-        if uneven > START_ROUNDINGS + UNEVEN * largest:
+        changes = np.array([displacement(start, end) for end in ends.values()])
+        before, _ = self._evaluated(self._system, t, start)
+        after = [self._evaluated(self._systems[w], t, end)[0] for w, end in ends.items()]
+        faster = (np.array(after) - before) / max(1.0, np.abs(before).max())
+        if _jump(changes, START_ROUNDINGS) or _jump(faster, ACCELERATION_ROUNDINGS):
             raise SceneError(
-                f"{self.path}: the start of the run does not depend on it smoothly: a change of "
-                f"{PART * self.size:.3g} moves it by {np.abs(ahead).max():.3g}, and one of "
-                f"{-PART * self.size:.3g} by {np.abs(back).max():.3g} m or rad; where `posture: "
-                "solve` or a base to be found jumps, write what was found, "
-                "`system.initial_state().joint_positions`; else name another size, "
+                f"{self.path}: the start of the run, or its accelerations, do not depend on it "
+                f"smoothly: they jump when it changes by {PART * self.size:.3g}; where a posture or "
+                "a base that is to be found jumps, write what was found in the scene "
+                "(`system.initial_state().joint_positions`); else name another size, "
                 f"`parameters={{{self.path!r}: ...}}`"
             )
+        return np.array(list(ends)) @ changes
 
-    def at(self, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """The derivatives of the state's rate at a time [s], shape (D,), and of gaps and gap rates.
+    def at(self, t: float, state: State, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the state's rate, and of the state itself as it follows the joints.
 
-        Those are in the order of :attr:`multiarm.dynamics.sensitivity.Motions.constraint`.
+        Parameters
+        ----------
+        t : float
+            [s]
+        state : State
+        motions : Motions
+            At this state.
+
+        Returns
+        -------
+        rate, offset : ndarray, shape (D,)
+            The accelerations at the state that follows; zero at the places of velocities.
 
         Raises
         ------
         SolverError
             When the parameter moves contacts that can open.
         """
-        pairs = [self._evaluated(system, t, state) for system in self._systems.values()]
-        accelerations, residuals = map(np.array, zip(*pairs, strict=True))
-        weights = np.array(list(self._systems))
-        rate, gaps = weights @ accelerations, weights @ residuals
-        if not np.ptp(residuals, axis=0).max(initial=0.0) > self._closed(state):
-            gaps[:] = 0.0
+        weights, systems = np.array(list(self._systems)), list(self._systems.values())
+        moves = np.zeros((len(systems), 12 + 2 * state.layout.joints))
+        evaluated = [self._evaluated(system, t, state) for system in systems]
+        gaps = np.array([residuals for _, residuals in evaluated])
+        if np.ptp(gaps, axis=0).max(initial=0.0) > self._closed(state):
+            C = motions.constraint
+            lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
+            closing = np.linalg.pinv(C / lengths[:, None], SYSTEM_TOLERANCE) / lengths
+            for _ in range(NEWTON_STEPS):
+                moves -= gaps @ closing.T
+                evaluated = [
+                    self._evaluated(system, t, displaced(state, move))
+                    for system, move in zip(systems, moves, strict=True)
+                ]
+                gaps = np.array([residuals for _, residuals in evaluated])
+        rate = weights @ [accelerations for accelerations, _ in evaluated]
         still = np.zeros(6), np.zeros(state.layout.joints)
-        return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), gaps
+        return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), weights @ moves
 
     def _closed(self, state: State) -> float:
         """Changes of gaps [m] and gap rates [m/s] that are roundings, at a state."""
@@ -255,6 +276,18 @@ class Parameter:
                 "by such numbers only where all contacts hold both ways"
             )
         return found.accelerations, np.zeros(0)
+
+
+def _jump(changes: np.ndarray, roundings: float) -> bool:
+    """Whether changes by the four displacements are not those of a smooth function.
+
+    Its first and second differences agree over the long and over the short steps.
+    """
+    far_back, back, ahead, far_ahead = changes
+    slopes = 0.5 * (far_ahead - far_back) - (ahead - back)
+    curvatures = 0.25 * (far_ahead + far_back) - (ahead + back)
+    uneven, largest = np.abs([slopes, curvatures]).max(), np.abs([ahead, back]).max()
+    return bool(uneven > roundings + UNEVEN * largest)
 
 
 def _start(system: System, state: State | None) -> State:

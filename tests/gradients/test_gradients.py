@@ -10,13 +10,22 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import difference, planar_pair, scene_of, sledge_urdf, state_at, ur5_pair
+from mechanics import (
+    difference,
+    planar_pair,
+    random_state,
+    scene_of,
+    sledge_urdf,
+    state_at,
+    ur5_pair,
+)
 from repository import SCENES
 from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.gradients import along as along_module
 from multiarm.gradients.along import Along
@@ -27,7 +36,7 @@ from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, Panel, Piece, Segment
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
-from multiarm.gradients.variation import Variation, displaced, displacement
+from multiarm.gradients.variation import Parameter, Variation, displaced, displacement
 from multiarm.scene.changes import changed, value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]
@@ -348,6 +357,69 @@ def slope_of(function, state):
     )
 
 
+@pytest.mark.parametrize("beginning", ["the scene's start", "another state"])
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("open loop", "object.mass"),
+        ("open loop", "object.pose.xyz[0]"),
+        ("open loop", "arms.left.base.xyz[1]"),
+        ("open loop", "arms.right.posture[1]"),
+        ("closed loop", "control.stiffness.left[1]"),
+        ("closed loop", "object.pose.xyz[0]"),
+        ("hinge and ball", "effects.joint_friction.torque"),
+        ("drag and load", "effects.external_wrenches[0].force[1]"),
+        ("drag and load", "object.pose.xyz[2]"),
+        ("dependent constraints", "gravity[1]"),
+        ("dependent constraints", "arms.left.base.xyz[0]"),
+    ],
+)
+def test_derivatives_from_a_given_state_are_differences_of_runs_from_it(name, path, beginning):
+    """Also by numbers that move the joints: the state is put on them, as that of any run."""
+    scene, T, begin, state = CHAINS[name], 0.3, 0.0, None
+    system = ma.compile_system(scene)
+    state = system.initial_state()
+    if beginning == "another state":
+        begin, wild = 0.1, random_state(system, np.random.default_rng(5), turn=0.03, speed=0.2)
+        with system.borrow() as data:
+            state = project_start(data, scene, wild)[0]
+    value = value_at(scene, path)
+    size = abs(value) if abs(value) > 0.05 else 0.3
+    asked = {"parameters": {path: size}, "accuracy": 1e-9, "state": state, "start_time": begin}
+    S = ma.sensitivities(system, [begin, begin + T], **asked)
+    middle = end_of(system, T, state, begin)
+
+    def end(shift):
+        moved = ma.compile_system(changed(scene, {path: value + shift}))
+        return displacement(middle, end_of(moved, T, state, begin))
+
+    expected = difference(end, 1e-3 * size)
+    # differences of runs of accuracy 1e-11
+    assert np.abs(S.matrix[-1, :, -1] - expected).max() < 1e-6 * np.abs(expected).max() + 1e-11 / (
+        1e-3 * size
+    )
+    g = ma.gradient(system, T, final=height, **asked)
+    assert g.parameters[path] == pytest.approx(
+        slope_of(height, S.states[-1]) @ S.matrix[-1, :, -1], rel=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "change"), [("arms.right.posture[1]", 1e-2), ("control.amplitude.left[2]", 1.0)]
+)
+def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, change):
+    """A posture that is sought may be another one in a scene nearby, and what holds it too."""
+    scene = CHAINS["open loop"]
+    system = ma.compile_system(scene)
+    jumped = ma.compile_system(changed(scene, {path: value_at(scene, path) + change}))
+    parameter = Parameter(system, "object.mass")
+    for weight in list(parameter._systems)[2:]:
+        parameter._systems[weight] = jumped
+    for state in (None, system.initial_state()):
+        with pytest.raises(SceneError, match=r"object\.mass: the start .* not depend on it smooth"):
+            parameter.of_start(0.0, state)
+
+
 def test_numbers_that_move_the_joints_move_the_run_with_them():
     """Where a contact's place is a number of the scene, nearby motions obey other constraints."""
     joints = [{"kind": "ball"}, {"kind": "revolute"}]
@@ -407,6 +479,31 @@ def test_forward_and_backward_agree_at_a_later_start():
     g = ma.gradient(system, 0.3, final=height, state=state, start_time=0.2, accuracy=1e-8)
     close(slope_of(height, S.states[-1]) @ S.matrix[-1], g.start.matrix, 1e-6)
     np.testing.assert_allclose(g.trajectory.time[[0, -1]], [0.2, 0.5])
+
+
+@pytest.mark.parametrize("accuracy", [1e-6, 1e-8])
+def test_no_digit_of_a_chaotic_runs_derivatives_is_claimed(accuracy):
+    """Errors of this run grow by more than ten powers of ten; the run before is well-behaved."""
+    system = ma.compile_system(ma.load_scene(SCENES / "ring_weld.yaml"))
+    asked = {"parameters": ["object.mass"], "accuracy": accuracy}
+    g = ma.gradient(system, 8.0, final=lambda t, state: state.object_position[2], **asked)
+    assert g.error > 0.1 and g.digits == 0
+    assert g.message.startswith("no digit is right: motions separate so fast until t = 8 s")
+    assert g.message in repr(g) and g.message in g._repr_html_()
+    early = ma.gradient(system, 1.0, final=lambda t, state: state.object_position[2], **asked)
+    assert early.error <= accuracy and early.digits >= 6 and not early.message
+
+
+def test_the_error_contains_what_the_error_of_the_run_changes():
+    """Where motions separate a thousandfold, against derivatives along a run of high accuracy."""
+    system = ma.compile_system(ma.load_scene(SCENES / "ring_weld.yaml"))
+    for accuracy in (1e-4, 1e-6):
+        times, paths = [4.0], ["object.mass"]
+        S = ma.sensitivities(system, times, parameters=paths, accuracy=accuracy)
+        exact = ma.sensitivities(system, times, parameters=paths, accuracy=1e-11)
+        missed = (np.abs(S.matrix - exact.matrix).max(axis=1) / np.abs(S.matrix).max(axis=1)).max()
+        assert missed <= 5.0 * S.error, "a difference of two runs is an estimate"
+        assert S.error <= 100.0 * missed
 
 
 # --- torques --------------------------------------------------------------------------------------
