@@ -208,7 +208,7 @@ class Parameter:
         if _jump(changes, START_ROUNDINGS) or _jump(faster, ACCELERATION_ROUNDINGS):
             raise SceneError(
                 f"{self.path}: the start of the run, or its accelerations, do not depend on it "
-                f"smoothly: they jump when it changes by {PART * self.size:.3g}; where a posture or "
+                f"smoothly: they jump as it changes by {PART * self.size:.3g}; where a posture or "
                 "a base that is to be found jumps, write what was found in the scene "
                 "(`system.initial_state().joint_positions`); else name another size, "
                 f"`parameters={{{self.path!r}: ...}}`"
