@@ -205,10 +205,11 @@ def gradient(
         mapping with a change that is no longer small, of which a thousandth is tried (None: the
         number itself).
     accuracy : float, optional
-        Of the run [m, rad], and relative error of its derivatives, but not below 1e-8; the scene's
-        when left out.  The run is not certified.
+        Of the run [m, rad], and relative error of its derivatives along it, but not below 1e-8; the
+        scene's when left out.  The run is not certified; what its error changes is in ``error``.
     state : State, optional
-        Initial state; the scene's start when left out, which parameters may move.
+        Initial state; the scene's start when left out, which parameters may move.  With it, the
+        derivatives are those of runs from this state, which each puts on its joints.
     start_time : float
         [s]
     progress : bool or callable, optional
@@ -219,7 +220,7 @@ def gradient(
     ModelError
         When ``system`` is no system, ``state`` none of its states, or a function returns no number.
     SceneError
-        When a parameter is no number of the scene.
+        When a parameter is no number of the scene, or the start jumps with it.
     SolverError
         When the run is not differentiable: contacts open, close or slide, the rank of the
         constraints changes, the control is sampled; or when it fails.

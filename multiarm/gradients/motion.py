@@ -31,6 +31,9 @@ from multiarm.simulation.simulate import simulate
 LONGEST, DEGREE, PARTS = 0.5, 64, 4
 # Parts of a panel whose defects are not so much smaller show the noise of the run, or a kink.
 SMOOTHER = 0.5
+# Larger ones, as multiples of the accuracy, are a motion too sharp for the panel, which is divided
+# still, as long as there are not so many that all of the run is rough.
+SHARP, MOST_PANELS = 1e3, 500
 # Accuracy of a neighbour, as part of the run's.  Runs with less than the second have the smallest
 # tolerances already, and their neighbours err ten times as much.
 SHARPER, SHARPEST = 0.1, 100.0 * SMALLEST_TOLERANCE
@@ -87,7 +90,9 @@ class Motion:
             for panel, series in zip(self.panels, self._series, strict=True):
                 defect = series.defect.max()
                 smooth = defect <= accuracy or panel.length < shortest
-                if smooth or defect > SMOOTHER * before[panel]:
+                noisy = defect > SMOOTHER * before[panel]
+                sharp = defect > SHARP * accuracy and len(self.panels) < MOST_PANELS
+                if smooth or (noisy and not sharp):
                     panels.append(panel)
                 else:
                     before |= dict.fromkeys(panel.parts(PARTS), defect)

@@ -143,8 +143,9 @@ def find_equilibrium(
     ModelError
         When an argument does not fit.
     SolverError
-        When no equilibrium is found, with what is left; when the state cannot be linearised; when
-        effects have states that do not start at rest.
+        When no equilibrium is found, with what is left, and whether the forces drive the system on
+        without end or that is only not known; when the state cannot be linearised; when effects
+        have states that do not start at rest.
     """
     system = require_system(system, "ma.find_equilibrium(system, state, torques)")
     if torques is not None:

@@ -33,10 +33,12 @@ from multiarm.gradients.collocation import COUNT, NODES, ORDER, WEIGHTS, Colloca
 from multiarm.gradients.gradient import _Backward
 from multiarm.gradients.gradient import _solved as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
+from multiarm.gradients.motion import Motion
 from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, Panel, Piece, Segment
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import Parameter, Variation, displaced, displacement
+from multiarm.problems.random_scenes import random_scene
 from multiarm.scene.changes import changed, value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]
@@ -601,6 +603,18 @@ def test_estimated_errors_are_as_large_as_the_errors(name, tolerance):
 
 def height_with_slope(t, state):
     return height(t, state), slope_of(height, state)
+
+
+def test_a_run_that_turns_sharply_is_a_series_all_the_same():
+    """Near a singular posture, shortly after 0.3 s; a panel that is too long shows no progress."""
+    scene = random_scene(np.random.default_rng(1))
+    system, T = ma.compile_system(scene), 0.5
+    motion = Motion(system, 0.0, T, 1e-6, None, np.zeros(0))
+    times = np.linspace(0.305, 0.37, 40).tolist()
+    run = ma.simulate(system, T, accuracy=1e-6, output_times=times, certificate=False)
+    states = [motion.states([t])[0] for t in times]
+    speeds = np.array([state.object_twist for state in states])
+    np.testing.assert_allclose(speeds, run.object_twist, atol=1e-5)
 
 
 def test_little_memory_gives_the_same_numbers(monkeypatch):
