@@ -483,29 +483,31 @@ def test_forward_and_backward_agree_at_a_later_start():
     np.testing.assert_allclose(g.trajectory.time[[0, -1]], [0.2, 0.5])
 
 
-@pytest.mark.parametrize("accuracy", [1e-6, 1e-8])
+@pytest.mark.slow
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
 def test_no_digit_of_a_chaotic_runs_derivatives_is_claimed(accuracy):
-    """Errors of this run grow by more than ten powers of ten; the run before is well-behaved."""
+    """In six seconds errors of this run grow as large as it; within the first it is well-behaved."""
     system = ma.compile_system(ma.load_scene(SCENES / "ring_weld.yaml"))
     asked = {"parameters": ["object.mass"], "accuracy": accuracy}
-    g = ma.gradient(system, 8.0, final=lambda t, state: state.object_position[2], **asked)
+    g = ma.gradient(system, 6.0, final=lambda t, state: state.object_position[2], **asked)
     assert g.error > 0.1 and g.digits == 0
-    assert g.message.startswith("no digit is right: motions separate so fast until t = 8 s")
+    assert g.message.startswith("no digit is right: motions separate so fast until t = 6 s")
     assert g.message in repr(g) and g.message in g._repr_html_()
     early = ma.gradient(system, 1.0, final=lambda t, state: state.object_position[2], **asked)
-    assert early.error <= accuracy and early.digits >= 6 and not early.message
+    assert early.error <= accuracy and early.digits >= 4 and not early.message
 
 
+@pytest.mark.slow
 def test_the_error_contains_what_the_error_of_the_run_changes():
-    """Where motions separate a thousandfold, against derivatives along a run of high accuracy."""
+    """Where motions separate, against derivatives along a run of high accuracy."""
     system = ma.compile_system(ma.load_scene(SCENES / "ring_weld.yaml"))
+    asked = {"times": [3.0], "parameters": ["object.mass"]}
+    exact = ma.sensitivities(system, **asked, accuracy=1e-8).matrix
     for accuracy in (1e-4, 1e-6):
-        times, paths = [4.0], ["object.mass"]
-        S = ma.sensitivities(system, times, parameters=paths, accuracy=accuracy)
-        exact = ma.sensitivities(system, times, parameters=paths, accuracy=1e-11)
-        missed = (np.abs(S.matrix - exact.matrix).max(axis=1) / np.abs(S.matrix).max(axis=1)).max()
-        assert missed <= 5.0 * S.error, "a difference of two runs is an estimate"
-        assert S.error <= 100.0 * missed
+        S = ma.sensitivities(system, **asked, accuracy=accuracy)
+        missed = (np.abs(S.matrix - exact).max(axis=1) / np.abs(exact).max(axis=1)).max()
+        # the difference of two runs is an estimate; errors of the series are bounds
+        assert missed <= 3.0 * S.error and S.error <= 20.0 * missed
 
 
 # --- torques --------------------------------------------------------------------------------------
