@@ -38,7 +38,7 @@ class Solid:
     Attributes
     ----------
     name : str
-        The link.
+        In messages.
     shape : coal.CollisionGeometry
     joint : int
         That moves it, Pinocchio's number; 0 of what stands.
@@ -202,12 +202,13 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
     solids = []
     for item in geometry.geometryObjects:
         shape, link = item.geometry, arm.model.frames[item.parentFrame].name
+        name = f"link {link!r} of arm {arm.name!r}"
         if isinstance(shape, coal.BVHModelBase):
             path = Path(item.meshPath)
             stamp = path.stat().st_mtime_ns if path.is_file() else 0
             shape = _hull_of_mesh(path, stamp, tuple(item.meshScale)) if stamp else shape
         shape.computeLocalAABB()
-        solids.append(Solid(link, shape, item.parentJoint, item.parentJoint in hand))
+        solids.append(Solid(name, shape, item.parentJoint, item.parentJoint in hand))
     return geometry, tuple(solids)
 
 

@@ -114,8 +114,8 @@ class PostureSearch:
             )
         else:
             text = (
-                f"the tip's place on the object is {beyond[0]:.3f} m from the arm's first joint, "
-                f"and the arm is {beyond[1]:.3f} m long when it is stretched"
+                f"the tip's place on the object is out of reach: it is {beyond[0]:.3f} m from the "
+                f"arm's first joint, and the arm stretches to {beyond[1]:.3f} m"
             )
         turn = np.rad2deg(miss.turn)
         shift = ", ".join(f"{x:.3f}" for x in miss.shift)
