@@ -110,6 +110,7 @@ class InverseKinematics:
 
     Attributes
     ----------
+    free : tuple of int
     lower, upper : ndarray, shape (n,)
         Bounds of the search [rad, m].
     """
@@ -128,6 +129,7 @@ class InverseKinematics:
         self._whole = whole
         self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if whole else LENGTH
         self.lower, self.upper = _bounds(arm, structure.slides if whole else None)
+        self.free = tuple(free)
         self._counted = np.setdiff1d(np.arange(6), free)
         self._chain = chain_table(structure, end)
 

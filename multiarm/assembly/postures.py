@@ -21,6 +21,7 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.assembly.collisions import Contact, Placed, Surroundings, corners_of, nearest
 from multiarm.assembly.inverse_kinematics import (
+    LENGTH,
     WHOLE_STARTS,
     InverseKinematics,
     clearance,
@@ -75,16 +76,22 @@ class PostureSearch:
         """The best of the postures found that are ``allowed``, None where none is.
 
         Where none is found well inside the limits, the whole ranges of the joints are searched.
+        The joint's frames are shifted against each other only where they cannot coincide.
         """
         clear_of_object = clear_of(self.body, self.there, meshes=allowed is not None)
+        coincide = False
 
         def clear(posture: np.ndarray, _number: int) -> float:
             return clear_of_object(self.arm.files.base, self.arm.skeleton(posture))
 
         def accepted(posture: np.ndarray, _number: int) -> bool:
+            nonlocal coincide
+            coincide = True
             return allowed is None or allowed(posture)
 
         for search, starts in self._searches():
+            if coincide and any(k < 3 for k in search.free):
+                continue
             if search.farther_than_it_reaches(self.there) is None:
                 rng = np.random.default_rng(0)
                 reach = search.search([self.there], rng, starts, clear, accepted)
@@ -103,9 +110,14 @@ class PostureSearch:
     def why_none(self) -> str:
         """What a user may do where :meth:`best` finds nothing."""
         searches = self._searches()
-        search, starts = searches[-1]
-        miss = search.nearest(self.there, np.random.default_rng(0), starts)
-        beyond = search.farther_than_it_reaches(self.there)
+        misses = [
+            search.nearest(self.there, np.random.default_rng(0), starts)
+            for search, starts in searches
+            if search.free == self.free
+        ]
+        weight = 0.0 if self.free else LENGTH
+        miss = min(misses, key=lambda m: float(np.linalg.norm([*m.shift, weight * m.turn])))
+        beyond = searches[-1][0].farther_than_it_reaches(self.there)
         if beyond is None:
             total = sum(starts for _, starts in searches)
             text = (

@@ -139,14 +139,15 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
 
 
 def _title(robots: list[str], solid: str, rise: float) -> str:
-    several = len(robots) > 1
-    verb = ("lift" if rise else "hold") + ("" if several else "s")
-    return f"{_crew(robots)} {verb} a {solid}" + (" and set it down again" if rise else "")
+    ending = "s" if len(robots) == 1 else ""
+    if rise:
+        return f"{_crew(robots)} lift{ending} a {solid} and set{ending} it down again"
+    return f"{_crew(robots)} hold{ending} a {solid}"
 
 
 def _crew(robots: list[str]) -> str:
     """Such as "Two ur5 arms", or "One panda and two ur5"."""
-    parts = []
+    parts: list[str] = []
     for robot, count in Counter(robots).items():
         numeral = NUMERALS[count - 1] if count <= len(NUMERALS) else str(count)
         parts.append(f"{numeral.lower() if parts else numeral} {robot}")
@@ -247,7 +248,7 @@ def _side(solid: Solid, edged: bool, yaw: float) -> np.ndarray:
     return ray / (np.max(parts) if edged else np.linalg.norm(parts))
 
 
-def _written(xyz: Sequence[float], rpy: Sequence[float]) -> str:
+def _written(xyz: Sequence[float] | np.ndarray, rpy: Sequence[float]) -> str:
     """A pose as a scene has it, without negative zeros."""
     parts = (", ".join(f"{round(value, 6) + 0.0:.7g}" for value in part) for part in (xyz, rpy))
     return "{{xyz: [{}], rpy: [{}]}}".format(*parts)
@@ -311,6 +312,15 @@ class _Robot:
         return cls(arm, tip, float(np.max(arm.levers(np.zeros(3)))))
 
 
+@dataclass(frozen=True)
+class _Grade:
+    """A hold, its rank (0 is best), and its quality among those of one rank."""
+
+    rank: int
+    quality: float
+    hold: _Hold
+
+
 def _stands(
     robots: list[_Robot], kind: type[Joint], shape: Solid
 ) -> tuple[float, float, list[_Hold]]:
@@ -326,10 +336,14 @@ def _stands(
     unlike = {robot.arm.name: robot for robot in robots}
     common = []
     for height in heights:
-        grades = {name: _graded_hold(robot, kind, height, rise) for name, robot in unlike.items()}
-        if None not in grades.values():
-            worst = max((rank, -quality) for rank, quality, _ in grades.values())
-            common.append((worst, height, {name: hold for name, (*_, hold) in grades.items()}))
+        grades: dict[str, _Grade] = {}
+        for name, robot in unlike.items():
+            grade = _graded_hold(robot, kind, height, rise)
+            if grade is not None:
+                grades[name] = grade
+        if len(grades) == len(unlike):
+            worst = max((grade.rank, -grade.quality) for grade in grades.values())
+            common.append((worst, height, {name: grade.hold for name, grade in grades.items()}))
     if common:
         _, height, holds = min(common, key=lambda entry: entry[:2])
     else:
@@ -345,16 +359,14 @@ def _stands(
     return height, rise, [holds[robot.arm.name] for robot in robots]
 
 
-def _graded_hold(
-    robot: _Robot, kind: type[Joint], height: float, rise: float
-) -> tuple[int, float, _Hold] | None:
-    """The best hold at a height above the base, its rank (0 is best) and quality.
+def _graded_hold(robot: _Robot, kind: type[Joint], height: float, rise: float) -> _Grade | None:
+    """The best hold at a height above the base; None where there is none.
 
-    The arm reaches it, and the same place higher by ``rise``.  None where there is none.
+    The arm reaches it, and the same place higher by ``rise``.
     """
     for rank, (free, turn) in enumerate(_turns(kind)):
         search = InverseKinematics(robot.arm, free)
-        grades = []
+        grades: list[_Grade] = []
         for ahead in AHEAD:
             hold = _Hold(robot.tip, (_two_digits(ahead * robot.length), 0.0, height), (*turn, 0.0))
             lifted = hold.matrix
@@ -363,9 +375,9 @@ def _graded_hold(
             if reach is not None:
                 if len(search.lower) < 6 - len(free):  # digits that are written decide
                     hold = _held(robot, reach.postures[0])
-                grades.append((reach.quality, hold))
+                grades.append(_Grade(rank, reach.quality, hold))
         if grades:
-            return (rank, *max(grades, key=lambda grade: grade[0]))
+            return max(grades, key=lambda grade: grade.quality)
     return None
 
 
@@ -378,7 +390,7 @@ def _hold_anywhere(robot: _Robot, kind: type[Joint], rise: float) -> _Hold | Non
     heights = [_two_digits(above * robot.length) for above in ABOVE]
     grades = [_graded_hold(robot, kind, height, rise) for height in heights]
     reached = [grade for grade in grades if grade is not None]
-    return min(reached, key=lambda grade: (grade[0], -grade[1]))[2] if reached else None
+    return min(reached, key=lambda grade: (grade.rank, -grade.quality)).hold if reached else None
 
 
 def _hold_nearby(robot: _Robot, kind: type[Joint], lowest: float) -> _Hold:

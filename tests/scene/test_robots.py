@@ -147,6 +147,19 @@ def test_unknown_robot_names_alternatives():
         find_robot("ur6")
 
 
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [("go", "ur5"), ("ur5_griper", "ur5_gripper"), ("anymal_c_simpel", "anymal_c_simple")],
+)
+def test_near_names_are_those_of_arms_or_else_of_any_robot(name, near):
+    with pytest.raises(SceneError) as caught:
+        find_robot(name)
+    (text,) = caught.value.faults
+    assert near in text.partition("robots are ")[2].split("; ")[0]
+    if name == "go":
+        assert "'go1'" not in text and "'allegro_left_hand'" not in text
+
+
 def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr("multiarm.scene.robots._share_folder", lambda: None)
     assert set(available_robots()) == set(OWN)
