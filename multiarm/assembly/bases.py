@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm
 from multiarm.assembly.collisions import Surroundings, nearest
@@ -384,14 +383,14 @@ class _BaseSearch:
 
     def _reaching(self, search: InverseKinematics, rng: np.random.Generator) -> list[BaseSpec]:
         """Bases from which the arm reaches its place, and those rounded."""
-        numbers = np.array([*self.written.xyz, *_angles(self.written)])
+        numbers = np.array([*self.written.xyz, *self.written.rpy])
         spans = [self.near] * 3 + [np.pi] * 3
         middle = [*self.there[:3, 3], *numbers[3:]]
         varied = {k: (middle[k] - spans[k], middle[k] + spans[k]) for k in self._varied}
         if self._above_ground:
             varied[2] = (max(varied[2][0], 0.0), varied[2][1])
         bases = []
-        moving = search.on_moving_base(numbers, varied)
+        moving = search.on_moving_base(self.written, varied)
         for course in islice(moving.courses([self.there], rng, WHOLE_STARTS), MOST_BASES):
             numbers[[k for k in BASE_JOINTS if k in varied]] = course[0][: len(varied)]
             bases += [self._base(np.round(numbers, DECIMALS)), self._base(numbers)]
@@ -404,10 +403,3 @@ class _BaseSearch:
         change |= {"xyz": tuple(xyz)} if min(self._varied) < 3 else {}
         change |= {"rpy": (roll, pitch, yaw)} if max(self._varied) >= 3 else {}
         return self.written.model_copy(update=change)
-
-
-def _angles(base: BaseSpec) -> np.ndarray:
-    """Roll, pitch and yaw of a base [rad], however they are written."""
-    if base.quaternion_xyzw is None:
-        return np.array(base.rpy)
-    return Rotation.from_matrix(base.rotation()).as_euler("xyz")

@@ -17,8 +17,6 @@ from copy import copy as shallow_copy
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-from typing_extensions import Self
 
 from multiarm.arms.arm import Arm
 from multiarm.assembly.chain import (
@@ -31,6 +29,7 @@ from multiarm.assembly.chain import (
     reach_place,
     write_pose,
 )
+from multiarm.scene import Pose
 from multiarm.spatial import difference, matrix_to_quaternion
 
 # Length that compares shifts with turns [m]: about half an arm.
@@ -147,16 +146,18 @@ class InverseKinematics:
         distance = float(np.linalg.norm(shift[self._counted[self._counted < 3]]))
         return (distance, reach) if distance > reach * (1.0 + TIE) else None
 
-    def on_moving_base(self, base: np.ndarray, varied: Mapping[int, tuple[float, float]]) -> Self:
+    def on_moving_base(
+        self, base: Pose, varied: Mapping[int, tuple[float, float]]
+    ) -> InverseKinematics:
         """This search with joints below the arm that move its base.
 
         Parameters
         ----------
-        base : ndarray, shape (6,)
-            x, y, z [m], roll, pitch, yaw [rad] of what does not vary.
+        base : Pose
+            Its components count that do not vary.
         varied : mapping component -> (least, greatest)
-            What varies, and within what bounds; a posture begins with them, in the order of
-            :data:`BASE_JOINTS`.
+            What varies, of x, y, z [m], roll, pitch, yaw [rad], and within what bounds; a posture
+            begins with them, in the order of :data:`BASE_JOINTS`.
         """
         search, rows = shallow_copy(self), []
         frame, ranges = np.eye(4), []
@@ -167,9 +168,12 @@ class InverseKinematics:
                 ranges.append(varied[k])
                 frame = np.eye(4)
             elif k < 3:
-                frame[:3, 3] += base[k] * axis
-            else:
-                frame[:3, :3] = frame[:3, :3] @ Rotation.from_rotvec(base[k] * axis).as_matrix()
+                frame[:3, 3] += base.xyz[k] * axis
+            elif max(varied) >= 3:
+                x, y, z = base.rpy[k - 3] * axis
+                frame[:3, :3] = frame[:3, :3] @ Pose(rpy=(x, y, z)).rotation()
+        if max(varied) < 3:
+            frame[:3, :3] = base.rotation()
         mount, first = np.eye(4), self._chain[0].copy()
         mount[:3, :3], mount[:3, 3] = first[ROTATION:ORIGIN].reshape(3, 3), first[ORIGIN:]
         mount = frame @ np.linalg.solve(self.arm.files.base, mount)

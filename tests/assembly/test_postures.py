@@ -22,7 +22,7 @@ from multiarm.assembly.inverse_kinematics import BASE_JOINTS, InverseKinematics
 from multiarm.assembly.postures import PostureSearch, overlapping_links
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import SceneError
-from multiarm.scene import ArmSpec, ObjectSpec, Scene, parse_scene, resolve_arm
+from multiarm.scene import ArmSpec, ObjectSpec, Pose, Scene, parse_scene, resolve_arm
 from multiarm.scene.text import parse_yaml, with_values, without_entry
 
 UR5 = {"robot": "ur5", "tip": "tool0"}
@@ -330,7 +330,8 @@ def test_links_that_cannot_keep_off_are_told(tmp_path):
 def test_joints_below_an_arm_move_it_as_its_base_does(components, rng):
     numbers = rng.uniform(-1.0, 1.0, 6)
     arm = robot(**UR5, base={"xyz": [0.1, -0.2, 0.3], "rpy": [0.2, 0.5, -0.4]})
-    moving = InverseKinematics(arm).on_moving_base(numbers, dict.fromkeys(components, (-1.0, 1.0)))
+    base = Pose(xyz=numbers[:3].tolist(), rpy=numbers[3:].tolist())
+    moving = InverseKinematics(arm).on_moving_base(base, dict.fromkeys(components, (-1.0, 1.0)))
     q = rng.uniform(-1.0, 1.0, 6)
     order = [k for k in BASE_JOINTS if k in components]
     pose, _ = moving.pose(np.concatenate([numbers[order], q]))
