@@ -425,7 +425,7 @@ def test_missing_meshes_are_a_warning(tmp_path):
     path = write_urdf(tmp_path / "arm.urdf", text)
     scene = scene_of({"urdf": str(path), "tip": "l1"})
     (warning,) = scene.warnings
-    assert "1 of 1 meshes" in warning
+    assert "1 of 1 mesh " in warning
     assert "package://nowhere/a.stl" in warning
 
 
