@@ -180,7 +180,8 @@ def search_grasp(body: Polyhedron, generator: np.random.Generator | None = None)
     Returns
     -------
     Grasp
-        The contacts in two groups, each as compact as it can be; gripper 1 carries the larger.
+        The contacts in two groups that hands reach, as compact as can be; gripper 1 carries the
+        larger.
 
     Raises
     ------
@@ -270,7 +271,7 @@ def _firmness(contacts: Contacts) -> float:
 
 
 def _grasp(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> Grasp:
-    first, second = two_groups(contacts.points)
+    first, second = two_groups(contacts)
     order = [*first, *second]
     on = [faces[j] for j in order]
     points = contacts.points[order]

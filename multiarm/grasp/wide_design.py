@@ -27,7 +27,7 @@ are taken that balance most evenly (see `smallest_pushes`); only a few such choi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -43,12 +43,13 @@ from multiarm.grasp.assembling import (
     crosses_border,
     feet,
     gripper_frame,
-    nearest_corner_frame,
+    hands_reach,
     proven,
     shared_corner,
     size_of_gripper,
     sized,
     smallest_pushes,
+    two_groups,
 )
 from multiarm.grasp.body_class import Triple, classify
 from multiarm.grasp.boundaries import largest_ball
@@ -139,7 +140,8 @@ def design_wide_grasp(body: Polyhedron, *, gripper_size: float | None = None) ->
     -------
     Grasp
         Gripper 1 carries contacts 1, 2 and 3, gripper 2 contacts 4 to 7.  Where corners allow it,
-        both are small; else gripper 2 reaches over two faces.
+        both are small; else gripper 2 reaches over two faces, or both share the contacts as hands
+        that come from one side can reach them.
 
     Raises
     ------
@@ -299,17 +301,19 @@ def _finished(
     region = seventh_contact_region(six, body.faces[faces[2]])
     if not region:
         return
-    places = np.vstack([six.points, region.best_point()])
-    frames = [
-        gripper_frame(body, triple, places[:3]),
-        nearest_corner_frame(body, places[3:], faces[2]),
-    ]
-    note = (
-        "contacts 4 and 5 share a face, so that gripper 2 reaches over two faces; contact 7 is in "
-        f"the middle of its region, {float(region.depth(places[6])):.4g} m from its border"
+    places, on = np.vstack([six.points, region.best_point()]), (*triple, *faces, faces[2])
+    seven = Contacts.along(places, -body.normals[list(on)])
+    split: Sequence[tuple[int, ...]] = [(0, 1, 2), (3, 4, 5, 6)]
+    note = "contacts 4 and 5 share a face, so that gripper 2 reaches over two faces"
+    if not hands_reach(seven.normals, split):
+        split = two_groups(seven)
+        note = "contacts 4 to 7 are on faces that no hand reaches together, so that gripper 1 helps"
+    frames = [gripper_frame(body, [on[j] for j in part], places[list(part)]) for part in split]
+    note += (
+        "; contact 7 is in the middle of its region, "
+        f"{float(region.depth(places[6])):.4g} m from its border"
     )
-    split = [(0, 1, 2), (3, 4, 5, 6)]
-    made = assembled(body, places, (*triple, *faces, faces[2]), split, frames, (note,))
+    made = assembled(body, places, on, split, frames, (note,))
     if made.closure and crosses_border(made, region):
         yield made
 

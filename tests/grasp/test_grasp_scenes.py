@@ -230,6 +230,50 @@ def test_a_hand_comes_from_outside_all_faces_that_it_touches():
                 assert direction @ grasp.contacts.normals[j] > 0.2
 
 
+def test_a_hand_that_no_mean_of_its_faces_leads_to_comes_the_clearest_way():
+    """Four fingertips on +x outweigh one on a face that looks nearly the other way."""
+    wedge = Polyhedron.hull([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [0.9, 0, 0], [0.9, 1, 0],
+                             [0.1, 0, 1], [0.1, 1, 1]])  # fmt: skip
+    slope = max(range(len(wedge.faces)), key=lambda k: wedge.normals[k] @ [0.8, 0.0, 0.6])
+    back, base = (
+        next(k for k in range(len(wedge.faces)) if np.allclose(wedge.normals[k], normal))
+        for normal in ([-1.0, 0.0, 0.0], [0.0, 0.0, -1.0])
+    )
+    faces = (slope, back, base)
+    contacts = Contacts([wedge.faces[k].centre for k in faces], -wedge.normals[list(faces)])
+    grasp = Grasp(
+        wedge, contacts, faces, (Gripper("g", (0, 1), np.eye(4)), Gripper("h", (2,), np.eye(4)))
+    )
+    direction = approach(grasp, grasp.grippers[0])
+    assert np.min(contacts.normals[:2] @ direction) > 0.2
+
+
+@pytest.mark.slow
+def test_an_object_that_the_arms_do_not_reach_upright_is_turned():
+    """The hands come to a block from above and below, until it lies on its side."""
+    upright = block_grasp()
+    turn = np.eye(4)
+    up = upright.grippers[0].frame[:3, :3] @ np.ones(3)
+    turn[:3, :3] = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up / np.linalg.norm(up)])[
+        0
+    ].as_matrix()
+    grasp = upright.placed(turn)
+    scene = grasp.to_scene(duration=2.0)
+    start = scene.object.pose.matrix()
+    assert not np.allclose(start[:3, :3], np.eye(3), atol=0.1)
+    for gripper in grasp.grippers:
+        assert abs((start[:3, :3] @ approach(grasp, gripper))[2]) < 1e-6
+    first = scene.control.path[0].matrix() @ np.linalg.inv(start)
+    assert first[:3, 3] - (np.eye(3) - first[:3, :3]) @ start[:3, 3] == pytest.approx(
+        [0.0, 0.06, 0.08]
+    )
+    run = ma.simulate(ma.compile_system(scene), certificate=False)
+    assert run.status == "completed"
+    least = 0.25 * scene.object.mass * 9.81 / 7
+    forces = np.hstack([run.contact_forces[arm] for arm in scene.arms])
+    assert 0.98 * least < forces.min() < 2.0 * least
+
+
 # --- what is refused -----------------------------------------------------------------------------
 
 
@@ -275,5 +319,5 @@ def test_a_grasp_looks_at_its_contacts():
 
 
 def test_an_object_out_of_reach_is_refused_with_the_gripper():
-    with pytest.raises(GraspError, match=r"arm of gripper 'left' reaches its corner from nowhere"):
+    with pytest.raises(GraspError, match=r"arm of 'left' reaches its corner from nowhere"):
         grasp_scene(block_grasp(), ("panda", "panda"), height=4.0)
