@@ -48,11 +48,9 @@ grasp_app = typer.Typer(
 
 
 class Objective(str, Enum):
-    """The quantity that an optimised grasp maximises or minimises."""
+    """The quantity that an optimised grasp maximises."""
 
     margin = "margin"
-    stability = "stability"
-    force = "force"
 
 
 @grasp_app.command("design")
@@ -92,8 +90,8 @@ def design(
     optimise: Annotated[
         Objective | None,
         option(
-            "Search for the best placements: the largest margin or stability, or the smallest "
-            "contact forces; says how far from the best it may be.",
+            "Search for the best placements: the largest margin; says how far from the best it "
+            "may be.",
             default="a construction of the thesis",
             panel=GRIPPERS,
         ),
@@ -234,7 +232,6 @@ def _designed(
         raise MultiarmError("--offset belongs to the construction for blocks, not to --optimise")
     found = optimise_grasp(
         body,
-        objective=optimise.value,
         gripper_size=gripper_size or USUAL_SIZE * body.size,
         tip_radius=tip_radius,
         gap=gap,

@@ -193,9 +193,13 @@ def two_groups(contacts: Contacts) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 def hands_reach(inward: np.ndarray, groups: Sequence[tuple[int, ...]]) -> bool:
-    """Whether each group of N contacts can be reached from one side, with a clearance of 1/N."""
-    least = (1.0 - ROUNDED) / len(inward)
-    return all(clearest_approach(inward[list(group)])[1] >= least for group in groups)
+    """Whether a hand reaches each group of contacts with normals (N, 3) from one side."""
+    return all(hand_reaches(inward[list(group)], len(inward)) for group in groups)
+
+
+def hand_reaches(inward: np.ndarray, contacts: int = 7) -> bool:
+    """Whether a hand clears faces with normals (K, 3) by one over the number of all contacts."""
+    return clearest_approach(inward)[1] >= (1.0 - ROUNDED) / contacts
 
 
 def clearest_approach(inward: np.ndarray) -> tuple[np.ndarray, float]:

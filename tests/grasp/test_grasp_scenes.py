@@ -231,21 +231,17 @@ def test_a_hand_comes_from_outside_all_faces_that_it_touches():
 
 
 def test_a_hand_that_no_mean_of_its_faces_leads_to_comes_the_clearest_way():
-    """Four fingertips on +x outweigh one on a face that looks nearly the other way."""
-    wedge = Polyhedron.hull([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [0.9, 0, 0], [0.9, 1, 0],
-                             [0.1, 0, 1], [0.1, 1, 1]])  # fmt: skip
-    slope = max(range(len(wedge.faces)), key=lambda k: wedge.normals[k] @ [0.8, 0.0, 0.6])
-    back, base = (
-        next(k for k in range(len(wedge.faces)) if np.allclose(wedge.normals[k], normal))
-        for normal in ([-1.0, 0.0, 0.0], [0.0, 0.0, -1.0])
-    )
-    faces = (slope, back, base)
-    contacts = Contacts([wedge.faces[k].centre for k in faces], -wedge.normals[list(faces)])
-    grasp = Grasp(
-        wedge, contacts, faces, (Gripper("g", (0, 1), np.eye(4)), Gripper("h", (2,), np.eye(4)))
-    )
-    direction = approach(grasp, grasp.grippers[0])
-    assert np.min(contacts.normals[:2] @ direction) > 0.2
+    """Of faces at 0, 20 and 150 degrees the first two outweigh the last, 112 degrees away."""
+    turns = np.radians([0.0, 20.0, 150.0, 220.0, 290.0])
+    lines = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    pairs = zip(lines, np.roll(lines, -1, axis=0), strict=True)
+    body = Polyhedron.prism([np.linalg.solve(pair, np.ones(2)) for pair in pairs], 1.0)
+    faces = [int(np.argmax(body.normals[:, :2] @ line)) for line in lines]
+    points = [body.faces[k].centre for k in faces]
+    grippers = (Gripper("left", (0, 1, 2), np.eye(4)), Gripper("right", (3, 4), np.eye(4)))
+    grasp = Grasp(body, Contacts(points, -body.normals[faces]), tuple(faces), grippers)
+    direction = approach(grasp, grippers[0])
+    np.testing.assert_allclose(-direction[:2], [np.cos(turns[2] / 2), np.sin(turns[2] / 2)])
 
 
 @pytest.mark.slow
