@@ -9,7 +9,7 @@ A disc is no polygon. Placements stay in an inscribed polygon of 32 sides, bound
 circumscribed one, which is larger by half a per cent; so a bound holds for the disc itself.
 
 **Choices of faces.**  A choice is a multiset of regions for each gripper, which its hand reaches
-from one side (:mod:`multiarm.grasp.assembling`). It can close only if the normals span space
+from one side (:mod:`multiarm.grasp.reachability`). It can close only if the normals span space
 positively, which needs on both sides of every plane through two of them another one; and no more
 than three normals are parallel (thesis, 2.2.1: of seven contacts that close any six are
 independent). Where there are too many choices to look at them all, some are drawn.
@@ -34,8 +34,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import hand_reaches
 from multiarm.grasp.contacts import numbers_of, wrenches_of
+from multiarm.grasp.reachability import hand_reaches
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon

@@ -15,12 +15,9 @@ from scipy.spatial.transform import Rotation
 from multiarm.errors import GraspError
 from multiarm.grasp.assembling import (
     assembled,
-    clearest_approach,
     crosses,
-    hands_reach,
     largest_gripper,
     proven,
-    two_groups,
 )
 from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.body_class import classify
@@ -34,6 +31,7 @@ from multiarm.grasp.parallel_bodies import (
     parallel_design,
 )
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import clearest_approach, hands_reach, two_groups
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp, wide_design
 
@@ -382,6 +380,17 @@ def test_bodies_of_the_wider_class_are_held(name):
     )
     residual = np.linalg.norm(np.cross(p - meet[0], n))
     assert residual < 1e-9 * WIDE[name].size  # the three normal lines meet in one point
+
+
+def test_progress_of_a_design_goes_through_the_triples_of_faces():
+    told = []
+    design_grasp(WIDE["hull"], progress=lambda *news: told.append(news))
+    corners, places = (
+        [news for news in told if where in news[2]] for where in ("corners", "places")
+    )
+    for stage in (corners, places):
+        assert [done for done, _, _ in stage] == list(range(stage[0][1]))
+    assert told == corners + places
 
 
 @pytest.mark.parametrize("name", ["cut wedge", "hexagon", "L"])

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
 from multiarm.grasp import placements
-from multiarm.grasp.assembling import clearest_approach
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.margin_bounds import margin_bound, margins, quick_bounds
@@ -29,6 +28,7 @@ from multiarm.grasp.placements import (
     touch_regions,
 )
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import clearest_approach
 
 BLOCK = Polyhedron.box([1.2, 1.0, 0.8])
 REACH = 0.25

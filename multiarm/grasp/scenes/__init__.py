@@ -35,6 +35,7 @@ from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import (
     Progress,
+    UnreachableError,
     contacts,
     fingers,
     pose_table,
@@ -45,7 +46,7 @@ from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robo
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import PartProgress, displayed
 
-__all__ = ["grasp_scene", "motion_wrenches", "needed_squeeze"]
+__all__ = ["UnreachableError", "grasp_scene", "motion_wrenches", "needed_squeeze"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 # The usual path, as parts of a 10 s run: lift and shift, turn, and back to the start.
@@ -113,7 +114,8 @@ def grasp_scene(
     Raises
     ------
     GraspError
-        A grasp without closure, another number of arms, hands or postures that cannot be.
+        A grasp without closure, another number of arms; as `UnreachableError`, hands or postures
+        that cannot be.
     SceneError
         Robots that do not exist.
     """

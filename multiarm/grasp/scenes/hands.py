@@ -29,10 +29,10 @@ from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import clearest_approach
 from multiarm.grasp.face import frame_of
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import clearest_approach
 from multiarm.scene import ArmSpec, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 
@@ -46,6 +46,10 @@ CLEAR = 6.0
 DIGITS, DIRECTION_DIGITS = 12, 15
 
 
+class UnreachableError(GraspError):
+    """Hands or arms do not reach the contacts of a grasp; another grasp may do."""
+
+
 def approach(grasp: FaceContacts, gripper: Gripper, level: float = 1.0) -> np.ndarray:
     """Direction (3,) along which a gripper comes to the body, in the body's frame.
 
@@ -57,7 +61,7 @@ def approach(grasp: FaceContacts, gripper: Gripper, level: float = 1.0) -> np.nd
 
     Raises
     ------
-    GraspError
+    UnreachableError
         The gripper touches faces around so sharp an edge that no direction clears them all.
     """
     faces = sorted({grasp.faces[j] for j in gripper.contacts})
@@ -68,7 +72,7 @@ def approach(grasp: FaceContacts, gripper: Gripper, level: float = 1.0) -> np.nd
         return mean / np.linalg.norm(mean)
     direction, clearance = clearest_approach(inward)
     if clearance < LEAST_CLEARANCE:
-        raise GraspError(
+        raise UnreachableError(
             f"gripper '{gripper.name}' touches faces that look away from each other; no rigid hand "
             "reaches them from one side"
         )
@@ -156,7 +160,7 @@ def require_room(grasp: FaceContacts, tip_radius: float) -> None:
 
     Raises
     ------
-    GraspError
+    UnreachableError
         Naming the contacts, how far apart they are, and the remedy.
     """
     points, names = grasp.contacts.points, grasp.contacts.names
@@ -165,7 +169,7 @@ def require_room(grasp: FaceContacts, tip_radius: float) -> None:
     apart[np.diag_indices(len(centres))] = np.inf
     i, j = divmod(int(np.argmin(apart)), len(centres))
     if apart[i, j] < 2.0 * tip_radius:
-        raise GraspError(
+        raise UnreachableError(
             f"fingertips of radius {tip_radius:g} m do not fit: those of {names[i]} and {names[j]} "
             f"would be {apart[i, j]:.3g} m apart; choose a smaller tip_radius or larger grippers"
         )
@@ -268,7 +272,7 @@ def stand_arms(
 
     Raises
     ------
-    GraspError
+    UnreachableError
         When an arm reaches its corner from nowhere.
     """
     robots = [InverseKinematics(_robot(spec)) for spec in arms]
@@ -298,7 +302,7 @@ def stand_arms(
                 starts.append(Stands(z, turn, stands))
         if starts:
             return max(starts, key=lambda start: min(stand.quality for stand in start.arms))
-    raise GraspError(
+    raise UnreachableError(
         f"the arm of '{missed}' reaches its corner from nowhere nearby at every pose of the path; "
         f"the object was tried {', '.join(tried)}.  Choose a longer arm, another height or a "
         "shorter path"
