@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.terminal.console import number
+from multiarm.notation import number
 
 if TYPE_CHECKING:
     from multiarm.simulation.holding import Carrying, EffortShares

@@ -21,6 +21,7 @@ from multiarm.plots.run_figures import (
     joint_positions,
     joint_torques,
     object_pose,
+    wrenches,
 )
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ __all__ = [
     "joint_torques",
     "limit_use",
     "object_pose",
+    "wrenches",
 ]
 
 
@@ -49,6 +51,7 @@ def figures(trajectory: Trajectory) -> dict[str, Figure]:
         "Joint positions": joint_positions(trajectory),
         "Joint torques": joint_torques(trajectory),
         "Joint limits": limit_use(trajectory),
+        "Wrenches of the arms": wrenches(trajectory),
         "Contact forces": contact_forces(trajectory),
         "Contact states": contact_states(trajectory),
         "Energy": energy(trajectory),

@@ -73,7 +73,7 @@ def ring_of_arms(
         control={
             "kind": "harmonic",
             "frequency": frequency,
-            "amplitude": {name: amplitude for name in names},
+            "amplitude": dict.fromkeys(names, amplitude),
             "phase": {name: [0.7 * i + 1.3 * j for j in range(6)] for i, name in enumerate(names)},
         },
         run={"duration": duration, "accuracy": accuracy},
