@@ -79,6 +79,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "linear.linearisation",
         "problems",
         "scene.object",
+        "simulation.holding",
         "sweeps.axes",
         "sweeps.plan",
         "studies.timing",
