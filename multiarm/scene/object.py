@@ -27,6 +27,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
+from multiarm.scene.meshes import read_mesh
 from multiarm.scene.values import (
     Color,
     FilePath,
@@ -336,15 +337,11 @@ class Shape(OneOf):
             return nearest_in(points, hull_triangles(points), point)
         if self.mesh is None:
             return None
-        import trimesh
-
         try:
-            loaded: Any = trimesh.load_mesh(str(self.mesh.file), process=False)
-            points = np.array(loaded.vertices, float) * self.mesh.scale
-            triangles = np.array(loaded.faces, int)
-        except Exception:  # readers of the formats raise what they please; the replay says so
+            points, triangles, _ = read_mesh(self.mesh.file, self.mesh.scale)
+        except ValueError:  # the replay says so
             return None
-        return nearest_in(points, triangles, point) if len(triangles) else None
+        return nearest_in(points, triangles, point)
 
 
 NO_SHAPE = Shape.model_construct()

@@ -27,6 +27,7 @@ from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.scene import with_code, without_code
 from multiarm.scene.control import NoControl
+from multiarm.scene.faults import counted
 from multiarm.viewer.animation import (
     Animation,
     Body,
@@ -45,7 +46,7 @@ from multiarm.viewer.contact_tracks import (
     surface_bodies,
 )
 from multiarm.viewer.mesh import Z_TO_X, Mesh, box, capsule, cylinder, merge
-from multiarm.viewer.shapes import PLAIN, geometry_mesh, mesh_loader, object_mesh
+from multiarm.viewer.shapes import PLAIN, geometry_mesh, is_mesh_file, object_mesh
 
 if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
@@ -247,13 +248,12 @@ class _Shapes:
 
     def __init__(self, meshes: bool) -> None:
         self._meshes = meshes  # False leaves mesh files out
-        self._loader = mesh_loader()
-        self._known: dict[tuple, Mesh] = {}
+        self._of_files: dict[tuple, Mesh] = {}
 
     def visuals(self, arm: Arm) -> list[pin.GeometryObject]:
         """Return all visuals of an arm's robot and tool."""
-        items = arm.visual_model(self._loader).geometryObjects
-        return [item for item in items if self._meshes or not item.meshPath]
+        items = arm.visual_model().geometryObjects
+        return [item for item in items if self._meshes or not is_mesh_file(item)]
 
     def parts(self, arm: Arm, visuals: list[pin.GeometryObject]) -> list[_Part]:
         """Return visuals of an arm as parts; bars replace links without a shape."""
@@ -263,29 +263,32 @@ class _Shapes:
     def seen(
         self, arm: Arm, visuals: list[pin.GeometryObject], subdued: bool = True
     ) -> list[_Part]:
-        """Return visuals as parts, without those that cannot be shown."""
-        parts = []
+        """Return visuals as parts; a warning names those that cannot be shown."""
+        parts, lost = [], []
         for item in visuals:
             try:
                 mesh = self._mesh(item, subdued)
-            except ValueError:
-                warnings.warn(
-                    f"{item.meshPath or 'a shape'} of '{item.name}' of arm '{arm.name}' has no "
-                    "size that can be shown; it is left out",
-                    stacklevel=2,
-                )
+            except ValueError as error:
+                shape = item.meshPath if is_mesh_file(item) else "a shape"
+                lost.append(f"{shape} of link '{item.name.rpartition('_')[0]}' ({error})")
                 continue
             parts.append(_Part(item.name, item.parentJoint, item.placement, mesh))
+        if lost:
+            warnings.warn(
+                f"{arm.files.urdf.name}: the replay leaves out {counted(lost, 3)}; a joint with "
+                "no shape left has a bar",
+                stacklevel=2,
+            )
         return parts
 
     def _mesh(self, item: pin.GeometryObject, subdued: bool) -> Mesh:
-        if not item.meshPath:
+        if not is_mesh_file(item):
             return geometry_mesh(item, subdued)
         color = (item.overrideMaterial, *item.meshColor)
         key = (item.meshPath, *item.meshScale, *color, subdued)
-        if key not in self._known:
-            self._known[key] = geometry_mesh(item, subdued)
-        return self._known[key]
+        if key not in self._of_files:
+            self._of_files[key] = geometry_mesh(item, subdued)
+        return self._of_files[key]
 
 
 def _bars(arm: Arm, joints: set[int]) -> list[_Part]:

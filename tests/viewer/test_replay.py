@@ -1,6 +1,7 @@
 """Replays of real runs, looked at with a real browser."""
 
 import re
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
@@ -136,6 +137,23 @@ def test_links_stand_where_the_joint_angles_put_them(trajectory):
         np.testing.assert_allclose(link.position[row], expected, atol=1e-12)
         turn = rotations(link.quaternion_xyzw[row : row + 1])[0]
         np.testing.assert_allclose(turn, about_z @ about_y, atol=1e-12)
+
+
+@pytest.mark.parametrize("meshes", [True, False])
+def test_every_cylinder_has_the_size_of_the_urdf(trajectory, meshes):
+    """Two links of a robot may differ by their size only."""
+    sizes = {
+        body.name: np.ptp(body.mesh.vertices, axis=0)
+        for body in animate(trajectory, fps=30, speed=1, meshes=meshes).bodies
+    }
+    robot = ElementTree.fromstring(robot_text("textbook_6r"))
+    for link in robot.findall("link"):
+        for number, visual in enumerate(link.findall("visual")):
+            cylinder = visual.find("geometry/cylinder")
+            if cylinder is not None:
+                radius, length = float(cylinder.get("radius")), float(cylinder.get("length"))
+                size = sizes[f"arms/left/{link.get('name')}_{number}"]
+                np.testing.assert_allclose(size, [2 * radius, 2 * radius, length], rtol=1e-12)
 
 
 @pytest.mark.slow
