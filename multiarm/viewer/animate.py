@@ -264,18 +264,19 @@ class _Shapes:
         self, arm: Arm, visuals: list[pin.GeometryObject], subdued: bool = True
     ) -> list[_Part]:
         """Return visuals as parts; a warning names those that cannot be shown."""
-        parts, lost = [], []
+        parts: list[_Part] = []
+        lost: dict[str, None] = {}  # each file once
         for item in visuals:
             try:
                 mesh = self._mesh(item, subdued)
             except ValueError as error:
                 shape = item.meshPath if is_mesh_file(item) else "a shape"
-                lost.append(f"{shape} of link '{item.name.rpartition('_')[0]}' ({error})")
+                lost[f"{shape} of link '{item.name.rpartition('_')[0]}' ({error})"] = None
                 continue
             parts.append(_Part(item.name, item.parentJoint, item.placement, mesh))
         if lost:
             warnings.warn(
-                f"{arm.files.urdf.name}: the replay leaves out {counted(lost, 3)}; a joint with "
+                f"{arm.files.urdf.name}: the replay leaves out {counted([*lost], 3)}; a joint with "
                 "no shape left has a bar",
                 stacklevel=2,
             )
