@@ -41,6 +41,8 @@ _SHOWN = {
     ("joint_torque", "N m"): ("torque [N m]", 1.0),
     ("joint_torque", "N"): ("force [N]", 1.0),
     ("contact_force", "N"): ("force [N]", 1.0),
+    ("wrench", "N"): ("force [N]", 1.0),
+    ("wrench", "N m"): ("moment [N m]", 1.0),
 }
 
 
@@ -79,6 +81,17 @@ def contact_forces(trajectory: Trajectory) -> Figure:
     Positive pushes.
     """
     panels = _arm_panels(trajectory, "contact_force")
+    return draw(panels, zero_line=True, events=trajectory.events)
+
+
+def wrenches(trajectory: Trajectory) -> Figure | None:
+    """Force (N) and moment (N m) of each arm on the object, two panels per arm and for the floor.
+
+    In world axes, the moment about the object's centre of mass.  None where none were recorded.
+    """
+    panels = _arm_panels(trajectory, "wrench")
+    if not panels:
+        return None
     return draw(panels, zero_line=True, events=trajectory.events)
 
 
@@ -173,12 +186,14 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
         for unit in dict.fromkeys(channel.column_units):
             chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
             shown, factor = _SHOWN[quantity, unit]
+            colours = [PALETTE[i % len(PALETTE)] for i in chosen]
+            dashes = [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen]
+            if quantity == "wrench":
+                colours, dashes = list(AXIS_COLOURS), []
             panels.append(
                 Panel(
                     arm, shown, time, factor * values[:, chosen],
-                    tuple(labels[i] for i in chosen),
-                    [PALETTE[i % len(PALETTE)] for i in chosen],
-                    [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen],
+                    tuple(labels[i] for i in chosen), colours, dashes,
                 )
             )  # fmt: skip
     return panels

@@ -29,7 +29,13 @@ def test_tables_of_results_name_what_one_looks_for(system, run):
     grasp = ma.grasp.design_grasp(ma.grasp.Polyhedron.box([1.2, 0.8, 0.6]), gripper_size=0.25)
     shown = {
         system: ["two UR5s carry a box", "20 kg", "6 joints, joined by weld", "joint_pd"],
-        ma.evaluate(system): ["contact forces of right", "rank", "12", "residuals"],
+        ma.evaluate(system): [
+            "wrench of right",
+            "contact forces of right",
+            "rank",
+            "12",
+            "residuals",
+        ],
         run: ["completed", "11, 0 to 0.1 s", "met: estimated error", "largest gap"],
         grasp: ["Grasp", "7 by 2 grippers", "faces"],
         grasp.closure: ["Form closure", grasp.closure.message],
