@@ -110,7 +110,7 @@ def energy(trajectory: Trajectory) -> Figure:
     colours = tuple(ROLES.values())
     labels = ("kinetic", "potential, change", "work")
     peak = float(np.abs(values[:, 3]).max(initial=0.0))
-    scale = next((own for own in PREFIXES if peak >= own), 1)
+    scale = next((power for power in PREFIXES if peak >= power), 1)
     panels = [
         Panel("Energy and work", "energy [J]", time, values[:, :3], labels, colours[:3]),
         Panel(
@@ -184,7 +184,7 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
         time, values = decimate(trajectory, [channel.name], points=points)
         labels = _short(_labels(channel))
         for unit in dict.fromkeys(channel.column_units):
-            chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
+            chosen = [i for i, of_column in enumerate(channel.column_units) if of_column == unit]
             shown, factor = _SHOWN[quantity, unit]
             colours = [PALETTE[i % len(PALETTE)] for i in chosen]
             dashes = [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen]

@@ -16,6 +16,7 @@ import colorsys
 import warnings
 from collections import Counter
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -120,16 +121,17 @@ def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
     start = {
         "object_position": trajectory.object_position[0],
         "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[0],
-        "joint_positions": {arm: own[0] for arm, own in trajectory.joint_positions.items()},
+        "joint_positions": {arm: q[0] for arm, q in trajectory.joint_positions.items()},
     }
-    scene, left = (with_code(scene, True), []) if code else without_code(scene)
+    scene, left_out = (with_code(scene, True), []) if code else without_code(scene)
     system = geometry_of(scene, start)
-    unseen = [one for one in left if one.arm]
-    if not unseen:
+    not_drawn = [code for code in left_out if code.arm]
+    if not not_drawn:
         return system, []
+    arms = ", ".join(dict.fromkeys(f"arm {code.arm!r}" for code in not_drawn))
     missing = (
-        f"contacts and surfaces of {', '.join(dict.fromkeys(f'arm {one.arm!r}' for one in unseen))}"
-        f" that need {', '.join(dict.fromkeys(one.what for one in unseen))} are not drawn, since "
+        f"contacts and surfaces of {arms} that need "
+        f"{', '.join(dict.fromkeys(code.what for code in not_drawn))} are not drawn, since "
         "code that a result names is not loaded; if you trust its author, allow it with --code "
         "(`code=True` in Python)"
     )
@@ -204,7 +206,7 @@ def _robot_bodies(
         parts = shapes.parts(first, shapes.visuals(first))
         return _bodies(first, parts, angles[first.name], colors[first.name]), []
     bodies, visuals = [], {arm.name: shapes.visuals(arm) for arm in arms}
-    carried = {item.name for own in visuals.values() for item in own if item.parentJoint > 0}
+    carried = {item.name for arm in arms for item in visuals[arm.name] if item.parentJoint > 0}
     trunk = [item for item in visuals[first.name] if item.name not in carried]
     for arm in arms:
         parts = shapes.parts(arm, [item for item in visuals[arm.name] if item.parentJoint > 0])
@@ -212,8 +214,8 @@ def _robot_bodies(
             parts = [part for part in parts if part.joint > 0]
         bodies += _bodies(arm, parts, angles[arm.name], colors[arm.name])
     fixed = shapes.seen(first, trunk, subdued=False)
-    both = "+".join(arm.name for arm in arms)
-    return bodies, _bodies(first, fixed, angles[first.name], WHITE, both)
+    robot = "+".join(arm.name for arm in arms)
+    return bodies, _bodies(first, fixed, angles[first.name], WHITE, robot)
 
 
 def _bodies(
@@ -228,8 +230,8 @@ def _bodies(
         poses[:, k] = np.reshape(placed, (-1, 7))
     names = _distinct([part.name.replace("/", "_") for part in parts])
     return [
-        Body(f"arms/{name or arm.name}/{own}", part.mesh, pose[:, :3], pose[:, 3:], color)
-        for own, part, pose in zip(names, parts, poses, strict=True)
+        Body(f"arms/{name or arm.name}/{link}", part.mesh, pose[:, :3], pose[:, 3:], color)
+        for link, part, pose in zip(names, parts, poses, strict=True)
     ]
 
 
@@ -454,7 +456,7 @@ REGION_LIFT = 1e-3
 
 def scene_grasp(system: System) -> SceneGrasp | None:
     """The grasp at the start if it has regions to show; else None."""
-    if not any(contact.pushes_only for own in system.contacts.values() for contact in own):
+    if not any(contact.pushes_only for contact in chain(*system.contacts.values())):
         return None
     try:
         grasp = read_grasp(system)

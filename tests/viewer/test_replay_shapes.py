@@ -1,4 +1,4 @@
-"""Meshes, films and the camera of a replay: geometry, checked against closed forms."""
+"""Meshes, animations and the camera of a replay: geometry, checked against closed forms."""
 
 import gzip
 import importlib.metadata
