@@ -21,6 +21,7 @@ import pinocchio as pin
 
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
 from multiarm.errors import ModelError
+from multiarm.notation import count_of
 from multiarm.scene.meshes import visuals_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 
@@ -116,7 +117,7 @@ class Arm:
         self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
 
     def __repr__(self) -> str:
-        return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
+        return f"Arm({self.name!r}, {count_of(self.dof, 'joint')}, tip {self.files.tip!r})"
 
     def configuration(self, angles: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""

@@ -268,7 +268,7 @@ class Mesh(Spec):
     """A mesh, its origin at the centre of mass."""
 
     file: FilePath
-    """An STL or OBJ file, for instance."""
+    """An STL, OBJ, PLY, OFF or Collada file."""
     scale: Annotated[
         tuple[float, float, float],
         BeforeValidator(_scale),
