@@ -48,7 +48,7 @@ class VisualMesh(NamedTuple):
 def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleMesh:
     """Read the triangles of a file, scaled along its axes.
 
-    The unit of a Collada file is applied, its up axis is not: readers of URDFs do so.
+    The unit of a Collada file is applied and its up axis is not, as readers of URDFs do.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleM
         raise ValueError("there is no such file")
     ending, size = path.suffix.lower(), path.stat().st_size
     if ending not in MESH_FORMATS:
-        raise ValueError(f"it is no mesh of a known format ({', '.join(MESH_FORMATS)})")
+        raise ValueError(f"it has no known format; these are {', '.join(MESH_FORMATS)}")
     if size > MOST_MESH_BYTES:
         raise ValueError(f"it has {size:,} bytes, more than {MOST_MESH_BYTES:,}")
     content = _inspected(path.read_bytes(), ending)
@@ -71,7 +71,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleM
             warnings.simplefilter("ignore")
             vertices, triangles, colors = _triangles(content, ending)
     except Exception as error:  # readers of the formats raise what they please
-        raise ValueError(f"it is no mesh of a known format: {ending} is not what it is") from error
+        raise ValueError(f"it is damaged, or no {ending} file") from error
     if not len(triangles):
         raise ValueError("it has no triangles")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
@@ -107,11 +107,14 @@ def _inspected(content: bytes, ending: str) -> bytes:
         if not 0 < declared <= size:
             raise ValueError(f"it declares {declared:,} vertices and faces")
     elif ending == ".dae":
+        if b"\0" in content:
+            raise ValueError("it is not written in UTF-8")
         if b"<!DOCTYPE" in content:
             raise ValueError("it has a document type, whose entities may expand to any length")
-        if b"<instance_node" in content:
+        if b"instance_node" in content:
             raise ValueError("its nodes contain other nodes by reference; export it without")
-        if content.count(b"<instance_geometry") * size > MOST_MESH_BYTES:
+        largest = max(map(len, re.split(rb"</[\w.:-]*geometry\s*>", content)))
+        if content.count(b"instance_geometry") * largest > MOST_MESH_BYTES:
             raise ValueError("it shows its geometry too many times")
     return content
 

@@ -139,15 +139,15 @@ TRIANGLE = "solid x\nfacet normal 0 0 1\nouter loop\nvertex %s 0 0\nvertex 1 0 0
 DEEP = b"<COLLADA>" + b"<a>" * 60_000 + b"</a>" * 60_000 + b"</COLLADA>"
 # A few bytes more for each level, twice the triangles.
 NESTED = SQUARE.replace("</visual_scene>", '<node><instance_node url="#a"/></node></visual_scene>')
-MANY = SQUARE.replace("<scene>", "<!-- <instance_geometry -->" * 8000 + "<scene>")
+MANY = SQUARE.replace("<scene>", "<!-- instance_geometry -->" * 32_000 + "<scene>")
 
 
 @pytest.mark.parametrize(
     ("file", "content", "reason"),
     [
         ("missing.stl", None, "no such file"),
-        ("x.xyz", b"1 2 3", "no mesh of a known format"),
-        ("no_ending", stl(), "no mesh of a known format"),
+        ("x.xyz", b"1 2 3", "known format"),
+        ("no_ending", stl(), "known format"),
         ("empty.stl", b"", "declares 0 triangles"),
         ("text.stl", b"hello", "declares 0 triangles"),
         ("cut.stl", stl()[:120], "declares 4 triangles, and has 0"),
@@ -156,18 +156,19 @@ MANY = SQUARE.replace("<scene>", "<!-- <instance_geometry -->" * 8000 + "<scene>
         ("inf.stl", stl(bad=float("inf")), "not finite"),
         ("cut_text.stl", (TRIANGLE % 0)[:60].encode(), "no triangles"),
         ("nan_text.stl", (TRIANGLE % "nan").encode() + b"endloop\nendfacet\nendsolid\n", "finite"),
-        ("text.obj", b"hello", "no triangles|known format"),
-        ("points.obj", b"v 0 0 0\nv 1 1 1\n", "no triangles|known format"),
-        ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "known format|not there"),
-        ("minus.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -9 -8 -7\n", "known format|not there"),
+        ("text.obj", b"hello", "no triangles|damaged"),
+        ("points.obj", b"v 0 0 0\nv 1 1 1\n", "no triangles|damaged"),
+        ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "damaged|not there"),
+        ("minus.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -9 -8 -7\n", "damaged|not there"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("billions.ply", PLY % b"", "declares 4,000,000,000"),
         ("remarks.ply", PLY % (b"comment x\n" * 1000), "declares 4,000,000,000"),
-        ("billions.off", b"OFF\n4000000000 4000000000 0\n0 0 0\n", "known format|no triangles"),
-        ("text.dae", b"hello", "no mesh of a known format"),
-        ("nothing.dae", b"<COLLADA><scene/></COLLADA>", "known format|no triangles"),
+        ("billions.off", b"OFF\n4000000000 4000000000 0\n0 0 0\n", "damaged|no triangles"),
+        ("text.dae", b"hello", "damaged, or no .dae file"),
+        ("nothing.dae", b"<COLLADA><scene/></COLLADA>", "damaged|no triangles"),
         ("entities.dae", b"<!DOCTYPE x []>" + SQUARE.encode(), "document type"),
-        ("deep.dae", DEEP, "known format"),
+        ("wide.dae", ("<?xml version='1.0'?>" + SQUARE).encode("utf-16"), "UTF-8"),
+        ("deep.dae", DEEP, "damaged"),
         ("nested.dae", NESTED.encode(), "by reference"),
         ("many.dae", MANY.encode(), "too many times"),
         ("nan.dae", SQUARE.replace('meter="0.01"', 'meter="nan"').encode(), "not finite"),
