@@ -392,7 +392,7 @@ def _geometry(
     for item in geometry.geometryObjects:
         if item.name in meshes:
             item.geometry = coal.BVHModelOBBRSS()
-            item.meshPath = str(meshes[item.name].path)
+            item.meshPath = meshes[item.name].path
             item.meshScale = np.array(meshes[item.name].scale)
     return geometry
 

@@ -39,8 +39,8 @@ class TriangleMesh(NamedTuple):
 class VisualMesh(NamedTuple):
     """The mesh of a visual of a URDF."""
 
-    path: Path
-    """Where it is, or where it is missing."""
+    path: str
+    """Where it is, or where it is missing; the address of one in an unknown package."""
     scale: tuple[float, ...]
     """Along the axes of the mesh."""
 
@@ -77,7 +77,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleM
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise ValueError("a triangle has a corner that is not there")
     vertices = vertices * np.asarray(scale, float)
-    if not np.isfinite(vertices[triangles]).all():
+    if not np.isfinite(vertices).all():
         raise ValueError("a number is not finite")
     outward = triangles if np.prod(scale) > 0 else triangles[:, ::-1]
     return TriangleMesh(vertices, outward, colors if ending == ".dae" else None)
@@ -215,9 +215,10 @@ def visuals_without_meshes(
             if geometry is None or mesh is None:
                 continue
             address = mesh.get("filename", "")
-            path = resolve_mesh(address, urdf, package_dirs)
+            missing = address if "://" in address else urdf.parent / address
+            path = resolve_mesh(address, urdf, package_dirs) or missing
             x, y, z = map(float, mesh.get("scale", "1 1 1").split())
-            meshes[f"{link.get('name')}_{number}"] = VisualMesh(path or Path(address), (x, y, z))
+            meshes[f"{link.get('name')}_{number}"] = VisualMesh(str(path), (x, y, z))
             geometry.remove(mesh)
             ElementTree.SubElement(geometry, "sphere", radius="1")
     return ElementTree.tostring(robot, "unicode"), meshes

@@ -125,13 +125,13 @@ def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
     }
     scene, left_out = (with_code(scene, True), []) if code else without_code(scene)
     system = geometry_of(scene, start)
-    not_drawn = [code for code in left_out if code.arm]
+    not_drawn = [item for item in left_out if item.arm]
     if not not_drawn:
         return system, []
-    arms = ", ".join(dict.fromkeys(f"arm {code.arm!r}" for code in not_drawn))
+    arms = ", ".join(dict.fromkeys(f"arm {item.arm!r}" for item in not_drawn))
     missing = (
         f"contacts and surfaces of {arms} that need "
-        f"{', '.join(dict.fromkeys(code.what for code in not_drawn))} are not drawn, since "
+        f"{', '.join(dict.fromkeys(item.what for item in not_drawn))} are not drawn, since "
         "code that a result names is not loaded; if you trust its author, allow it with --code "
         "(`code=True` in Python)"
     )

@@ -255,7 +255,11 @@ def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
 
 @pytest.mark.parametrize(
     ("file", "content", "fault"),
-    [("lost.stl", None, "there is no such file"), ("bad.obj", b"hello", "it has no triangles")],
+    [
+        ("lost.stl", None, "there is no such file"),
+        ("package://nowhere/lost.stl", None, "there is no such file"),
+        ("bad.obj", b"hello", "it has no triangles"),
+    ],
 )
 def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
     tmp_path, trajectory, file, content, fault
