@@ -22,7 +22,7 @@ import pinocchio as pin
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
-from multiarm.scene.meshes import visuals_without_meshes
+from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 
 
@@ -273,7 +273,11 @@ class Arm:
         Files of meshes are not read here: a shape that is a mesh has the type ``BVHModelBase``,
         and its path and scale.
         """
-        return _assemble(self.name, self.files, visuals=True)[1]
+        return _assemble(self.name, self.files, pin.GeometryType.VISUAL)[1]
+
+    def collision_model(self) -> pin.GeometryModel:
+        """The collision geometry as :meth:`visual_model`; of a file without any, its visual one."""
+        return _assemble(self.name, self.files, pin.GeometryType.COLLISION)[1]
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
@@ -336,9 +340,9 @@ def _read(urdf: Path | str, _stamp: int) -> pin.Model:
 
 
 def _assemble(
-    name: str, files: ArmFiles, visuals: bool = False
+    name: str, files: ArmFiles, kind: pin.GeometryType | None = None
 ) -> tuple[pin.Model, pin.GeometryModel]:
-    """Robot, tool, locked joints, base: the model and, if wanted, its visual geometry."""
+    """Robot, tool, locked joints, base: the model and, if wanted, its geometry of a kind."""
     base = pin.SE3(files.base)
     if files.mjcf:
         model, first = mjcf_model(files.urdf)
@@ -346,14 +350,14 @@ def _assemble(
     else:
         model = _from_urdf(name, files.urdf)
     geometry, tool_geometry = pin.GeometryModel(), pin.GeometryModel()
-    if visuals:
-        geometry = _geometry(model, files.urdf, files.package_dirs, files.mjcf)
+    if kind is not None:
+        geometry = _geometry(model, files.urdf, files.package_dirs, kind, files.mjcf)
     armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
-        if visuals:
-            tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs)
+        if kind is not None:
+            tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, kind)
         mount = _frame_id(model, files.mount, name)
         placement = pin.SE3(files.tool_placement)
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
@@ -374,27 +378,42 @@ def _assemble(
 
 
 def _geometry(
-    model: pin.Model, urdf: Path | str, package_dirs: tuple[Path, ...], mjcf: bool = False
+    model: pin.Model,
+    urdf: Path | str,
+    package_dirs: tuple[Path, ...],
+    kind: pin.GeometryType,
+    mjcf: bool = False,
 ) -> pin.GeometryModel:
-    """The visuals of a file; none, and a warning, where Pinocchio cannot read them."""
-    kind = pin.GeometryType.VISUAL
+    """The shapes of a file; none, and a warning, where Pinocchio cannot read them."""
+    role, without = _ROLES[kind]
+    meshes: dict[str, ShapeMesh] = {}
     try:
         if mjcf:
-            return pin.buildGeomFromMJCF(model, str(urdf), kind)
-        if isinstance(urdf, str):
-            return pin.buildGeomFromUrdfString(model, urdf, kind)
-        text, meshes = visuals_without_meshes(urdf, package_dirs)
-        geometry = pin.buildGeomFromUrdfString(model, text, kind)
+            geometry = pin.buildGeomFromMJCF(model, str(urdf), kind)
+        else:
+            text = urdf
+            if isinstance(urdf, Path):
+                text, meshes = shapes_without_meshes(urdf, package_dirs, role)
+            geometry = pin.buildGeomFromUrdfString(model, text, kind)
     except (ValueError, RuntimeError):
         name = "a tool's URDF" if isinstance(urdf, str) else urdf
-        warnings.warn(f"the shapes of {name} cannot be read: the replay shows bars", stacklevel=2)
+        warnings.warn(f"the shapes of {name} cannot be read: {without}", stacklevel=2)
         return pin.GeometryModel()
+    if kind == pin.GeometryType.COLLISION and not geometry.ngeoms:
+        return _geometry(model, urdf, package_dirs, pin.GeometryType.VISUAL, mjcf)
     for item in geometry.geometryObjects:
         if item.name in meshes:
             item.geometry = coal.BVHModelOBBRSS()
             item.meshPath = meshes[item.name].path
             item.meshScale = np.array(meshes[item.name].scale)
     return geometry
+
+
+# The tag of shapes in a URDF, and what a warning says where they cannot be read.
+_ROLES = {
+    pin.GeometryType.VISUAL: ("visual", "the replay shows bars"),
+    pin.GeometryType.COLLISION: ("collision", "postures are found without regard to them"),
+}
 
 
 def named_with_prefix(arm: Arm) -> pin.Model:

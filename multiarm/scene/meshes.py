@@ -36,8 +36,8 @@ class TriangleMesh(NamedTuple):
     """Of each triangle, sRGB in 0..1, shape (T, 3); absent where a format has none that is read."""
 
 
-class VisualMesh(NamedTuple):
-    """The mesh of a visual of a URDF."""
+class ShapeMesh(NamedTuple):
+    """The mesh of a shape of a URDF."""
 
     path: str
     """Where it is, or where it is missing; the address of one in an unknown package."""
@@ -193,15 +193,16 @@ def _grey_textures() -> Any:
     return GreyTextures()
 
 
-# --- The visuals of a URDF ------------------------------------------------------------------------
+# --- The shapes of a URDF -------------------------------------------------------------------------
 
 
-def visuals_without_meshes(
-    urdf: Path, package_dirs: tuple[Path, ...]
-) -> tuple[str, dict[str, VisualMesh]]:
-    """The text of a URDF with spheres in place of the meshes of its visuals, and these meshes.
+def shapes_without_meshes(
+    urdf: Path, package_dirs: tuple[Path, ...], role: str
+) -> tuple[str, dict[str, ShapeMesh]]:
+    """The text of a URDF with spheres in place of the meshes of its shapes, and these meshes.
 
-    Their names are those of Pinocchio: the link's, and the number of the visual in it.
+    ``role`` is ``visual`` or ``collision``.  Names are those of Pinocchio: the link's, and the
+    number of the shape in it.
 
     Raises
     ------
@@ -210,15 +211,15 @@ def visuals_without_meshes(
     """
     robot, meshes = read_xml(urdf), {}
     for link in robot.findall("link"):
-        for number, visual in enumerate(link.findall("visual")):
-            geometry, mesh = visual.find("geometry"), visual.find("geometry/mesh")
+        for number, shape in enumerate(link.findall(role)):
+            geometry, mesh = shape.find("geometry"), shape.find("geometry/mesh")
             if geometry is None or mesh is None:
                 continue
             address = mesh.get("filename", "")
             missing = address if "://" in address else urdf.parent / address
             path = resolve_mesh(address, urdf, package_dirs) or missing
             x, y, z = map(float, mesh.get("scale", "1 1 1").split())
-            meshes[f"{link.get('name')}_{number}"] = VisualMesh(str(path), (x, y, z))
+            meshes[f"{link.get('name')}_{number}"] = ShapeMesh(str(path), (x, y, z))
             geometry.remove(mesh)
             ElementTree.SubElement(geometry, "sphere", radius="1")
     return ElementTree.tostring(robot, "unicode"), meshes

@@ -276,6 +276,13 @@ class Mesh(Spec):
     ] = (1.0, 1.0, 1.0)
     """Metres for each unit of the file, for all axes or one for each."""
 
+    def triangles(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Corners (N, 3) in the object's frame [m] and triangles (T, 3); None if unreadable."""
+        try:
+            return read_mesh(self.file, self.scale)[:2]
+        except ValueError:  # the replay says so
+            return None
+
 
 class Shape(OneOf):
     """The shape of the object: exactly one of these."""
@@ -335,13 +342,8 @@ class Shape(OneOf):
         if self.hull is not None:
             points = np.array(self.hull)
             return nearest_in(points, hull_triangles(points), point)
-        if self.mesh is None:
-            return None
-        try:
-            points, triangles, _ = read_mesh(self.mesh.file, self.mesh.scale)
-        except ValueError:  # the replay says so
-            return None
-        return nearest_in(points, triangles, point)
+        triangles = None if self.mesh is None else self.mesh.triangles()
+        return None if triangles is None else nearest_in(*triangles, point)
 
 
 NO_SHAPE = Shape.model_construct()

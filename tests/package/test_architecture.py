@@ -32,7 +32,7 @@ ROOMS = (
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
     "PIL": ("scene.meshes",),
-    "coal": ("arms.arm", "viewer.shapes"),
+    "coal": ("arms.arm", "assembly.collisions", "viewer.shapes"),
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
@@ -54,6 +54,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pinocchio": (
         "arms.arm",
         "arms.backends",
+        "assembly.collisions",
         "scene.mjcf",
         "viewer",
         "studies.pinocchio_peer",
@@ -70,6 +71,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "events.event_detection",
         "control.recorded",
         "dynamics.solver.dense",
+        "assembly.collisions",
         "assembly.loop_closure",
         "contacts.internal_forces",
         "effects.external_wrenches",
