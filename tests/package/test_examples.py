@@ -180,7 +180,8 @@ def test_what_accuracy_costs_meets_what_it_asks_for(printed):
     assert "damping 1e+06: rodas5p" in text
     assert figures(r"(?m)^# steps of# ms: completed$", text) == [(20000.0, 2.0)]
     first, last = figures(r"first quarter#, of the last# of", text)[0]
-    assert max(abs(first), abs(last)) < 1e-3  # it neither grows nor falls
+    assert max(abs(first), abs(last)) < 1e-5  # it neither grows nor falls
+    assert_within_limits(text)
 
 
 def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, monkeypatch):
