@@ -37,7 +37,7 @@ from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
-from multiarm.scene.changes import changed, parse_path, value_at
+from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
 from multiarm.spatial import skew
@@ -210,7 +210,7 @@ class Parameter:
 def _with_value(system: System, path: str, value: float) -> System:
     control = system.model.python_control
     try:
-        other = compile_system(changed(system.scene, {path: value}), like=system)
+        other = compile_system(system.scene.replace({path: value}), like=system)
     except MultiarmError as error:
         raise SceneError(
             f"{path}: derivatives by it need the scene with {value:.9g}, which cannot be compiled; "

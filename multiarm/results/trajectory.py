@@ -50,6 +50,7 @@ class Outcome:
 class Store(Protocol):
     """The samples of a trajectory, in memory or in a file."""
 
+    path: Path | None
     samples: int
     channels: dict[str, Channel]
 
@@ -382,9 +383,8 @@ class Trajectory:
             try:
                 self._scene = parse_scene(self.scene_text, folder=None, stored=True)
             except SceneError as error:
-                raise SceneError(
-                    error.faults, source="the scene that is stored with this run"
-                ) from None
+                where = "with this run" if self._store.path is None else f"in '{self._store.path}'"
+                raise SceneError(error.faults, source=f"the scene stored {where}") from None
         return self._scene
 
     @property

@@ -46,6 +46,7 @@ from multiarm.scene.values import (
     Pose,
     Posture,
     Spec,
+    angle_fault,
     joint_value_faults,
     joint_vector,
 )
@@ -415,6 +416,9 @@ def _locked(
     found: Examination,
 ) -> dict[str, float]:
     """Position of every movable joint that is no coordinate of the arm."""
+    for name, position in spec.lock.items():
+        if name in joints:
+            _check_angle(joints[name], position, ("lock", name), found)
     names = {joint.name for joint in free}
     fixed = [joint for joint in joints.values() if joint.movable and joint.name not in names]
     locked = {joint.name: joint.neutral for joint in fixed} | {
@@ -447,13 +451,30 @@ def _start(
         for where, text in faults:
             found.fault(key, *where, text=text)
         vectors.append(default if faults else joint_vector(values, names, default))
-    for joint, position in zip(free, vectors[0], strict=True):
-        if not joint.lower <= position <= joint.upper:
+    for k, (joint, position) in enumerate(zip(free, vectors[0], strict=True)):
+        key = joint.name if isinstance(spec.posture, dict) else k
+        outside = not joint.lower <= position <= joint.upper
+        if _check_angle(joint, position, ("posture", key), found) and outside:
             found.warnings.append(
                 f"posture of {joint.name!r} is {position:g}, outside its limits "
                 f"{joint.lower:g} to {joint.upper:g}"
             )
     return vectors[0], vectors[1]
+
+
+def _check_angle(
+    joint: JointOutline, position: float, where: tuple[str | int, ...], found: Examination
+) -> bool:
+    """Whether a position is no angle beyond a turn; where limits allow turns, that is a warning."""
+    text = angle_fault(position) if joint.kind in ("revolute", "continuous") else ""
+    if text and joint.lower <= position <= joint.upper:
+        found.warnings.append(
+            f"{where[0]} of {joint.name!r} is {position:g} rad, more than a turn; positions are in "
+            "radians"
+        )
+    elif text:
+        found.fault(*where, text=text)
+    return not text
 
 
 def _package_dirs(

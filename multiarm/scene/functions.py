@@ -138,8 +138,8 @@ def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -
     changes = {key: item for key, item in made.items() if item is not parts_of[key]}
     if not changes:
         return value
-    if isinstance(value, BaseModel):
-        return value.model_copy(update=changes)
+    if isinstance(value, BaseModel):  # each change is of the sort that was validated
+        return BaseModel.model_copy(value, update=changes)
     return made if isinstance(value, Mapping) else tuple(made.values())
 
 

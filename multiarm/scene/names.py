@@ -3,7 +3,7 @@
 # ruff: noqa: F401
 
 from multiarm.scene.arms import ArmSpec, BaseSpec, ResolvedArm, ToolSpec, resolve_arm
-from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
+from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
 from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
@@ -54,7 +54,7 @@ from multiarm.scene.run import (
     RunSpec,
     StabilizationSpec,
 )
-from multiarm.scene.schema import Scene
+from multiarm.scene.schema import Scene, changed_scenes
 from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose, gain_vector, joint_vector

@@ -25,10 +25,12 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, SceneError
+from multiarm.public import facts_html
 from multiarm.scene.arms import ArmSpec, Examination, examine_arm
+from multiarm.scene.changes import with_changes
 from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
-from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
+from multiarm.scene.faults import Parts, counted, explain, listed, place, shown, unknown
 from multiarm.scene.functions import function_references, located, reference_fault
 from multiarm.scene.joints import JointSpec, pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
@@ -140,10 +142,39 @@ class Scene(Spec):
         """``obj`` itself if it is a scene, else the scene that the mapping describes."""
         return obj if isinstance(obj, cls) else cls.from_mapping(obj)
 
-    def replace(self, **changes: Any) -> Self:
-        """A scene with some attributes replaced, validated as a whole."""
-        kept = {name: getattr(self, name) for name in type(self).model_fields}
-        return self.from_mapping({**kept, **changes}, self.folder, like=self)
+    def replace(self, changes: Mapping[str, Any] | None = None, /, **parts: Any) -> Self:
+        """The scene with other values at some places, validated as a whole.
+
+        Parameters
+        ----------
+        changes : mapping, optional
+            Path -> value, such as ``{"object.mass": 20, "joints[0].at.xyz": [0, 0, 0.1]}``.
+            Optional tables on the way are added.  Naming one of ``run.accuracy``,
+            ``run.integrator``, ``run.step`` and ``run.tolerance`` replaces the scene's choice of
+            all four.
+        **parts
+            Whole parts of the scene, such as ``control="none"``.
+
+        Raises
+        ------
+        SceneError
+            Naming every fault.
+        """
+        if changes is not None and not isinstance(changes, Mapping):
+            raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
+        data, faults = with_changes(self, {**(changes or {}), **parts})
+        try:
+            scene = self.from_mapping(data, self.folder, like=self, from_file=self.is_from_file)
+        except SceneError as error:
+            faults += error.faults
+        if faults:
+            raise SceneError(faults)
+        return scene
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, with other parts as by :meth:`replace`."""
+        copy = super().model_copy(deep=deep)
+        return copy.replace(**update) if update else copy
 
     @property
     def folder(self) -> Path:
@@ -173,6 +204,32 @@ class Scene(Spec):
     def robot_of(self, arm: str) -> Robot:
         """The robot that an arm belongs to."""
         return next(robot for robot in self._robots if arm in robot.arms)
+
+    def __repr__(self) -> str:
+        facts = "; ".join(f"{name} {fact}" for name, fact in self._facts().items())
+        return f"<Scene {self.name!r}: {facts}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return facts_html(self.name, self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        """What it holds, in words."""
+        shape = next((f"{name}, " for name, value in self.object.shape if value is not None), "")
+        joints = {joint.arm: joint.kind for joint in self.joints}
+        arms = [
+            f"{name} ({arm.robot or arm.file.name}, {joints[name]})"
+            for name, arm in self.arms.items()
+        ]
+        effects = list(self.effects.named)
+        return {
+            "object": f"{shape}{self.object.mass:g} kg",
+            "arms": counted(arms, 8),
+            "control": self.control.kind,
+            "effects": counted(effects, 8) or "none",
+            "run": f"{self.run.duration:g} s",
+        }
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Scene) and self.model_dump() == other.model_dump()
@@ -217,6 +274,25 @@ class Scene(Spec):
         self._folder, self._from_file = folder, from_file
         self._warnings, self._examined = tuple(found.warnings), found.examined
         self._robots = found.robots
+
+
+def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:
+    """One scene for each table of changes, see :meth:`Scene.replace`.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault of all, with the number of its run.
+    """
+    scenes, faults = [], []
+    for number, table in enumerate(changes, start=1):
+        try:
+            scenes.append(scene.replace(table))
+        except SceneError as error:
+            faults += [f"run {number}: {fault}" for fault in error.faults]
+    if faults:
+        raise SceneError(faults, source="parameters")
+    return scenes
 
 
 def function_faults(scene: Scene, folder: Path | None) -> list[str]:

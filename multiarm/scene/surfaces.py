@@ -26,6 +26,7 @@ from multiarm.scene.values import (
     OneOf,
     Positive,
     Range,
+    RollPitchYaw,
     Spec,
     Vec3,
     Vec4,
@@ -123,7 +124,7 @@ class Surface(OwnSpec):
 class _Turned(Surface):
     """A surface with its own axes."""
 
-    rpy: Vec3 = (0.0, 0.0, 0.0)
+    rpy: RollPitchYaw = (0.0, 0.0, 0.0)
     """Turn of its axes: roll, pitch, yaw [rad] about fixed axes."""
     quaternion_xyzw: Vec4 | None = None
     """The same as a quaternion, instead of ``rpy``."""
@@ -242,7 +243,8 @@ class ConeGeometry(Surface):
         if self.half_angle >= math.pi / 2:
             raise fault(
                 f"'half_angle' lies between 0 and pi / 2 rad, got {self.half_angle:g}; a flat face "
-                "is a 'plane'"
+                f"is a 'plane', and {self.half_angle:g} degrees are "
+                f"{math.radians(self.half_angle):.6g} rad"
             )
         return self
 

@@ -48,7 +48,15 @@ SOLVE = "solve"
 """Stands for a posture that the program finds."""
 
 
-class Spec(BaseModel):
+class _Parts(type(BaseModel)):  # type: ignore[misc]
+    """Classes of parts of a scene: completions and ``help`` show what is theirs, not Pydantic's."""
+
+    def __dir__(cls) -> list[str]:
+        names = super().__dir__()
+        return [name for name in names if name[0] != "_" and not hasattr(BaseModel, name)]
+
+
+class Spec(BaseModel, metaclass=_Parts):
     """Base of all parts of a scene: frozen, strict about keys.
 
     A part built in Python (``Pose(xyz=[0, 0, 1])``) is validated like one read from YAML, and
@@ -65,6 +73,9 @@ class Spec(BaseModel):
     def __dir__(self) -> list[str]:
         return [name for name in public_names(self) if not hasattr(BaseModel, name)]
 
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        return written(self).items()
+
     def __init__(self, /, **data: Any) -> None:
         try:
             super().__init__(**data)
@@ -75,6 +86,15 @@ class Spec(BaseModel):
     # search for others; this mark says that ours adds nothing but the wording.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        try:
+            super().__setattr__(name, value)
+        except ValidationError:
+            raise SceneError(
+                f"{type(self).__name__}.{name}: parts of a scene are not changed in place; another "
+                "scene is made by scene.replace, such as scene.replace({'object.mass': 20})"
+            ) from None
+
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:
         """Validate a mapping or an instance; raises SceneError."""
@@ -82,6 +102,12 @@ class Spec(BaseModel):
             return super().model_validate(obj, **options)
         except ValidationError as error:
             raise SceneError(explain(error, cls, cls.__name__)) from None
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, with other values for some keys, which are validated; raises SceneError."""
+        if not update:
+            return super().model_copy(deep=deep)
+        return type(self).model_validate({**written(self), **update})
 
     @model_serializer(mode="wrap")
     def _kind_is_always_written(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -188,11 +214,37 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+_A_TURN = 2.0 * math.pi * (1.0 + 1e-3)  # [rad], however it was rounded
+
+
+def angle_fault(angle: float) -> str:
+    """Why this is no angle in radians; empty where it may be one."""
+    if abs(angle) <= _A_TURN:
+        return ""
+    return (
+        f"must lie within a turn, got {angle:g} rad; angles are in radians, {angle:g} degrees are "
+        f"{math.radians(angle):.6g} rad"
+    )
+
+
+def _within_a_turn(angle: float) -> float:
+    text = angle_fault(angle)
+    if text:
+        raise fault(text)
+    return angle
+
+
+Angle = Annotated[
+    Number,
+    AfterValidator(_within_a_turn),
+    Field(json_schema_extra={"minimum": -_A_TURN, "maximum": _A_TURN}),
+]
 Vec3 = Annotated[tuple[Number, Number, Number], list_of("must be a list of 3 numbers", 3)]
 Vec4 = Annotated[tuple[Number, Number, Number, Number], list_of("must be a list of 4 numbers", 4)]
 Vec6 = Annotated[
     tuple[Number, Number, Number, Number, Number, Number], list_of("must be a list of 6 numbers", 6)
 ]
+RollPitchYaw = Annotated[tuple[Angle, Angle, Angle], list_of("must be a list of 3 angles [rad]", 3)]
 Direction = Annotated[Vec3, AfterValidator(_not_zero)]
 Range = Annotated[
     tuple[Number, Number],
@@ -334,7 +386,7 @@ class Pose(Spec):
 
     xyz: Vec3 = (0.0, 0.0, 0.0)
     """Origin [m] in the parent frame."""
-    rpy: Vec3 = (0.0, 0.0, 0.0)
+    rpy: RollPitchYaw = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw [rad] about the fixed axes x, y, z in that order, as in URDF: R = Rz(yaw)
     Ry(pitch) Rx(roll)."""
     quaternion_xyzw: Vec4 | None = None

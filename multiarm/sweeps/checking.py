@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path
+from multiarm.scene import REGISTRIES, NamedCode, Scene, parse_path
 from multiarm.scene.faults import place, shown
 from multiarm.scene.functions import (
     FunctionReference,
@@ -144,7 +144,7 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
         for axis, entry in zip(axes, entries, strict=True):
             values |= axis.at(entry)
         try:
-            changed(scene, values)
+            scene.replace(values)
         except SceneError as error:
             for fault in error.faults:
                 found.setdefault(*_at_its_axis(fault, axes, entries))

@@ -21,7 +21,7 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import REGISTRIES, Scene, changed, parse_scene
+from multiarm.scene import REGISTRIES, Scene, parse_scene
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import Job, Record, SweepPlan, program_version
@@ -142,7 +142,7 @@ def simulate_run(plan: SweepPlan, run: int) -> Trajectory:
 
 def _simulated(context: JobContext, values: Mapping[str, Any]) -> Trajectory:
     base = _base(context)
-    system = compile_system(changed(base.scene, values), like=base.system)
+    system = compile_system(base.scene.replace(values), like=base.system)
     return simulate(system, certificate=context.certificate)
 
 

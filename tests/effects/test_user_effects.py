@@ -152,7 +152,7 @@ def test_an_effect_cannot_change_the_state_that_it_is_shown():
         (lambda t, s: ma.Loads(joint_torques={"arm0": [0.0]}), "['arm0']: expected shape (6,)"),
         (
             lambda t, s: ma.Loads(joint_torques=[0.0]),
-            "joint_torques: expected a dict arm",
+            "joint_torques: must be a dict",
         ),
     ],
 )

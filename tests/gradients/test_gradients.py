@@ -28,7 +28,7 @@ from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, Panel, Piec
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import Variation, displaced, displacement
-from multiarm.scene.changes import changed, value_at
+from multiarm.scene.changes import value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]
 WELD = {"kind": "weld"}
@@ -73,7 +73,7 @@ def by_parameter(scene, path, duration, step=1e-3):
     amount = step * abs(value) if abs(value) > 1e-6 else step
 
     def end(shift):
-        return end_of(ma.compile_system(changed(scene, {path: value + shift})), duration)
+        return end_of(ma.compile_system(scene.replace({path: value + shift})), duration)
 
     return difference(lambda shift: displacement(middle, end(shift)), amount)
 

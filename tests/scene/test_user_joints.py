@@ -27,7 +27,6 @@ from multiarm.geometry import (
 from multiarm.scene import (
     REGISTRIES,
     Geometry,
-    changed,
     dump_scene,
     named_code,
     parse_scene,
@@ -272,9 +271,9 @@ def test_a_scene_with_them_is_written_read_again_and_changed():
         assert parse_scene(dump_scene(scene)) == scene
     egg = scene.joints[0].contacts[0].object
     assert isinstance(egg, Geometry) and egg.value == Egg(half=half) and egg.shape == "egg"
-    longer = changed(scene, {"joints[0].contacts[0].object.egg.half[0]": 0.2})
+    longer = scene.replace({"joints[0].contacts[0].object.egg.half[0]": 0.2})
     assert longer.joints[0].contacts[0].object.value.half == (0.2, 0.07, 0.05)
-    wider = changed(scene_of({"kind": "hitch"}), {"joints[0].width": 0.2})
+    wider = scene_of({"kind": "hitch"}).replace({"joints[0].width": 0.2})
     assert wider.joints[0] == Hitch(arm="left", width=0.2)
 
 
