@@ -50,9 +50,12 @@ class Outcome:
 class Store(Protocol):
     """The samples of a trajectory, in memory or in a file."""
 
-    path: Path | None
     samples: int
     channels: dict[str, Channel]
+
+    @property
+    def path(self) -> Path | None:
+        """The file; None in memory."""
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -381,7 +384,7 @@ class Trajectory:
             from multiarm.scene import parse_scene
 
             try:
-                self._scene = parse_scene(self.scene_text, folder=None, stored=True)
+                self._scene = parse_scene(self.scene_text, folder=None, code=False)
             except SceneError as error:
                 where = "with this run" if self._store.path is None else f"in '{self._store.path}'"
                 raise SceneError(error.faults, source=f"the scene stored {where}") from None

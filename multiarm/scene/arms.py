@@ -16,9 +16,9 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.scene.code import located
 from multiarm.scene.faults import fault, listed, place, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
-from multiarm.scene.functions import located
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robots import (
@@ -452,9 +452,9 @@ def _start(
             found.fault(key, *where, text=text)
         vectors.append(default if faults else joint_vector(values, names, default))
     for k, (joint, position) in enumerate(zip(free, vectors[0], strict=True)):
-        key = joint.name if isinstance(spec.posture, dict) else k
+        where = "posture", joint.name if isinstance(spec.posture, dict) else k
         outside = not joint.lower <= position <= joint.upper
-        if _check_angle(joint, position, ("posture", key), found) and outside:
+        if _check_angle(joint, position, where, found) and outside:
             found.warnings.append(
                 f"posture of {joint.name!r} is {position:g}, outside its limits "
                 f"{joint.lower:g} to {joint.upper:g}"

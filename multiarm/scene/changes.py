@@ -104,8 +104,10 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
     made = {}
     for part, branch in tree.items():
         try:
-            below = _below(value, part, here, leaf=isinstance(branch, _New))
-            made[part] = _applied(below, branch, (*here, part), faults)
+            leaf = isinstance(branch, _New)
+            below = _applied(_below(value, part, here, leaf), branch, (*here, part), faults)
+            if leaf or below is not None:  # nothing is made on the way of a path with a fault
+                made[part] = below
         except SceneError as error:
             faults += error.faults
     if isinstance(value, (tuple, list)):

@@ -21,8 +21,8 @@ from pydantic import (
 )
 from typing_extensions import Self
 
+from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import fault, shown, unknown
-from multiarm.scene.functions import UserFunction
 from multiarm.scene.registry import AnyClass, OwnKind, Registry
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import (
@@ -57,6 +57,7 @@ class ControlKind(OwnKind):
         Fields with values by arm and joint, which are checked against the arms.
     """
 
+    class_sort = "control"
     by_joint: ClassVar[tuple[str, ...]] = ()
 
     kind: str
@@ -485,7 +486,7 @@ _OURS: tuple[type[ControlKind], ...] = (
 BUILT_IN = {own.kind_name(): own for own in _OURS}
 """Our kinds by name."""
 CONTROLS: Registry[ControlKind] = Registry(
-    "control", "control kind", "kinds", BUILT_IN, (UnloadedControl, ControlKind)
+    "control", "control kind", "kinds", BUILT_IN, UnloadedControl
 )
 """User kinds of control; what the class must offer says :class:`multiarm.Control`."""
 

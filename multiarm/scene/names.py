@@ -4,11 +4,11 @@
 
 from multiarm.scene.arms import ArmSpec, BaseSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import parse_path, value_at
+from multiarm.scene.code import function_text
 from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
 from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
 from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
-from multiarm.scene.functions import function_text
 from multiarm.scene.joints import JOINTS, JointSpec, register_joint
 from multiarm.scene.joints.contacts import ContactsJoint, ContactSpec
 from multiarm.scene.joints.fingertips import (

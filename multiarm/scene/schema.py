@@ -28,21 +28,23 @@ from multiarm.errors import USER_FAULTS, ModelError, SceneError
 from multiarm.public import facts_html
 from multiarm.scene.arms import ArmSpec, Examination, examine_arm
 from multiarm.scene.changes import with_changes
+from multiarm.scene.code import located
 from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import Parts, counted, explain, listed, place, shown, unknown
-from multiarm.scene.functions import function_references, located, reference_fault
 from multiarm.scene.joints import JointSpec, pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.object import ObjectSpec
-from multiarm.scene.registry import called
+from multiarm.scene.registry import Code, called
 from multiarm.scene.run import RunSpec
 from multiarm.scene.trunks import Robot, robot_faults, robot_warnings, robots_of
 from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
 
 _Examined = dict[str, tuple[ArmSpec, Examination]]
 """Arms by name, with their facts."""
+_Context = dict[str, Any]
+"""What validators know: where relative paths start, and a :class:`Code`."""
 
 
 class Scene(Spec):
@@ -90,8 +92,7 @@ class Scene(Spec):
     run: RunSpec = Field(default_factory=RunSpec)
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
-    _from_file: bool = PrivateAttr(default=False)
-    _may_load_code: bool = PrivateAttr(default=True)
+    _code: Code = PrivateAttr(default=Code.NOW)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
     _robots: tuple[Robot, ...] = PrivateAttr(default=())
     _examined: _Examined = PrivateAttr(default_factory=dict)
@@ -106,10 +107,7 @@ class Scene(Spec):
         cls,
         data: Mapping[str, Any],
         folder: Path | str | None = None,
-        stored: bool = False,
-        like: Scene | None = None,
-        from_file: bool = False,
-        code: bool | None = None,
+        code: Code = Code.NOW,
     ) -> Self:
         """The scene that ``data``, such as a parsed YAML file, describes.
 
@@ -118,23 +116,15 @@ class Scene(Spec):
         data : mapping
         folder : path, optional
             Where relative paths start; the current folder by default.
-        stored : bool
-            It is that of a run, to be looked at: user effects need not be installed.
-        like : Scene, optional
-            Its arms are not examined again where they are the same, and it decides about code:
-            packages of user classes are not loaded now if a system may not load them.
-        from_file : bool
-            Nothing is loaded now, and functions lie in ``folder`` or below.
-        code : bool, optional
-            Whether a system may load the code that is named; by default unless it is stored.
+        code : Code
+            When the user classes that it names are loaded, if ever.  Functions are loaded when a
+            system is compiled, if ever.
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
-        scene._fill(data, folder, stored, like, from_file)
-        code = code if like is None else like.may_load_code
-        scene._may_load_code = not stored if code is None else code
+        scene._fill(data, folder, code)
         return scene
 
     @classmethod
@@ -164,11 +154,17 @@ class Scene(Spec):
             raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
         data, faults = with_changes(self, {**(changes or {}), **parts})
         try:
-            scene = self.from_mapping(data, self.folder, like=self, from_file=self.is_from_file)
+            scene = self.revalidated(data, Code.NOW if self.may_load_code else Code.NEVER)
         except SceneError as error:
             faults += error.faults
         if faults:
             raise SceneError(faults)
+        return scene
+
+    def revalidated(self, data: Mapping[str, Any], code: Code) -> Self:
+        """The scene with other data; arms that are as they were are not examined again."""
+        scene = type(self).__new__(type(self))
+        scene._fill(data, self.folder, code, self._examined)
         return scene
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
@@ -182,14 +178,9 @@ class Scene(Spec):
         return self._folder
 
     @property
-    def is_from_file(self) -> bool:
-        """Whether it was written in a scene file, or is that of such a file with other values."""
-        return self._from_file
-
-    @property
     def may_load_code(self) -> bool:
-        """Whether the functions and effects that it names may be loaded when it is compiled."""
-        return self._may_load_code
+        """Whether the functions and classes that it names may be loaded when it is compiled."""
+        return self._code is not Code.NEVER
 
     @property
     def warnings(self) -> list[str]:
@@ -218,10 +209,10 @@ class Scene(Spec):
         """What it holds, in words."""
         shape = next((f"{name}, " for name, value in self.object.shape if value is not None), "")
         joints = {joint.arm: joint.kind for joint in self.joints}
-        arms = [
-            f"{name} ({arm.robot or arm.file.name}, {joints[name]})"
-            for name, arm in self.arms.items()
-        ]
+        arms = []
+        for name, arm in self.arms.items():
+            model = arm.robot if arm.file is None else arm.file.name
+            arms.append(f"{name} ({model}, {joints[name]})")
         effects = list(self.effects.named)
         return {
             "object": f"{shape}{self.object.mass:g} kg",
@@ -246,9 +237,8 @@ class Scene(Spec):
         self,
         data: Mapping[str, Any],
         folder: Path | str | None,
-        stored: bool = False,
-        like: Scene | None = None,
-        from_file: bool = False,
+        code: Code = Code.NOW,
+        examined: _Examined | None = None,
     ) -> None:
         if folder is not None and not isinstance(folder, (str, Path)):
             raise SceneError(
@@ -256,24 +246,20 @@ class Scene(Spec):
                 "Scene(object=..., arms=..., joints=...)"
             )
         folder = Path(folder or ".").expanduser().resolve()
+        context = {"folder": folder, "code": code}
         faults: list[str] = []
-        load = not (stored or from_file) and (like is None or like.may_load_code)
         try:
-            self.__pydantic_validator__.validate_python(
-                data, self_instance=self, context={"folder": folder, "stored": stored, "load": load}
-            )
-            parts = _Parts.of(self.__dict__, folder)
-            if from_file:
-                faults = function_faults(self, folder)
+            self.__pydantic_validator__.validate_python(data, self_instance=self, context=context)
+            parts = _Parts.of(self.__dict__, context)
         except ValidationError as error:
             faults = explain(error, type(self))
-            parts = _Parts.of(data, folder, load)
-        found = _check(parts, {} if like is None else like._examined)
-        if faults or found.faults:
-            raise SceneError([*faults, *found.faults])
-        self._folder, self._from_file = folder, from_file
-        self._warnings, self._examined = tuple(found.warnings), found.examined
-        self._robots = found.robots
+            parts = _Parts.of(data, context)
+        findings = _check(parts, examined or {})
+        if faults or findings.faults:
+            raise SceneError([*faults, *findings.faults])
+        self._folder, self._code = folder, code
+        self._warnings, self._examined = tuple(findings.warnings), findings.examined
+        self._robots = findings.robots
 
 
 def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:
@@ -293,17 +279,6 @@ def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[S
     if faults:
         raise SceneError(faults, source="parameters")
     return scenes
-
-
-def function_faults(scene: Scene, folder: Path | None) -> list[str]:
-    """Functions that a scene, in a file in ``folder``, may not name."""
-    named = [
-        *function_references(scene.joints, ("joints",)),
-        *function_references(scene.control, ("control",)),
-        *function_references(scene.effects, ("effects",)),
-    ]
-    found = ((parts, reference_fault(reference, folder)) for parts, reference in named)
-    return [f"{place(parts)}: {reason}" for parts, reason in found if reason]
 
 
 # --- whether the parts fit together --------------------------------------------------------------
@@ -338,31 +313,29 @@ class _Parts:
     run: RunSpec | None
 
     @classmethod
-    def of(cls, data: Mapping[str, Any], folder: Path, load: bool = True) -> _Parts:
-        """Find the valid parts of ``data``, which may hold instances or plain tables.
-
-        User classes of packages are loaded only where ``load`` says so.
-        """
+    def of(cls, data: Mapping[str, Any], context: _Context) -> _Parts:
+        """Find the valid parts of ``data``, which may hold instances or plain tables."""
         arms, joints = data.get("arms"), data.get("joints")
         joints = joints if isinstance(joints, (list, tuple)) else None
         written = arms if isinstance(arms, Mapping) else {}
-        valid = {str(name): _valid(ArmSpec, arm, folder) for name, arm in written.items()}
+        valid = {str(name): _valid(ArmSpec, arm, context) for name, arm in written.items()}
         return cls(
             arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
             arms={name: arm for name, arm in valid.items() if arm is not None},
             joints=None if joints is None else [_arm(joint) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
             rubs=any(_rubs(joint) for joint in joints or ()),
-            object=_valid(ObjectSpec, data.get("object"), folder),
-            control=_valid(ControlSpec, data.get("control"), folder, {"load": load}),
-            effects=_valid(EffectsSpec, data.get("effects", {}), folder, {"load": load}),
-            run=_valid(RunSpec, data.get("run"), folder),
+            object=_valid(ObjectSpec, data.get("object"), context),
+            control=_valid(ControlSpec, data.get("control"), context),
+            effects=_valid(EffectsSpec, data.get("effects", {}), context),
+            run=_valid(RunSpec, data.get("run"), context),
         )
 
 
-def _valid(kind: Any, data: Any, folder: Path, context: dict[str, Any] | None = None) -> Any:
+def _valid(kind: Any, data: Any, context: _Context) -> Any:
     if data is None:
         return None
+    folder = context["folder"]
     if isinstance(data, Spec):  # an instance was validated when it was made
         return located(data, folder) if kind is ControlSpec or isinstance(data, kind) else None
     try:

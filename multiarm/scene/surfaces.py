@@ -16,8 +16,8 @@ from typing_extensions import Self
 
 from multiarm.errors import ModelError
 from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
+from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import fault, listed
-from multiarm.scene.functions import UserFunction
 from multiarm.scene.parameters import summary_of
 from multiarm.scene.registry import AnyClass, ByName, OwnSpec, Registry, called
 from multiarm.scene.values import (
@@ -82,6 +82,7 @@ class Surface(OwnSpec):
         What decides whether it fits, for messages, such as ``" of radius {radius:g} m"``.
     """
 
+    class_sort: ClassVar[str] = "surface"
     name: ClassVar[str] = ""
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""

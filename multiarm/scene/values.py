@@ -48,7 +48,7 @@ SOLVE = "solve"
 """Stands for a posture that the program finds."""
 
 
-class _Parts(type(BaseModel)):  # type: ignore[misc]
+class _PartClass(type(BaseModel)):  # type: ignore[misc]
     """Classes of parts of a scene: completions and ``help`` show what is theirs, not Pydantic's."""
 
     def __dir__(cls) -> list[str]:
@@ -56,7 +56,10 @@ class _Parts(type(BaseModel)):  # type: ignore[misc]
         return [name for name in names if name[0] != "_" and not hasattr(BaseModel, name)]
 
 
-class Spec(BaseModel, metaclass=_Parts):
+_DYNAMIC: Any = _PartClass  # its base, Pydantic's, has no public name that mypy could follow
+
+
+class Spec(BaseModel, metaclass=_DYNAMIC):  # type: ignore[misc]
     """Base of all parts of a scene: frozen, strict about keys.
 
     A part built in Python (``Pose(xyz=[0, 0, 1])``) is validated like one read from YAML, and

@@ -31,7 +31,7 @@ import numpy as np
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, dump_scene, load_scene
-from multiarm.scene.functions import FunctionReference
+from multiarm.scene.code import CodeReference
 from multiarm.sweeps.axes import Axis
 from multiarm.sweeps.checking import axis_faults, axis_words, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
@@ -150,7 +150,7 @@ class SweepPlan:
         """
         found: dict[str, str] = {}
         for text in self.words:
-            name = FunctionReference(text).file or Path(text)
+            name = CodeReference(text).file or Path(text)
             if name.suffix.lower() not in _SUFFIXES:
                 continue
             path = (self.scene.folder / name.expanduser()).resolve()

@@ -277,7 +277,7 @@ def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
     run = ma.load_trajectory(tmp_path / "run.h5")
     assert run.scene.effects.named == {"spring": {"stiffness": 2.0}}
     assert "effects/spring/work" in run.channels
-    with pytest.raises(ma.MultiarmError, match=r"effects\.spring: the package of this effect is"):
+    with pytest.raises(ma.MultiarmError, match=r"\$\.effects\.spring: unknown effect"):
         ma.compile_system(run.scene)
     with pytest.raises(ma.MultiarmError, match="unknown effect 'spring'"):
         parse_scene(run.scene_text)

@@ -293,17 +293,17 @@ def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, mo
         scene = ma.load_scene(path)
         (code,) = named_code(scene)
         assert code.place == place and code.arm == "left" and f"({__name__}:" in code.what
-        assert all(own.loaded == {} for own in REGISTRIES)
+        assert all(own.registered == {} for own in REGISTRIES)
         assert dump_scene(scene) == text
         with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
             ma.compile_system(ma.load_scene(path, code=False))
         looked = multiarm("check", path)
         assert looked.exit_code == 0, looked.output
         assert code.what.split(" of ")[0] in " ".join(looked.output.split())
-        assert all(own.loaded == {} for own in REGISTRIES)
+        assert all(own.registered == {} for own in REGISTRIES)
         assert ma.compile_system(scene).contacts["left"]
         for own in REGISTRIES:
-            own.loaded.clear()
+            own.registered.clear()
 
 
 def test_a_fault_of_an_installed_class_has_its_place_when_it_is_loaded(tmp_path, monkeypatch):

@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import AfterValidator, model_validator
 from typing_extensions import Self
 
+from multiarm.scene.code import UserFunction
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import fault, listed, shown, unknown
-from multiarm.scene.functions import UserFunction
 from multiarm.scene.values import (
     BodyAxes,
     Faults,

@@ -25,7 +25,7 @@ _OURS: tuple[type[Joint], ...] = (
 )
 BUILT_IN = {own.kind_name(): own for own in _OURS}
 """Our kinds by name."""
-JOINTS: Registry[Joint] = Registry("joint", "joint kind", "kinds", BUILT_IN, (UnloadedJoint,))
+JOINTS: Registry[Joint] = Registry("joint", "joint kind", "kinds", BUILT_IN, UnloadedJoint)
 """User kinds of joint."""
 
 

@@ -100,6 +100,7 @@ class Joint(OwnKind):
         ``surfaces`` if those of its contacts are surfaces of bodies.
     """
 
+    class_sort = "joint"
     free: ClassVar[tuple[int, ...] | None] = None
     limited: ClassVar[dict[str, int]] = {}
     as_listed: ClassVar[bool] = False
