@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
-from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
+from multiarm.cli.options import Arms, Code, JsonFile, SceneFile
 from multiarm.terminal.console import (
     accuracy,
     columns,
@@ -38,10 +38,9 @@ if TYPE_CHECKING:
 __all__ = ["check"]
 
 
-@with_settings("arms")
 def check(
     scene: SceneFile,
-    settings: dict[str, Any],
+    arms: Arms = None,
     json: JsonFile = None,
     code: Code = False,
 ) -> None:
@@ -62,7 +61,7 @@ def check(
     from multiarm.studies.effect_costs.study import effects_of_evaluation
 
     with Progress() as progress:
-        system, left = compile_for_inspection(loaded, settings.get("arms"))
+        system, left = compile_for_inspection(loaded, arms)
         progress(0, 0, "inspecting")
         inspection = inspect_system(system, left)
         print_warnings(inspection.warnings[len(loaded.warnings) :])

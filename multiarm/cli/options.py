@@ -1,33 +1,38 @@
-"""Options of the commands: those that several share, and those that derive from the run's schema.
-
-A command with :func:`with_settings` has an option for each key of a scene's ``run``: its type,
-choices and help are those of :class:`multiarm.scene.RunSpec`.
-"""
+"""Options of the commands that several share; those of a run's settings have their words."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
-from enum import Enum
-from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
+
+from multiarm.scene.parameters import description_of
+from multiarm.scene.run import ArmTerms, Integrator, RunSpec, Stabilization
 
 __all__ = [
     "FILES",
     "METHOD",
-    "OF_SCENE",
+    "Accuracy",
+    "Arms",
+    "Closing",
     "Code",
+    "Duration",
     "JsonFile",
+    "Method",
+    "MostSteps",
     "NoCode",
+    "OutputStep",
     "Quiet",
     "SceneFile",
+    "Solver",
+    "Step",
+    "Tolerance",
+    "chosen",
     "file_option",
     "option",
+    "setting",
     "switch",
-    "with_settings",
 ]
 
 OF_SCENE = "the scene's"
@@ -78,91 +83,24 @@ NoCode = Annotated[
 ]
 
 
-def with_settings(*names: str) -> Callable[[Callable[..., None]], _WithSettings]:
-    """Let a command's parameter ``settings`` be options: of a run, all or those that are named.
-
-    The command gets a table with the settings that are given.
-    """
-    return lambda command: _WithSettings(command, names)
+def setting(name: str, metavar: str | None = None, text: str = "") -> Any:
+    """The option of a setting of runs, which says of itself what it is."""
+    words = description_of(RunSpec, name) + text
+    return option(words, metavar, default=OF_SCENE, panel=METHOD)
 
 
-class _WithSettings:
-    """A command whose options are read from the schema when they are needed, not on import."""
-
-    def __init__(self, command: Callable[..., None], names: tuple[str, ...]) -> None:
-        update_wrapper(self, command, ("__module__", "__name__", "__qualname__", "__doc__"))
-        self._command, self._names = command, names
-
-    def __call__(self, **arguments: Any) -> None:
-        given = {name: arguments.pop(name, None) for name in self._options}
-        settings = {
-            name: value.value if isinstance(value, Enum) else value
-            for name, value in given.items()
-            if value is not None
-        }
-        self._command(**arguments, settings=settings)
-
-    @property
-    def __signature__(self) -> inspect.Signature:
-        """The command's, with options in place of ``settings``."""
-        written = inspect.signature(self._command, eval_str=True)
-        parameters: list[inspect.Parameter] = []
-        for parameter in written.parameters.values():
-            further = self._options.values() if parameter.name == "settings" else [parameter]
-            parameters += [own.replace(kind=inspect.Parameter.KEYWORD_ONLY) for own in further]
-        return written.replace(parameters=parameters)
-
-    @property
-    def __annotations__(self) -> dict[str, Any]:  # type: ignore[override]
-        return {own.name: own.annotation for own in self.__signature__.parameters.values()}
-
-    @cached_property
-    def _options(self) -> dict[str, inspect.Parameter]:
-        from multiarm.scene.run import STEPS_CHOSEN_BY, RunSpec
-
-        found = {}
-        for name, own in _settings_of(RunSpec).items():
-            sort = _type(name, own)
-            if sort is None or (self._names and name not in self._names):
-                continue
-            text = own.get("description", "")
-            if name == STEPS_CHOSEN_BY[0] and not self._names:
-                others = ", ".join(f"--{other}" for other in STEPS_CHOSEN_BY[1:])
-                text += f" Any of this, {others} replaces the scene's choice of all four."
-            metavar = _metavar(name, text, sort)
-            declared = option(text, metavar, default=OF_SCENE, panel=METHOD)
-            found[name] = inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=None,
-                annotation=Annotated[sort | None, declared],
-            )
-        return found
+Duration = Annotated[float | None, setting("duration", "S")]
+Accuracy = Annotated[float | None, setting("accuracy", "A")]
+Method = Annotated[Integrator | None, setting("integrator")]
+Step = Annotated[float | None, setting("step", "S")]
+Tolerance = Annotated[float | None, setting("tolerance", "T")]
+Closing = Annotated[Stabilization | None, setting("stabilization")]
+OutputStep = Annotated[float | None, setting("output_step", "S")]
+MostSteps = Annotated[float | None, setting("most_steps", "M")]
+Solver = Annotated[Literal["node", "dense"] | None, setting("solver")]
+Arms = Annotated[ArmTerms | None, setting("arms")]
 
 
-@cache
-def _settings_of(model: Any) -> dict[str, Any]:
-    """The schema of each setting, made once for all commands."""
-    from multiarm.scene.json_schema import json_schema
-
-    return json_schema(model)["properties"]
-
-
-def _metavar(name: str, text: str, sort: type) -> str | None:
-    """A letter for a value; choices are listed instead."""
-    if issubclass(sort, Enum):
-        return None
-    return "S" if "[s]" in text else name[0].upper()
-
-
-_TYPES: Mapping[str, type] = {"number": float, "integer": int, "boolean": bool, "string": str}
-
-
-def _type(name: str, schema: Mapping[str, Any]) -> type | None:
-    """What may be written on the command line; None where a setting is a table only."""
-    for one in schema.get("anyOf", [schema]):
-        if "enum" in one:
-            return Enum(name, {value: value for value in one["enum"]}, type=str)  # type: ignore[return-value]
-        if one.get("type") in _TYPES:
-            return _TYPES[one["type"]]
-    return None
+def chosen(**settings: Any) -> dict[str, Any]:
+    """The settings of a run that the command line names; the scene's stand for the others."""
+    return {name: value for name, value in settings.items() if value is not None}

@@ -37,6 +37,7 @@ from multiarm.scene.urdf import (
 )
 from multiarm.scene.values import (
     SOLVE,
+    BaseTurn,
     Color,
     Faults,
     FilePath,
@@ -112,6 +113,8 @@ class ToolSpec(_FromUrdf):
 class BaseSpec(Pose):
     """Where an arm stands: as written, or found by the program."""
 
+    rpy: BaseTurn = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw [rad], as of any pose; up to three turns, as where arms stand in a ring."""
     solve: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """What the program finds, of x, y, z, roll, pitch, yaw: the place from which the arm holds its
     joint's place on the object ('at') best. The rest is as written."""

@@ -173,7 +173,9 @@ def is_reference(text: str) -> bool:
     return re.fullmatch(_REFERENCE, text) is not None
 
 
-def reference_fault(reference: CodeReference, folder: Path | None = None) -> str:
+def reference_fault(
+    reference: CodeReference, folder: Path | None = None, noun: str = "function"
+) -> str:
     """Why code may not be loaded by this reference; empty where it may.
 
     Parameters
@@ -182,8 +184,10 @@ def reference_fault(reference: CodeReference, folder: Path | None = None) -> str
         With an absolute path, if it names a file.
     folder : Path, optional
         That of the file in which it is written: a ``.py`` file lies there or below.
+    noun : str
+        What it is, in messages: a function or a class.
     """
-    cannot = f"cannot load '{reference}': "
+    cannot = f"cannot load the {noun} '{reference}': "
     if reference.name.startswith("<"):
         return (
             f"the function '{reference}' has no name by which it can be found again; give the "
@@ -191,8 +195,8 @@ def reference_fault(reference: CodeReference, folder: Path | None = None) -> str
         )
     if not reference.name.isidentifier():
         return (
-            f"{cannot}{reference.name!r} is not a plain name; name a function or a class that "
-            f"stands in {reference.home} itself"
+            f"{cannot}{reference.name!r} is not a plain name; name a {noun} that stands in "
+            f"{reference.home} itself"
         )
     if (
         folder is not None
@@ -206,7 +210,7 @@ def reference_fault(reference: CodeReference, folder: Path | None = None) -> str
     return ""
 
 
-def load_code(reference: CodeReference) -> Callable:
+def load_code(reference: CodeReference, noun: str = "function") -> Callable:
     """The function or the class to which a reference leads; a file is run each time.
 
     Raises
@@ -214,27 +218,27 @@ def load_code(reference: CodeReference) -> Callable:
     ModelError
         When it may not be loaded; when there is no such file, module or name; when loading fails.
     """
-    reason = reference_fault(reference)
+    reason = reference_fault(reference, noun=noun)
     if reason:
         raise ModelError(reason)
     home, name, file = reference.home, reference.name, reference.file
     if file is not None and not file.is_file():
         raise ModelError(
-            f"cannot load '{reference}': there is no file {file}; correct the path, which starts "
-            "at the scene's folder"
+            f"cannot load the {noun} '{reference}': there is no file {file}; correct the path, "
+            "which starts at the scene's folder"
         )
     try:
         module = importlib.import_module(home) if file is None else _file_module(file)
     except USER_FAULTS as error:
         raise ModelError(
-            f"cannot load '{reference}': {type(error).__name__}: {error}; correct the module (code "
-            "is named 'file.py:name' or 'package.module:name')"
+            f"cannot load the {noun} '{reference}': {type(error).__name__}: {error}; correct the "
+            "module (code is named 'file.py:name' or 'package.module:name')"
         ) from error
     code = getattr(module, name, None)
     if code is None:
         raise ModelError(f"there is no {name!r} in {home}; {_callables_in(module)}")
     if not callable(code):
-        raise ModelError(f"{name!r} in {home} is no function or class; {_callables_in(module)}")
+        raise ModelError(f"{name!r} in {home} is not a {noun}; {_callables_in(module)}")
     return code
 
 
@@ -281,4 +285,6 @@ def _file_module(path: Path) -> ModuleType:
 
 def _callables_in(module: ModuleType) -> str:
     names = [n for n, value in vars(module).items() if callable(value) and not n.startswith("_")]
-    return f"it has {', '.join(map(repr, names[:8]))}" if names else "it has no functions"
+    return (
+        f"its functions are {', '.join(map(repr, names[:8]))}" if names else "it has no functions"
+    )

@@ -376,6 +376,8 @@ def _in_two_units(value: Any) -> Any:
     )
 
 
+_EITHER = BeforeValidator(_from_number, json_schema_input_type=ObjectGain | WorldAxes)
+_TABLE = BeforeValidator(_in_two_units, json_schema_input_type=ObjectGain)
 ContactForces = Annotated[
     tuple[Number, ...], list_of("must be a list of forces [N], one for each contact", least=1)
 ]
@@ -430,13 +432,9 @@ control:
   damping: 20      # [1/s]"""
 
     kind: Literal["computed_torque"] = "computed_torque"
-    stiffness: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
-        translation=100.0, rotation=100.0
-    )
+    stiffness: Annotated[ObjectGain, _EITHER] = ObjectGain(translation=100.0, rotation=100.0)
     """[1/s^2]"""
-    damping: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
-        translation=20.0, rotation=20.0
-    )
+    damping: Annotated[ObjectGain, _EITHER] = ObjectGain(translation=20.0, rotation=20.0)
     """[1/s]; twice the root of the stiffness lets errors die out without overshoot."""
 
 
@@ -458,9 +456,9 @@ control:
   damping: {translation: 400, rotation: 40}       # [N s/m], [N m s/rad]"""
 
     kind: Literal["object_impedance"] = "object_impedance"
-    stiffness: Annotated[ObjectGain, BeforeValidator(_in_two_units)]
+    stiffness: Annotated[ObjectGain, _TABLE]
     """A table {translation: [N/m], rotation: [N m/rad]}, each a number or 3 for world axes."""
-    damping: Annotated[ObjectGain, BeforeValidator(_in_two_units)]
+    damping: Annotated[ObjectGain, _TABLE]
     """A table {translation: [N s/m], rotation: [N m s/rad]}, in the same forms."""
 
     @property
@@ -516,4 +514,15 @@ def _with_kind(value: Any) -> Any:
 if TYPE_CHECKING:
     ControlSpec = ControlKind
 else:
-    ControlSpec = Annotated[CONTROLS.by_kind(), BeforeValidator(_with_kind)]
+    _Kinds = CONTROLS.by_kind()
+    _WORDS = tuple(
+        kind
+        for kind, control in BUILT_IN.items()
+        if not any(field.is_required() for field in control.model_fields.values())
+    )
+    ControlSpec = Annotated[
+        _Kinds,
+        BeforeValidator(
+            _with_kind, json_schema_input_type=_Kinds | FunctionControl | Literal[_WORDS] | None
+        ),
+    ]

@@ -78,8 +78,8 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
         scene = Scene.from_mapping(data, path.resolve().parent, Code.LATER if code else Code.NEVER)
         faults = [
             f"{place(parts)}: {reason}"
-            for parts, reference in _references(scene)
-            if (reason := reference_fault(reference, scene.folder))
+            for parts, reference, noun in _references(scene)
+            if (reason := reference_fault(reference, scene.folder, noun))
         ]
     except SceneError as error:
         faults = error.faults
@@ -296,14 +296,15 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _references(scene: Scene) -> Iterator[tuple[Parts, CodeReference]]:
+def _references(scene: Scene) -> Iterator[tuple[Parts, CodeReference, str]]:
     """The functions and classes of files and modules that a scene names, with their places."""
     for name in ("joints", "control", "effects"):
         part = getattr(scene, name)
-        yield from function_references(part, (name,))
+        for parts, reference in function_references(part, (name,)):
+            yield parts, reference, "function"
         for parts, _, class_name in _unloaded_classes(part, (name,)):
             if is_reference(class_name):
-                yield parts, CodeReference(class_name)
+                yield parts, CodeReference(class_name), "class"
 
 
 def _needs_code(part: Any) -> bool:

@@ -245,7 +245,7 @@ class Registry(Generic[Kind]):
         ModelError
             See :func:`multiarm.scene.code.load_code`; it is no class of this sort.
         """
-        user_class: Any = load_code(reference)
+        user_class: Any = load_code(reference, "class")
         self._check(user_class, "cannot be used")
         if issubclass(user_class, OwnKind):
             user_class = _with_kind(user_class, str(reference))

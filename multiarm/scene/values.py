@@ -126,14 +126,14 @@ def written(value: Any) -> dict[str, Any]:
     return {name: v for name, v in value if name in value.model_fields_set or name == "kind"}
 
 
-def shorthand(key: str, *types: type) -> BeforeValidator:
-    """Let a value of some types stand for a table with one key."""
+def shorthand(key: str, written: Any, *types: type) -> BeforeValidator:
+    """Let a value of some types stand for a table with one key; ``written`` is what may stand."""
 
     def table(value: Any) -> Any:
         bare = isinstance(value, types) and not isinstance(value, bool)
         return {key: value} if bare else value
 
-    return BeforeValidator(table)
+    return BeforeValidator(table, json_schema_input_type=written)
 
 
 class OneOf(Spec):
@@ -178,8 +178,9 @@ def _number(value: Any) -> float:
 
 
 Number = Annotated[float, BeforeValidator(_number)]
-Positive = Annotated[Number, Field(gt=0.0)]
-NonNegative = Annotated[Number, Field(ge=0.0)]
+# bounds stand within the validator, where they are the number's own in JSON Schema
+Positive = Annotated[float, Field(gt=0.0), BeforeValidator(_number)]
+NonNegative = Annotated[float, Field(ge=0.0), BeforeValidator(_number)]
 number_list = TypeAdapter(tuple[Number, ...]).validate_python
 """Numbers of a list as floats; every one that is no finite number is a fault at its place."""
 
@@ -220,34 +221,46 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
 _A_TURN = 2.0 * math.pi * (1.0 + 1e-3)  # [rad], however it was rounded
 
 
-def angle_fault(angle: float) -> str:
+def angle_fault(angle: float, turns: int = 1) -> str:
     """Why this is no angle in radians; empty where it may be one."""
-    if abs(angle) <= _A_TURN:
+    if abs(angle) <= turns * _A_TURN:
         return ""
+    within = "a turn" if turns == 1 else f"{turns} turns"
     return (
-        f"must lie within a turn, got {angle:g} rad; angles are in radians, {angle:g} degrees are "
-        f"{math.radians(angle):.6g} rad"
+        f"must lie within {within}, got {angle:g} rad; angles are in radians, {angle:g} degrees "
+        f"are {math.radians(angle):.6g} rad"
     )
 
 
-def _within_a_turn(angle: float) -> float:
-    text = angle_fault(angle)
-    if text:
-        raise fault(text)
-    return angle
+def _angle_within(turns: int) -> Any:
+    """The type of an angle of so many turns at most; larger ones are taken for degrees."""
+
+    def check(angle: float) -> float:
+        text = angle_fault(angle, turns)
+        if text:
+            raise fault(text)
+        return angle
+
+    bound = turns * _A_TURN
+    bounds = Field(json_schema_extra={"minimum": -bound, "maximum": bound})
+    return Annotated[Number, AfterValidator(check), bounds]
 
 
-Angle = Annotated[
-    Number,
-    AfterValidator(_within_a_turn),
-    Field(json_schema_extra={"minimum": -_A_TURN, "maximum": _A_TURN}),
-]
+if TYPE_CHECKING:
+    Angle = float
+    BaseAngle = float
+else:
+    Angle = _angle_within(1)
+    BaseAngle = _angle_within(3)  # bases around an object are set at multiples of an angle
 Vec3 = Annotated[tuple[Number, Number, Number], list_of("must be a list of 3 numbers", 3)]
 Vec4 = Annotated[tuple[Number, Number, Number, Number], list_of("must be a list of 4 numbers", 4)]
 Vec6 = Annotated[
     tuple[Number, Number, Number, Number, Number, Number], list_of("must be a list of 6 numbers", 6)
 ]
 RollPitchYaw = Annotated[tuple[Angle, Angle, Angle], list_of("must be a list of 3 angles [rad]", 3)]
+BaseTurn = Annotated[
+    tuple[BaseAngle, BaseAngle, BaseAngle], list_of("must be a list of 3 angles [rad]", 3)
+]
 Direction = Annotated[Vec3, AfterValidator(_not_zero)]
 Range = Annotated[
     tuple[Number, Number],

@@ -433,11 +433,11 @@ def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ("no_such_module:ball", "cannot load 'no_such_module:ball': ModuleNotFound"),
+        ("no_such_module:ball", "cannot load the function 'no_such_module:ball': ModuleNotFound"),
         ("no_such_file.py:ball", "there is no file no_such_file.py"),
-        ("mechanics:no_such_name", "there is no 'no_such_name' in mechanics; it has 'replace',"),
-        ("numpy:pi", "'pi' in numpy is no function or class"),
-        ("mechanics:np.save", "'np.save' is not a plain name; name a function or a class that"),
+        ("mechanics:no_such_name", "there is no 'no_such_name' in mechanics; its functions are"),
+        ("numpy:pi", "'pi' in numpy is not a function"),
+        ("mechanics:np.save", "'np.save' is not a plain name; name a function that stands in"),
         ("tests:<lambda>", "has no name by which it can be found again"),
     ],
 )

@@ -417,7 +417,7 @@ def test_a_file_names_code_by_plain_names_and_no_files_elsewhere(function, reaso
     with pytest.raises(SceneError) as caught:
         ma.load_scene(inner / "scene.yaml")
     (fault,) = caught.value.faults
-    assert fault.startswith("$.effects.external_wrenches[0].function: cannot load '")
+    assert fault.startswith("$.effects.external_wrenches[0].function: cannot load the function")
     assert reason in fault
     (inner / "plain.yaml").write_text(SCENE.format(surface=PLANE, effects="{}"))
     (inner / "s.yaml").write_text(f"over: {{object.mass: [1]}}\nkeep: ['{function}']\n")

@@ -81,7 +81,7 @@ class ContactFrictionSpec(SomeContacts):
     """
 
     name = "contact_friction"
-    reads = shorthand("mu", int, float)
+    reads = shorthand("mu", NonNegative, int, float)
     picture = "rubber fingertips: they grip the object by friction, until it slips"
     example = "effects: {contact_friction: 0.5}  # coefficient of friction"
     usual = 0.3  # Coulomb's coefficient of dry metal
@@ -103,7 +103,7 @@ class ContactComplianceSpec(SomeContacts):
     """
 
     name = "contact_compliance"
-    reads = shorthand("stiffness", int, float)
+    reads = shorthand("stiffness", Positive, int, float)
     picture = "soft fingertips: contacts give way a little, as rubber does"
     example = "effects: {contact_compliance: {stiffness: 1e+5, damping: 100}}  # [N/m], [N s/m]"
 
@@ -163,7 +163,7 @@ class JointLimitsSpec(EffectKind):
     """Joints stop at the ends of their range."""
 
     name = "joint_limits"
-    reads = shorthand("range", str)
+    reads = shorthand("range", Literal["urdf"], str)
     picture = "end stops: a joint that reaches the end of its range stops there, or bounces"
     example = "effects: {joint_limits: urdf}  # ranges as the robot's file says"
     can_open = True

@@ -97,7 +97,7 @@ class JointFriction(EffectKind):
     """
 
     name = "joint_friction"
-    reads = or_only("torque", "model", "speed")
+    reads = or_only("torque", UrdfGain, "model", "speed")
     picture = "dry bearings: a joint resists with the same torque at any speed, and may stick"
     example = "effects: {joint_friction: {torque: 2, model: set_valued}}  # [N m]"
     usual = URDF
@@ -174,7 +174,7 @@ class ActuatorLag(EffectKind):
     """
 
     name = "actuator_lag"
-    reads = or_only("time_constant", "start")
+    reads = or_only("time_constant", Gain, "start")
     picture = "sluggish drives: the torque follows its command a moment later"
     example = "effects: {actuator_lag: 0.02}  # time constant [s]"
     usual = 0.01  # time constant of a drive [s]
