@@ -61,7 +61,7 @@ def accuracy(
         bool,
         typer.Option(
             "--peers/--no-peers",
-            help="Run the scene in Pinocchio, and in MuJoCo and Drake if they are installed.",
+            help="Run the scene in Pinocchio, and in MuJoCo if it is installed.",
         ),
     ] = True,
     quick: Annotated[

@@ -33,7 +33,7 @@ from multiarm.cli.options import (
     setting,
     switch,
 )
-from multiarm.cli.show import serve_until_interrupt
+from multiarm.cli.show import show_replay
 from multiarm.errors import SceneError
 from multiarm.results.event_log import counts, who
 from multiarm.terminal.console import (
@@ -165,7 +165,7 @@ def run(
     if json is not None:
         write_json(json, figures)
     if replay and len(trajectory):
-        serve_until_interrupt(trajectory, quiet=quiet)
+        show_replay(trajectory, quiet=quiet)
     if trajectory.status != "completed":
         raise typer.Exit(1)
 

@@ -22,6 +22,7 @@ from multiarm.cli import accuracy as command
 from multiarm.plots.style import PALETTE
 from multiarm.reports.pages import quantity
 from multiarm.results.files import save_page
+from multiarm.studies.peers import PEERS
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.page import comparison, described, recommendation, render
 from multiarm.studies.work_precision.points import (
@@ -225,7 +226,7 @@ def test_a_study_is_looked_at_without_measuring(study_file, monkeypatch, tmp_pat
     assert result.exit_code == 0, result.output
     assert "arms & <disc>" in result.stdout
     assert "rk4, projection" in result.stdout
-    assert "Drake: not installed: pip install multiarm[peers]" in result.stdout
+    assert "MuJoCo: not installed: pip install multiarm[peers]" in result.stdout
     assert "0.5 s" not in result.stdout, "points are shown on demand"
     assert (tmp_path / "plot.pdf").read_bytes().startswith(b"%PDF")
 
@@ -397,7 +398,7 @@ def test_the_page_begins_with_the_ranked_quantity_and_says_what_the_terminal_say
 
 def test_every_method_and_every_peer_has_a_colour_of_its_own():
     ours = [ladder[0].method for ladder in our_ladders(0.01, 1.0, 0.005)]
-    assert len({*ours, *studies.SOLVERS}) <= len(set(PALETTE)) == len(PALETTE)
+    assert len({*ours, *PEERS}) <= len(set(PALETTE)) == len(PALETTE)
 
 
 @pytest.mark.slow

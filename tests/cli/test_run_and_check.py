@@ -638,11 +638,6 @@ def test_an_unexpected_exception_is_not_hidden(monkeypatch):
     assert isinstance(result.exception, RuntimeError)
 
 
-def test_numbers_of_arms_must_be_numbers():
-    assert_refused(multiarm("scaling", "--arms", "2,four"), "--arms", "2,four", "2,4,8")
-    assert_refused(multiarm("scaling", "--arms", "0"), "--arms", "from 1 up")
-
-
 # --- results ------------------------------------------------------------------------------------
 
 
@@ -678,16 +673,3 @@ def test_replay_rejects_a_speed_that_is_none(finished, tmp_path):
     folder, _ = finished
     result = multiarm("replay", folder / "run.h5", "--html", tmp_path / "x.html", "--speed", 0)
     assert_refused(result, "speed", "greater than 0")
-
-
-@pytest.mark.slow
-def test_live_replay_is_served_until_ctrl_c(finished):
-    folder, _ = finished
-    program = start("replay", folder / "run.h5", "--no-open")
-    try:
-        next(line for line in program.stderr if re.match(r"replay at http://\S+;", line))
-        program.send_signal(signal.SIGINT)
-        _, errors = program.communicate(timeout=30)
-    finally:
-        program.kill()
-    assert program.returncode == 0, errors

@@ -44,12 +44,10 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "llvmlite": ("jit",),
     "matplotlib": (
         "plots",
-        "studies.scaling_page",
         "studies.hard_case_page",
         "studies.effect_costs.page",
         "studies.work_precision.page",
     ),
-    "meshcat": ("viewer",),
     "mujoco": ("studies.mujoco_peer",),
     "numba": ("jit", "studies.mujoco_peer"),
     "pinocchio": (
@@ -61,9 +59,9 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pandas": ("results.trajectory",),
     "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
+    "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
-    "pydrake": ("studies.drake_peer",),
     "rich": ("cli", "terminal"),
     "scipy": (
         "contacts.unilateral",
@@ -82,22 +80,18 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "sweeps.axes",
         "sweeps.plan",
         "studies.timing",
-        "studies.solver_forms",
-        "studies.peer_trials",
         "studies.pinocchio_peer",
         "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
-    "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
-    "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
 }
 
-HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
+HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "scipy", "pydantic"}
 
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {

@@ -261,21 +261,3 @@ def test_without_meshes_the_file_is_small(trajectory, tmp_path):
 def test_unusable_options_are_named(trajectory, options, said):
     with pytest.raises(ReplayError, match=said):
         replay(trajectory, **{"path": "never.html", **options})
-
-
-@pytest.mark.slow
-def test_live_viewer_shows_the_same_scene(browser, trajectory):
-    visualizer = replay(trajectory, open_browser=False, fps=20)
-    page = browser.new_page(viewport={"width": 600, "height": 400})
-    try:
-        page.goto(visualizer.url())
-        page.wait_for_function("viewer.animator && viewer.animator.duration > 0", timeout=60_000)
-        page.evaluate(SEEK, float(trajectory.time[-1]))
-        pose = page.evaluate(POSE, ["world", "object"])
-        np.testing.assert_allclose(pose["position"], trajectory.object_position[-1], atol=1e-6)
-        # the camera's place comes over the wire like everything else, maybe a place later
-        framed = f"Math.max(...({IN_PICTURE})().flat().map(Math.abs)) < 1"
-        page.wait_for_function(framed, timeout=30_000)
-    finally:
-        page.close()
-        visualizer.window.close()
