@@ -101,18 +101,18 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
     """The value with a branch of the changes in it, in plain tables and lists along their ways."""
     if isinstance(tree, _New):
         return tree.value
-    made = {}
+    entries = {}
     for part, branch in tree.items():
         try:
             leaf = isinstance(branch, _New)
             below = _applied(_below(value, part, here, leaf), branch, (*here, part), faults)
             if leaf or below is not None:  # nothing is made on the way of a path with a fault
-                made[part] = below
+                entries[part] = below
         except SceneError as error:
             faults += error.faults
     if isinstance(value, (tuple, list)):
-        return [made.get(k, old) for k, old in enumerate(value)]
-    return {**written(value), **made} if made or value is not None else None
+        return [entries.get(k, old) for k, old in enumerate(value)]
+    return {**written(value), **entries} if entries or value is not None else None
 
 
 def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:

@@ -127,7 +127,7 @@ def nodes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Any]]:
 
 def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, CodeReference]]:
     """The functions that are named, and not loaded, in a part of a scene, with their places."""
-    return ((at, one) for at, one in nodes(value, parts) if isinstance(one, CodeReference))
+    return ((at, leaf) for at, leaf in nodes(value, parts) if isinstance(leaf, CodeReference))
 
 
 def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -> Any:
@@ -135,13 +135,13 @@ def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -
     parts_of: dict[Any, Any] = dict(_items(value))
     if not parts_of:
         return change(value, parts)
-    made = {key: mapped(item, change, (*parts, key)) for key, item in parts_of.items()}
-    changes = {key: item for key, item in made.items() if item is not parts_of[key]}
+    items = {key: mapped(item, change, (*parts, key)) for key, item in parts_of.items()}
+    changes = {key: item for key, item in items.items() if item is not parts_of[key]}
     if not changes:
         return value
     if isinstance(value, BaseModel):  # each change is of the sort that was validated
         return BaseModel.model_copy(value, update=changes)
-    return made if isinstance(value, Mapping) else tuple(made.values())
+    return items if isinstance(value, Mapping) else tuple(items.values())
 
 
 def located(value: Any, folder: Path) -> Any:

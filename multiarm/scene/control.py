@@ -271,9 +271,9 @@ control:
     @model_validator(mode="after")
     def _gains_belong_to_positions(self) -> Self:
         gains = {"stiffness": self.stiffness, "damping": self.damping}
-        given = {**gains, "gravity_compensation": self.gravity_compensation}
+        settings = {**gains, "gravity_compensation": self.gravity_compensation}
         if self.quantity == "torque":
-            named = [key for key, value in given.items() if value is not None]
+            named = [key for key, value in settings.items() if value is not None]
             if named:
                 raise fault(f"'{named[0]}' belongs to 'quantity: position', not to torques")
             return self
@@ -302,12 +302,12 @@ control:
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Gains, and columns of joints that no arm has."""
-        found = super().faults(arms)
+        faults = super().faults(arms)
         for address in self.columns or ():
             text = _address_fault(address, arms)
             if text:
-                found.append((("columns", address), text))
-        return found
+                faults.append((("columns", address), text))
+        return faults
 
 
 def _address_fault(address: str, arms: Mapping[str, KnownArm]) -> str:
@@ -481,7 +481,7 @@ _OURS: tuple[type[ControlKind], ...] = (
     RecordedControl,
     FunctionControl,
 )
-BUILT_IN = {own.kind_name(): own for own in _OURS}
+BUILT_IN = {control.kind_name(): control for control in _OURS}
 """Our kinds by name."""
 CONTROLS: Registry[ControlKind] = Registry(
     "control", "control kind", "kinds", BUILT_IN, UnloadedControl

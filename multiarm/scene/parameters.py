@@ -29,15 +29,15 @@ def parameters_of(model: Any) -> list[Parameter]:
 
     Its own come first, then those of its bases.
     """
-    own = inspect.get_annotations(model)
-    found = []
-    for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in own):
+    fields = inspect.get_annotations(model)
+    parameters = []
+    for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in fields):
         if name == "kind":
             continue
         default = field.get_default(call_default_factory=True)
         written = "required" if field.is_required() else _written(default)
-        found.append(Parameter(name, written, *_split(description_of(model, name))))
-    return found
+        parameters.append(Parameter(name, written, *_split(description_of(model, name))))
+    return parameters
 
 
 def description_of(model: Any, name: str) -> str:
@@ -60,14 +60,16 @@ def brief_description(model: Any, name: str) -> str:
 
 def picture_of(model: Any) -> str:
     """One everyday sentence about a kind: its ``picture``, or how its documentation begins."""
-    found = getattr(model, "picture", "")
-    return found if isinstance(found, str) and found else summary_of(model)
+    picture = getattr(model, "picture", "")
+    return picture if isinstance(picture, str) and picture else summary_of(model)
 
 
 def example_of(model: Any) -> str:
     """The lines of an example as a scene has them; empty where a kind gives none."""
-    made = getattr(model, "example_text", None)
-    return made() if callable(made) else dedent(getattr(model, "example", "")).strip("\n")
+    example_text = getattr(model, "example_text", None)
+    if callable(example_text):
+        return example_text()
+    return dedent(getattr(model, "example", "")).strip("\n")
 
 
 def summary_of(model: Any) -> str:

@@ -284,8 +284,8 @@ class Registry(Generic[Kind]):
         """The type of a table whose key ``kind`` names one of our classes, or a user's."""
         ours: Any = reduce(or_, self.built_in.values())
         tagged: Any = Annotated[ours, Field(discriminator="kind")]
-        kept: Any = SerializeAsAny[tagged]  # type: ignore[misc]
-        return Annotated[kept, WrapValidator(self._read_kind)]
+        whole: Any = SerializeAsAny[tagged]  # type: ignore[misc]
+        return Annotated[whole, WrapValidator(self._read_kind)]
 
     def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""
@@ -351,7 +351,7 @@ class Registry(Generic[Kind]):
             return TypeAdapter(model).validate_python(value, context=info.context)
         except ValidationError as error:
             faults = [
-                ((*where, *parts), text, given) for parts, text, given in sentences(error, model)
+                ((*where, *parts), text, wrong) for parts, text, wrong in sentences(error, model)
             ]
             raise faults_at(faults, name) from None
         except PydanticCustomError:
@@ -454,11 +454,11 @@ class ByName(Spec):
         )
 
 
-def faults_at(found: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
+def faults_at(faults: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
     """One error for faults with their places and the values there."""
     details = [
-        InitErrorDetails(type=fault(text), loc=tuple(parts), input=given)
-        for parts, text, given in found
+        InitErrorDetails(type=fault(text), loc=tuple(parts), input=value)
+        for parts, text, value in faults
     ]
     return ValidationError.from_exception_data(title, details)
 
@@ -484,5 +484,5 @@ def _offered(point: metadata.EntryPoint) -> str:
     return f"{package} ({point.value})"
 
 
-def _path(own: type) -> str:
-    return f"{own.__module__}:{own.__qualname__}"
+def _path(user_class: type) -> str:
+    return f"{user_class.__module__}:{user_class.__qualname__}"

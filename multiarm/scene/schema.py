@@ -395,8 +395,8 @@ def _check(parts: _Parts, examined: _Examined) -> _Findings:
             f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
         )
     if parts.arm_names is not None:
-        found = {name: examination for name, (_, examination) in findings.examined.items()}
-        arms = {name: found.get(name, KnownArm()) for name in parts.arm_names}
+        examinations = {name: examination for name, (_, examination) in findings.examined.items()}
+        arms = {name: examinations.get(name, KnownArm()) for name in parts.arm_names}
         _check_control(parts.control, arms, findings)
         _check_effects(parts, arms, findings)
     return findings
@@ -427,18 +427,18 @@ def _check_connections(names: list[str], connected: list[Any] | None, findings: 
 
 
 def _check_arms(arms: Mapping[str, ArmSpec], examined: _Examined, findings: _Findings) -> None:
-    found = {}
+    examinations = {}
     for name, spec in arms.items():
         before, known = examined.get(name, (None, None))
-        found[name] = known if known is not None and before == spec else examine_arm(spec)
-        findings.examined[name] = spec, found[name]
-        for where, text in found[name].faults:
+        examinations[name] = known if known is not None and before == spec else examine_arm(spec)
+        findings.examined[name] = spec, examinations[name]
+        for where, text in examinations[name].faults:
             findings.fault(("arms", name, *where), text)
-    findings.robots = robots_of(arms, found)
+    findings.robots = robots_of(arms, examinations)
     for robot in findings.robots:
-        for where, text in robot_faults(robot, arms, found):
+        for where, text in robot_faults(robot, arms, examinations):
             findings.fault(where, text)
-        for where, text in robot_warnings(robot, arms, found):
+        for where, text in robot_warnings(robot, arms, examinations):
             findings.warning(where, text)
 
 
@@ -448,10 +448,10 @@ def _check_control(
     if control is None:
         return
     try:
-        found = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
+        faults = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
     except ModelError as error:
-        found = [((), str(error))]
-    for where, text in found:
+        faults = [((), str(error))]
+    for where, text in faults:
         findings.fault(("control", *where), text)
 
 

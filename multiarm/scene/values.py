@@ -143,10 +143,10 @@ class OneOf(Spec):
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        given = [name for name, value in self if value is not None]
-        if len(given) != 1:
+        written = [name for name, value in self if value is not None]
+        if len(written) != 1:
             known = listed(type(self).model_fields)
-            raise fault(f"needs exactly one of {known}, got {given or 'none'}")
+            raise fault(f"needs exactly one of {known}, got {written or 'none'}")
         return self
 
 
@@ -557,8 +557,8 @@ def gain_vector(
     joint_names: Sequence[str],
 ) -> np.ndarray:
     """One value per joint of ``arm``, shape (n,); zero for joints and arms that are not named."""
-    own = gain.get(arm) if isinstance(gain, Mapping) else gain
-    return joint_vector(own, joint_names)
+    value = gain.get(arm) if isinstance(gain, Mapping) else gain
+    return joint_vector(value, joint_names)
 
 
 def joint_value_faults(
@@ -619,16 +619,16 @@ def gain_faults(
         return []
     by_arm = isinstance(value, Mapping)
     faults: Faults = []
-    for arm, own in (value if by_arm else dict.fromkeys(arms, value)).items():
+    for arm, gain in (value if by_arm else dict.fromkeys(arms, value)).items():
         where: Parts = (arm,) if by_arm else ()
         if arm not in arms:
             faults.append((where, unknown("arm", arm, arms)))
             continue
         names = arms[arm].joint_names
-        if names is None or _is_urdf(own):
+        if names is None or _is_urdf(gain):
             continue
         subject = "" if by_arm else f"arm {arm!r}: "
-        for further, text in joint_value_faults(own, names):
+        for further, text in joint_value_faults(gain, names):
             faults.append(((*where, *further), f"{subject}{text}"))
     if in_urdf is None:
         return faults
@@ -640,9 +640,9 @@ def gain_faults(
     return faults
 
 
-def below(where: Parts, found: Faults) -> Faults:
+def below(where: Parts, faults: Faults) -> Faults:
     """Faults of a part, which is at the place ``where`` in its owner."""
-    return [((*where, *further), text) for further, text in found]
+    return [((*where, *further), text) for further, text in faults]
 
 
 def urdf_warnings(

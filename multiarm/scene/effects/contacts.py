@@ -39,14 +39,14 @@ class SomeContacts(EffectKind):
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms; contacts are checked once they are known."""
         owners = [name.partition("/")[0] for name in self.contacts or ()]
-        found: Faults = [
+        faults: Faults = [
             (("contacts", k), unknown("arm", owner, arms))
             for k, owner in enumerate(owners)
             if owner not in arms
         ]
         if self.contacts == ():
-            found.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
-        return found
+            faults.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
+        return faults
 
 
 class UnilateralContactsSpec(SomeContacts):
@@ -175,19 +175,19 @@ class JointLimitsSpec(EffectKind):
     """Newton's coefficient, 0 to 1."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        found: Faults = []
+        faults: Faults = []
         for arm, joints in {} if self.range == "urdf" else self.range.items():
             if arm not in arms:
-                found.append((("range", arm), unknown("arm", arm, arms)))
+                faults.append((("range", arm), unknown("arm", arm, arms)))
                 continue
             known = arms[arm].joint_names
             for joint, (lower, upper) in joints.items():
                 place = ("range", arm, joint)
                 if known is not None and joint not in known:
-                    found.append((place, unknown("joint", joint, known)))
+                    faults.append((place, unknown("joint", joint, known)))
                 if not lower < upper:
-                    found.append((place, f"the lower end {lower:g} is not below {upper:g}"))
-        return found
+                    faults.append((place, f"the lower end {lower:g} is not below {upper:g}"))
+        return faults
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         if self.range != "urdf":

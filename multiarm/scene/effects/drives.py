@@ -123,12 +123,12 @@ class JointFriction(EffectKind):
         return _FRICTION_SPEED if self.speed is None else self.speed
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        found = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
-        return below(("torque",), found)
+        faults = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
+        return below(("torque",), faults)
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        found = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
-        return below(("torque",), found)
+        warnings = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
+        return below(("torque",), warnings)
 
     @property
     def has_events(self) -> bool:
