@@ -249,7 +249,8 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     if _needs_code(control):
         control = ControlKind(kind=control.kind)
     effects = {name: value for name, value in effects.items() if name not in unloaded}
-    return scene.replace(joints=joints, control=control, effects=effects), left
+    parts = {"joints": joints, "control": control, "effects": effects}
+    return scene.revalidated({**dict(scene), **parts}, Code.NEVER), left
 
 
 def loaded_functions(value: Any, parts: Parts = ()) -> Any:

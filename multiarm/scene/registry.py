@@ -291,12 +291,9 @@ class Registry(Generic[Kind]):
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""
         assert self.not_loaded is not None, "the sort is named by 'kind'"
         if isinstance(value, OwnKind) and value.class_sort == self.sort:
-            unloaded = isinstance(value, self.not_loaded)
-            return (
-                value
-                if not unloaded or _code(info) is not Code.NOW
-                else self._read_user(written(value), info)
-            )
+            if isinstance(value, self.not_loaded) and _code(info) is Code.NOW:
+                return self._read_user(written(value), info)
+            return value
         if not isinstance(value, (Mapping, Spec)):
             return ours(value)
         data = written(value)
@@ -367,14 +364,14 @@ class Registry(Generic[Kind]):
         if not isinstance(user_class, type) or getattr(user_class, "class_sort", None) != self.sort:
             raise ModelError(f"{user_class!r} {trouble}: it is no subclass of {self.base}")
         reason = user_class.lacks()  # type: ignore[attr-defined]
-        own_name = self.name_of(user_class)
-        if not reason and name is not None and own_name != name:
-            reason = f"its name is {own_name!r}, not {name!r}"
+        class_name = self.name_of(user_class)
+        if not reason and name is not None and class_name != name:
+            reason = f"its name is {class_name!r}, not {name!r}"
         if reason:
             raise ModelError(f"{_path(user_class)} {trouble}: {reason}")
-        if own_name in self.built_in:
+        if class_name in self.built_in:
             raise ModelError(
-                f"{self.noun} {own_name!r}: multiarm itself has one of that name; choose another"
+                f"{self.noun} {class_name!r}: multiarm itself has one of that name; choose another"
             )
 
     def _entry_points(self, name: str) -> list[metadata.EntryPoint]:

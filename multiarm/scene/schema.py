@@ -152,9 +152,13 @@ class Scene(Spec):
         """
         if changes is not None and not isinstance(changes, Mapping):
             raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
-        data, faults = with_changes(self, {**(changes or {}), **parts})
+        code = Code.NOW if self.may_load_code else Code.NEVER
+        return self._changed({**(changes or {}), **parts}, code)
+
+    def _changed(self, changes: Mapping[str, Any], code: Code) -> Self:
+        data, faults = with_changes(self, changes)
         try:
-            scene = self.revalidated(data, Code.NOW if self.may_load_code else Code.NEVER)
+            scene = self.revalidated(data, code)
         except SceneError as error:
             faults += error.faults
         if faults:
@@ -168,9 +172,9 @@ class Scene(Spec):
         return scene
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy, with other parts as by :meth:`replace`."""
+        """A copy, with other parts, which are validated as by :meth:`replace`; loads no code."""
         copy = super().model_copy(deep=deep)
-        return copy.replace(**update) if update else copy
+        return copy._changed(update, self._code) if update else copy
 
     @property
     def folder(self) -> Path:

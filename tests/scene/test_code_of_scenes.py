@@ -11,6 +11,7 @@ from mechanics import ur5_pair
 from user_classes import empty_registries
 
 import multiarm as ma
+from multiarm.assembly.compilation import compile_for_inspection
 from multiarm.errors import SceneError
 from multiarm.scene import EFFECTS, dump_scene, load_scene, named_code, parse_scene
 
@@ -102,6 +103,18 @@ def test_a_class_of_a_file_is_loaded_when_the_scene_is_compiled(sort, folder):
     assert named_code(loaded) == []
     assert parse_scene(dump_scene(loaded)) == loaded
     assert dump_scene(loaded) == dump_scene(scene)
+
+
+@pytest.mark.parametrize("sort", NAMED)
+def test_a_look_at_a_scene_runs_no_file(sort, folder):
+    path = scene_file(folder, NAMED[sort][0])
+    (folder / "parts.py").write_text("raise RuntimeError('loaded')")
+    for scene in (load_scene(path), load_scene(path, code=False)):
+        system, (left,) = compile_for_inspection(scene, arms="compiled")
+        assert NAMED[sort][2] in left.what and system.scene.arms.keys() == {"left", "right"}
+        assert named_code(scene.model_copy(update={"name": "other"})) == named_code(scene)
+    with pytest.raises(ma.MultiarmError, match="RuntimeError: loaded"):
+        ma.compile_system(load_scene(path))
 
 
 def test_classes_of_files_act_as_registered_ones_do(folder, monkeypatch):
