@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 from multiarm.scene.parameters import description_of
-from multiarm.scene.run import ArmTerms, Integrator, RunSpec, Stabilization
+from multiarm.scene.run import (
+    ARM_TERMS,
+    SOLVERS,
+    STABILIZATIONS,
+    ArmTerms,
+    Integrator,
+    RunSpec,
+    SolverName,
+    Stabilization,
+)
+from multiarm.tableaus import METHODS
 
 __all__ = [
     "FILES",
@@ -89,16 +100,23 @@ def setting(name: str, metavar: str | None = None, text: str = "") -> Any:
     return option(words, metavar, default=OF_SCENE, panel=METHOD)
 
 
+def choice_setting(name: str, choices: Iterable[str]) -> Any:
+    """The option of a setting with few values, which its help lists: in its table they break."""
+    words = description_of(RunSpec, name)
+    unnamed = [choice for choice in choices if choice not in words]
+    return setting(name, "NAME", f" One of {', '.join(choices)}." if unnamed else "")
+
+
 Duration = Annotated[float | None, setting("duration", "S")]
 Accuracy = Annotated[float | None, setting("accuracy", "A")]
-Method = Annotated[Integrator | None, setting("integrator")]
+Method = Annotated[Integrator | None, choice_setting("integrator", METHODS)]
 Step = Annotated[float | None, setting("step", "S")]
 Tolerance = Annotated[float | None, setting("tolerance", "T")]
-Closing = Annotated[Stabilization | None, setting("stabilization")]
+Closing = Annotated[Stabilization | None, choice_setting("stabilization", STABILIZATIONS)]
 OutputStep = Annotated[float | None, setting("output_step", "S")]
 MostSteps = Annotated[float | None, setting("most_steps", "M")]
-Solver = Annotated[Literal["node", "dense"] | None, setting("solver")]
-Arms = Annotated[ArmTerms | None, setting("arms")]
+Solver = Annotated[SolverName | None, choice_setting("solver", SOLVERS)]
+Arms = Annotated[ArmTerms | None, choice_setting("arms", ARM_TERMS)]
 
 
 def chosen(**settings: Any) -> dict[str, Any]:
