@@ -1,30 +1,19 @@
-"""Options of the commands that several share; those of a run's settings have their words."""
+"""Options of the commands that several share, such as those of a run's settings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from multiarm.scene.parameters import description_of
-from multiarm.scene.run import (
-    ARM_TERMS,
-    SOLVERS,
-    STABILIZATIONS,
-    ArmTerms,
-    Integrator,
-    RunSpec,
-    SolverName,
-    Stabilization,
-)
-from multiarm.tableaus import METHODS
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 
 __all__ = [
     "FILES",
     "METHOD",
     "Accuracy",
+    "AccuracyOfRun",
     "Arms",
     "Closing",
     "Code",
@@ -42,7 +31,6 @@ __all__ = [
     "chosen",
     "file_option",
     "option",
-    "setting",
     "switch",
 ]
 
@@ -94,29 +82,92 @@ NoCode = Annotated[
 ]
 
 
-def setting(name: str, metavar: str | None = None, text: str = "") -> Any:
-    """The option of a setting of runs, which says of itself what it is."""
-    words = description_of(RunSpec, name) + text
-    return option(words, metavar, default=OF_SCENE, panel=METHOD)
+def setting(text: str, metavar: str) -> Any:
+    """The option of a setting of runs."""
+    return option(text, metavar, default=OF_SCENE, panel=METHOD)
 
 
-def choice_setting(name: str, choices: Iterable[str]) -> Any:
+def choice(text: str, *choices: str) -> Any:
     """The option of a setting with few values, which its help lists: in its table they break."""
-    words = description_of(RunSpec, name)
-    unnamed = [choice for choice in choices if choice not in words]
-    return setting(name, "NAME", f" One of {', '.join(choices)}." if unnamed else "")
+    unnamed = [name for name in choices if name not in text]
+    return setting(f"{text} One of {', '.join(choices)}." if unnamed else text, "NAME")
 
 
-Duration = Annotated[float | None, setting("duration", "S")]
-Accuracy = Annotated[float | None, setting("accuracy", "A")]
-Method = Annotated[Integrator | None, choice_setting("integrator", METHODS)]
-Step = Annotated[float | None, setting("step", "S")]
-Tolerance = Annotated[float | None, setting("tolerance", "T")]
-Closing = Annotated[Stabilization | None, choice_setting("stabilization", STABILIZATIONS)]
-OutputStep = Annotated[float | None, setting("output_step", "S")]
-MostSteps = Annotated[float | None, setting("most_steps", "M")]
-Solver = Annotated[SolverName | None, choice_setting("solver", SOLVERS)]
-Arms = Annotated[ArmTerms | None, choice_setting("arms", ARM_TERMS)]
+# Words and choices are those of multiarm.scene.RunSpec, as a test claims: the commands know them
+# without what reads scenes.
+if TYPE_CHECKING:
+    Integrator = str
+else:
+    Integrator = Literal[tuple(METHODS)]
+ACCURACY = (
+    "Largest error of the whole run at the worst output time: a number [m and rad], or a table "
+    "{position: [m], rotation: [rad], force: [N]}, some of them. The program chooses method and "
+    "steps, checks the result against a tightened rerun and repeats the run with smaller "
+    "tolerances if need be. 1e-6 by default."
+)
+Duration = Annotated[float | None, setting("Simulated time [s].", "S")]
+Accuracy = Annotated[float | None, setting(ACCURACY, "A")]
+AccuracyOfRun = Annotated[
+    float | None,
+    setting(
+        f"{ACCURACY} Any of this, --integrator, --step, --tolerance replaces the scene's choice of "
+        "all four.",
+        "A",
+    ),
+]
+Method = Annotated[
+    Integrator | None,
+    choice(
+        f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed 'step'; "
+        f"{', '.join(ADAPTIVE_INTEGRATORS)} choose their steps by 'accuracy' or 'tolerance'. "
+        "Absent: dopri5 or dop853 by the accuracy, and rodas5p where the scene turns out to be "
+        "stiff.",
+        *METHODS,
+    ),
+]
+Step = Annotated[float | None, setting("Fixed step [s].", "S")]
+Tolerance = Annotated[
+    float | None,
+    setting("Error of one step of an adaptive integrator [m, rad, m/s, rad/s].", "T"),
+]
+Closing = Annotated[
+    Literal["projection", "feedback", "none"] | None,
+    choice(
+        "How the joints are kept closed although integration errors add up.",
+        "projection",
+        "feedback",
+        "none",
+    ),
+]
+OutputStep = Annotated[float | None, setting("Time between stored samples [s].", "S")]
+MostSteps = Annotated[
+    float | None,
+    setting(
+        "Steps for one second of simulated time (for the whole run, if that is shorter): a run "
+        "that needs more at the pace of its last thousands of steps, rejected ones and events "
+        "counted, fails instead of running for hours.",
+        "M",
+    ),
+]
+Solver = Annotated[
+    Literal["node", "dense"] | None,
+    choice(
+        "The node algorithm, or the whole linear system at once, an independent reference to "
+        "compare with.",
+        "node",
+        "dense",
+    ),
+]
+Arms = Annotated[
+    Literal["pinocchio", "compiled"] | None,
+    choice(
+        "Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is "
+        "several times as fast and verified against Pinocchio whenever the scene is compiled. An "
+        "arm that cannot be compiled stays with Pinocchio and says so.",
+        "pinocchio",
+        "compiled",
+    ),
+]
 
 
 def chosen(**settings: Any) -> dict[str, Any]:

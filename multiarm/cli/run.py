@@ -15,6 +15,7 @@ from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import (
     FILES,
     METHOD,
+    AccuracyOfRun,
     Arms,
     Closing,
     Duration,
@@ -30,7 +31,6 @@ from multiarm.cli.options import (
     Tolerance,
     chosen,
     file_option,
-    setting,
     switch,
 )
 from multiarm.cli.show import show_replay
@@ -64,15 +64,7 @@ NOTABLE_GAP = 1e-3
 def run(
     scene: SceneFile,
     duration: Duration = None,
-    accuracy: Annotated[
-        float | None,
-        setting(
-            "accuracy",
-            "A",
-            " Any of this, --integrator, --step, --tolerance replaces the scene's choice of all "
-            "four.",
-        ),
-    ] = None,
+    accuracy: AccuracyOfRun = None,
     integrator: Method = None,
     step: Step = None,
     tolerance: Tolerance = None,

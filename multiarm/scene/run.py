@@ -19,9 +19,6 @@ else:
 ArmTerms = Literal["pinocchio", "compiled"]
 ARM_TERMS: tuple[str, ...] = get_args(ArmTerms)
 """Backends of the arms' inertia, forces and motion."""
-SolverName = Literal["node", "dense"]
-SOLVERS: tuple[str, ...] = get_args(SolverName)
-"""Ways of solving the equations of motion."""
 STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
 """Settings of a run that say together how long its steps are."""
 DEFAULT_ACCURACY = 1e-6
@@ -156,7 +153,7 @@ class RunSpec(Spec):
     """Steps for one second of simulated time (for the whole run, if that is shorter): a run that
     needs more at the pace of its last thousands of steps, rejected ones and events counted, fails
     instead of running for hours."""
-    solver: SolverName = "node"
+    solver: Literal["node", "dense"] = "node"
     """The node algorithm, or the whole linear system at once, an independent reference to compare
     with."""
     arms: ArmTerms = "pinocchio"
