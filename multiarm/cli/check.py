@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +10,7 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
 from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
-from multiarm.notation import count_of, number, numbers
+from multiarm.notation import number, numbers, value_text
 from multiarm.terminal.console import (
     accuracy,
     columns,
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     from multiarm.simulation.inspection import (
         ArmFacts,
         Carrying,
-        EffectFacts,
         Freedom,
         Inspection,
         JointFacts,
@@ -47,7 +44,7 @@ def check(
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
     All faults of a scene are listed together, each with its place and the alternatives; the exit
-    code is then 2.
+    code is then 2. What each effect costs and changes, **multiarm effects** measures.
 
     The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
     control, run, start, position_residual, velocity_residual, residuals, carrying, warnings,
@@ -58,16 +55,12 @@ def check(
     loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
     from multiarm.simulation.inspection import inspect_system
-    from multiarm.studies.effect_costs.study import effects_of_evaluation
 
     with Progress() as progress:
         system, left = compile_for_inspection(loaded, settings.get("arms"))
         progress(0, 0, "inspecting")
         inspection = inspect_system(system, left)
         print_warnings(inspection.warnings[len(loaded.warnings) :])
-        if inspection.start is not None:
-            progress(0, 0, "timing the effects")
-            inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     print_warnings(inspection.not_looked_at)
     if json is not None:
         write_json(json, inspection.as_dict())
@@ -85,7 +78,11 @@ def _tables(found: Inspection) -> list[RenderableType]:
             ("arm", "kind", "rows", "free motions", "contacts"),
             [_joint(joint) for joint in found.joints],
         ),
-        _effects(found.effects),
+        facts(
+            "Effects",
+            {name: value_text(parameters) for name, parameters in found.effects.items()}
+            or {"none": "only control acts"},
+        ),
     ]
     if found.freedom is not None:
         tables.append(facts("Freedom", _freedom(found.freedom, found.coming_and_going)))
@@ -159,24 +156,6 @@ def _posture(arm: ArmFacts) -> Text:
     good = arm.verdict == "good"
     text = Text(f"{arm.verdict} ({arm.conditioning:.2g})", "green" if good else "bold yellow")
     return text.append("".join(f"; {words}" for words in arm.lost_motions))
-
-
-def _effects(effects: Mapping[str, EffectFacts | None]) -> RenderableType:
-    """What each effect adds to an evaluation."""
-    title = "Effects, and what each adds to an evaluation"
-    if not effects:
-        return facts(title, {"none": "no effects: nothing is added"})
-    heads = ("effect", "\N{MICRO SIGN}s", "arrays", "states", "rows", "Python calls")
-    return columns(title, heads, [_effect(name, added) for name, added in effects.items()])
-
-
-def _effect(name: str, added: EffectFacts | None) -> tuple[RenderableType, ...]:
-    if added is None or added.microseconds is None:
-        return name, Text("" if added is None else added.trouble, "dim")
-    spread = f"{added.microseconds:.2f} \N{PLUS-MINUS SIGN} {added.uncertainty_microseconds:.2f}"
-    time = Text(f"{spread}, within noise" if added.within_noise else spread)
-    counts = (added.states, added.rows, added.callbacks)
-    return name, time, count_of(added.bytes, "byte"), *(str(count or "-") for count in counts)
 
 
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
