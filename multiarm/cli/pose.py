@@ -73,4 +73,4 @@ def _base(written: ArmSpec, found: ArmSpec) -> dict[str, str]:
 
 def _written(numbers: Iterable[float]) -> str:
     """A list of numbers as YAML, to a hundredth of a microradian or nanometres."""
-    return f"[{', '.join(f'{x:.8f}'.rstrip('0').rstrip('.') for x in numbers)}]"
+    return f"[{', '.join(f'{round(x, 8) + 0.0:.8f}'.rstrip('0').rstrip('.') for x in numbers)}]"
