@@ -54,7 +54,7 @@ def robots(
         "Robots",
         "robot",
         "robots",
-        {own: _card(entry) for own, entry in known.items()},
+        {robot_name: _card(entry) for robot_name, entry in known.items()},
         heads=("robot", "joints", "where it is from"),
         note=f"To be fetched first (python -m {DESCRIPTIONS} pull NAME): {', '.join(left)}"
         if left
@@ -116,8 +116,8 @@ def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) ->
         return "\n".join([*lines, "    robot: ur5", f"    tool: {{{_named(entry)}, mount: tool0}}"])
     lines.append(f"    {_named(entry)}")
     if entry.tip is None:
-        others = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
-        lines.append(f"    tip: {ends[0]}{others}")
+        further_tips = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
+        lines.append(f"    tip: {ends[0]}{further_tips}")
     return "\n".join([*lines, "    base: {xyz: [0, 0, 0], rpy: [0, 0, 0]}"])
 
 

@@ -220,7 +220,7 @@ def counts(events: Iterable[Event]) -> list[Count]:
     by_kind: dict[str, list[Event]] = {}
     for event in timed(events):
         by_kind.setdefault(event["kind"], []).append(event)
-    return [Count(kind, len(found), found[0]) for kind, found in by_kind.items()]
+    return [Count(kind, len(same_kind), same_kind[0]) for kind, same_kind in by_kind.items()]
 
 
 @dataclass(frozen=True)
