@@ -93,13 +93,14 @@ def run(
     evaluations, wall_time_s (without compilation), compile_time_s (during the run and its check),
     realtime_factor, error_estimate, position_drift_max_m, velocity_drift_max_m_per_s,
     energy_balance_max_J, final_object_position, final_object_quaternion_xyzw, contact_force_max_N
-    (by arm; floor, if there is one), rank_lowest, rank_highest (independent constraints),
-    coupled_steps (steps in which some arm could not be eliminated), integrator, stabilization,
-    solver, arms (backend of each), accuracy, tolerance, certificate (null where nothing was
-    checked; else met, text, reason, asked, estimated_error, by_output, over_time, checks,
-    growth_rate_per_s, safety, attempts), events (time, kind, text; arm, contact or joint, where in
-    m, before and after as they apply), compiled_kernels (also for the scene), and files (result,
-    replay, report). Numbers are finite, or null where there is none.
+    (by arm; floor, if there is one), wrench_max (likewise: force_N, force_time_s, moment_N_m,
+    moment_time_s; on the object, about its centre of mass), rank_lowest, rank_highest (independent
+    constraints), coupled_steps (steps in which some arm could not be eliminated), integrator,
+    stabilization, solver, arms (backend of each), accuracy, tolerance, certificate (null where
+    nothing was checked; else met, text, reason, asked, estimated_error, by_output, over_time,
+    checks, growth_rate_per_s, safety, attempts), events (time, kind, text; arm, contact or joint,
+    where in m, before and after as they apply), compiled_kernels (also for the scene), and files
+    (result, replay, report). Numbers are finite, or null where there is none.
     """
     from multiarm.results.trajectory_file import TrajectoryReader
 
@@ -273,9 +274,24 @@ def summary_table(figures: dict[str, Any], compilation: float) -> Table:
     if figures["final_object_position"] is not None:
         rows["object at the end"] = numbers(figures["final_object_position"], "m")
     for arm, force in figures["contact_force_max_N"].items():
-        rows[f"largest contact force, {arm}"] = number(force, "N")
+        rows[f"largest forces, {arm}"] = _forces(figures["wrench_max"].get(arm), force)
     rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
+
+
+def _forces(wrench: dict[str, float | None] | None, contact_force: float | None) -> str:
+    """The largest force and moment on the object, and the largest force of a contact."""
+    at_contact = f"{number(contact_force, 'N')} at a contact"
+    if wrench is None:  # a result of an earlier version
+        return f"{at_contact} (the wrench on the object was not recorded)"
+    force, moment = (
+        f"{number(wrench[what], unit)} at {number(wrench[when], 's')}"
+        for what, unit, when in (
+            ("force_N", "N", "force_time_s"),
+            ("moment_N_m", "N m", "moment_time_s"),
+        )
+    )
+    return f"{force} and {moment} on the object; {at_contact}"
 
 
 def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:

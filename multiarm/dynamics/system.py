@@ -23,6 +23,7 @@ from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
+from multiarm.dynamics.tips import Kinematics, kinematics_of
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
 from multiarm.notation import count_of
@@ -297,6 +298,21 @@ class System:
         fill_by_arm("joint_positions", state.joint_positions, joint_positions or {})
         fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
         return state
+
+    def kinematics(self, state: State | None = None) -> Kinematics:
+        """Poses, twists and Jacobians of the arms' tips, ``kinematics().tips["left"]``.
+
+        Parameters
+        ----------
+        state : State, optional
+            The start when left out.  It is taken as it is, without projection.
+
+        Raises
+        ------
+        ModelError
+            When ``state`` is none of this system; for a tip of an unknown arm.
+        """
+        return kinematics_of(self.arms.values(), self.checked(state))
 
     def with_control(
         self,

@@ -28,7 +28,7 @@ from multiarm.plots.style import (
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
+from multiarm.results.channels import CONTACT_STATES, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
 from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
@@ -42,6 +42,8 @@ _SHOWN = {
     ("joint_torque", "N m"): ("torque [N m]", 1.0),
     ("joint_torque", "N"): ("force [N]", 1.0),
     ("contact_force", "N"): ("force [N]", 1.0),
+    ("wrench", "N"): ("force [N]", 1.0),
+    ("wrench", "N m"): ("moment [N m]", 1.0),
 }
 
 
@@ -80,6 +82,17 @@ def contact_forces(trajectory: Trajectory) -> Figure:
     Positive pushes.
     """
     panels = _arm_panels(trajectory, "contact_force")
+    return draw(panels, zero_line=True, events=trajectory.events)
+
+
+def wrenches(trajectory: Trajectory) -> Figure | None:
+    """Force (N) and moment (N m) of each arm on the object, two panels per arm and for the floor.
+
+    In world axes, the moment about the object's centre of mass.  None where none were recorded.
+    """
+    panels = _arm_panels(trajectory, "wrench")
+    if not panels:
+        return None
     return draw(panels, zero_line=True, events=trajectory.events)
 
 
@@ -171,23 +184,21 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
     panels = []
     for arm, channel in zip(named, channels, strict=True):
         time, values = decimate(trajectory, [channel.name], points=points)
-        labels = _short(_labels(channel))
+        labels = _short(channel.column_labels)
         for unit in dict.fromkeys(channel.column_units):
             chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
             shown, factor = _SHOWN[quantity, unit]
+            colours = [PALETTE[i % len(PALETTE)] for i in chosen]
+            dashes = [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen]
+            if quantity == "wrench":
+                colours, dashes = list(AXIS_COLOURS), []
             panels.append(
                 Panel(
                     arm, shown, time, factor * values[:, chosen],
-                    tuple(labels[i] for i in chosen),
-                    [PALETTE[i % len(PALETTE)] for i in chosen],
-                    [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen],
+                    tuple(labels[i] for i in chosen), colours, dashes,
                 )
             )  # fmt: skip
     return panels
-
-
-def _labels(channel: Channel) -> tuple[str, ...]:
-    return channel.labels or tuple(str(i + 1) for i in range(int(np.prod(channel.shape))))
 
 
 def _short(labels: Sequence[str]) -> list[str]:

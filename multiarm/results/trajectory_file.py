@@ -24,6 +24,7 @@ earlier ones; `amended` names the valid pieces and is written last.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -37,7 +38,13 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.notation import count_of
-from multiarm.results.channels import Channel, arm_names, trajectory_channels
+from multiarm.results.channels import (
+    Channel,
+    arm_names,
+    trajectory_channels,
+    wrench_and_tip_channels,
+    wrench_channel,
+)
 from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
 from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
 
@@ -139,7 +146,10 @@ class TrajectoryReader(StoredFile):
         """Refuse channels of another shape, and times that do not go on."""
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
-        for channel in trajectory_channels({}, {}):  # those that all runs have
+        of_arms = [wrench_and_tip_channels(f"arms/{arm}") for arm in arm_names(self.channels)]
+        floor = wrench_channel("environment")
+        # those that runs have, with a shape that does not depend on the scene
+        for channel in (*trajectory_channels({}, {}), *itertools.chain(*of_arms), floor):
             if self.channels.get(channel.name, channel).shape != channel.shape:
                 raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):

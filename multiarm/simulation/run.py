@@ -19,6 +19,7 @@ from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED, STIFF_AFTER
 from multiarm.jit.compilation import compile_time, running_time
 from multiarm.results.event_log import EventLog
+from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, dump_scene
@@ -202,10 +203,15 @@ def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dic
         {} if sampling is None else {"sample_time": sampling.time, "sample_delay": sampling.delay}
     )
     start, created = "given state" if given else "scene", time.time()
+    limits = {
+        name: limits_record(arm.effort_limits, arm.velocity_limits, arm.position_limits)
+        for name, arm in system.arms.items()
+    }
 
     def metadata() -> dict[str, Any]:
         text = dump_scene(scene.model_copy(update={"run": spec}))
-        return {**provenance(text, created), "control": control, **times, "start": start}
+        about = {"control": control, **times, "start": start, LIMITS: limits}
+        return {**provenance(text, created), **about}
 
     return metadata
 

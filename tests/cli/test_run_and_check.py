@@ -204,7 +204,8 @@ def test_run_keeps_the_result_and_says_where(finished):
         "completed",
         "position drift",
         "energy balance",
-        "contact force, right",
+        "largest forces, right",
+        "N at a contact",
         "written",
     ):
         assert text in result.stdout

@@ -101,10 +101,11 @@ PUBLIC_ATTRIBUTES = {
     "Effect": "name Spec forces build",
     "Equilibrium": "state torques linear stability steps acceleration",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
-    "contact_points contact_normals position_residual velocity_residual residuals",
+    "contact_points contact_normals wrenches position_residual velocity_residual residuals",
     "Gradient": "value start parameters error trajectory times weights torque_density "
     "by_torque_table",
     "Joint": "kind arm name at at_tip records",
+    "Kinematics": "tips",
     "LinearSystem": "A B C D rate state state_names input_names output_names modes controllable "
     "stability coordinates_of state_at to_scipy to_control",
     "Loads": "object_wrench joint_torques",
@@ -113,14 +114,17 @@ PUBLIC_ATTRIBUTES = {
     "joint_positions joint_velocities",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
-    "Stepper": "advance reset time state contact_forces events trajectory",
+    "Stepper": "advance reset time state contact_forces wrenches tip_positions "
+    "tip_quaternions_xyzw tip_twists events trajectory",
     "Surface": "name patch record",
     "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
     "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
-    "System": "scene arm_names arms initial_state state",
+    "System": "scene arm_names arms initial_state state kinematics",
+    "TipKinematics": "position rotation twist jacobian joint_names",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "
-    "joint_velocities joint_torques contact_forces contact_states energy kinetic_energy "
-    "potential_energy work energy_balance position_drift velocity_drift status message "
+    "joint_velocities joint_torques contact_forces contact_states wrenches tip_positions "
+    "tip_quaternions_xyzw tip_twists energy kinetic_energy potential_energy "
+    "work energy_balance position_drift velocity_drift status message "
     "certificate events statistics provenance scene save arm_names",
 }
 PUBLIC_PARAMETERS = {
@@ -331,13 +335,14 @@ def objects(welded_ur5_system):
     with system.borrow() as data:
         found = (
             system, system.model, data, system.initial_state(), ma.evaluate(system),
-            ma.Stepper(system), ma.simulate(system, 0.01, certificate=False),
+            ma.Stepper(system), ma.simulate(system, 0.01, certificate=False), system.kinematics(),
         )  # fmt: skip
     return {type(one).__name__: one for one in found}
 
 
 @pytest.mark.parametrize(
-    "name", ["System", "Model", "Data", "State", "Evaluation", "Stepper", "Trajectory"]
+    "name",
+    ["System", "Model", "Data", "State", "Evaluation", "Stepper", "Trajectory", "Kinematics"],
 )
 def test_an_object_shows_itself_in_a_line_or_two(objects, name):
     text = repr(objects[name])
@@ -345,7 +350,9 @@ def test_an_object_shows_itself_in_a_line_or_two(objects, name):
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
-@pytest.mark.parametrize("name", ["System", "State", "Evaluation", "Stepper", "Trajectory"])
+@pytest.mark.parametrize(
+    "name", ["System", "State", "Evaluation", "Stepper", "Trajectory", "Kinematics"]
+)
 def test_dir_has_the_promised_names_and_no_private_ones(objects, name):
     shown = dir(objects[name])
     assert set(PUBLIC_ATTRIBUTES[name].split()) <= set(shown)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from page_reader import Page
 from repository import ROOT, SUPPORT
-from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
+from sample_run import CHANNELS, JOINTS, SCENE, earlier_run, record, rows_of, samples
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
@@ -235,11 +235,19 @@ def test_the_report_shows_the_scene_and_its_name_as_text(page):
 
 
 @pytest.mark.slow
+def test_a_run_of_an_earlier_version_has_a_report_that_says_what_is_missing():
+    run = earlier_run(record(MemorySink()))
+    text = Page(render(run)).text
+    assert "wrenches were not recorded" in text and "Wrenches of the arms" not in text
+    assert plots.wrenches(run) is None
+
+
+@pytest.mark.slow
 def test_hostile_names_are_shown_and_not_run():
     attack = "<script>alert(1)</script>"
     channels = [
         *(c for c in CHANNELS if not c.name.startswith("arms/")),
-        *trajectory_channels({"$\\bad$": {attack.replace("/", ""): "rad"}}, {"$\\bad$": []})[4:8],
+        *trajectory_channels({"$\\bad$": {attack.replace("/", ""): "rad"}}, {"$\\bad$": []})[4:12],
     ]
     sink, block = MemorySink(), samples()
     sink.open(channels, {"scene": f"name: {attack}", "note": attack})

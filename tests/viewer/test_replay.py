@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from replay_pages import POSE, SCENE, SEEK, opened
-from sample_run import rows_of
+from sample_run import earlier_run, rows_of
 
 import multiarm as ma
 from multiarm.errors import ReplayError
@@ -108,6 +108,34 @@ def test_whole_scene_is_in_the_picture_all_the_time(view, exported, trajectory, 
         assert len(corners) > 100
         assert np.abs(corners).max() < 1
     assert np.ptp(corners[:, :2], axis=0).max() > 0.6  # and not lost in it
+
+
+@pytest.mark.slow
+def test_legend_has_the_forces_of_arms_beside_those_of_contacts(view, exported, trajectory):
+    page = opened(view, exported)
+    at_contact = max(np.abs(force).max() for force in trajectory.contact_forces.values())
+    of_arm = {
+        arm: np.linalg.norm(wrench[:, :3], axis=1).max()
+        for arm, wrench in trajectory.wrenches.items()
+    }
+    told = [float(number) for number in re.findall(r"([\d.]+) N", page.inner_text("#scale"))]
+    expected = {at_contact, max(of_arm.values())}
+    assert {told[0], told[-1]} == {float(f"{force:.3g}") for force in expected}
+    titles = page.eval_on_selector_all(".chip", "chips => chips.map(chip => chip.title)")
+    assert all(
+        f"{force:.3g} N" in title for force, title in zip(of_arm.values(), titles, strict=True)
+    )
+
+
+@pytest.mark.slow
+def test_a_run_of_an_earlier_version_has_a_legend_without_forces_of_arms(
+    view, trajectory, tmp_path
+):
+    path = replay(earlier_run(trajectory), tmp_path / "old.html", meshes=False)
+    page = opened(view, path)
+    assert view.complaints == []
+    assert page.inner_text("#scale").endswith("N at a contact")
+    assert page.eval_on_selector_all(".chip", "chips => chips.map(chip => chip.title)") == ["", ""]
 
 
 @pytest.mark.slow
