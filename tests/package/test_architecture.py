@@ -31,7 +31,7 @@ ROOMS = (
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("contacts.unilateral", "viewer.shapes"),
+    "coal": ("assembly.collisions", "contacts.unilateral", "viewer.shapes"),
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
@@ -53,6 +53,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pinocchio": (
         "arms.arm",
         "arms.backends",
+        "assembly.collisions",
         "scene.mjcf",
         "viewer",
         "studies.pinocchio_peer",
@@ -69,6 +70,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "events.event_detection",
         "control.recorded",
         "dynamics.solver.dense",
+        "assembly.collisions",
         "assembly.loop_closure",
         "contacts.internal_forces",
         "effects.external_wrenches",
