@@ -69,35 +69,35 @@ def check(
         console.print(table)
 
 
-def _tables(found: Inspection) -> list[RenderableType]:
+def _tables(inspection: Inspection) -> list[RenderableType]:
     tables = [
-        facts(found.scene, _general(found)),
-        *(facts(f"Arm {name}", _arm(arm)) for name, arm in found.arms.items()),
+        facts(inspection.scene, _general(inspection)),
+        *(facts(f"Arm {name}", _arm(arm)) for name, arm in inspection.arms.items()),
         columns(
             "Joints to the object (z: the joint's axis or normal)",
             ("arm", "kind", "rows", "free motions", "contacts"),
-            [_joint(joint) for joint in found.joints],
+            [_joint(joint) for joint in inspection.joints],
         ),
         facts(
             "Effects",
-            {name: value_text(parameters) for name, parameters in found.effects.items()}
+            {name: value_text(parameters) for name, parameters in inspection.effects.items()}
             or {"none": "only control acts"},
         ),
     ]
-    if found.freedom is not None:
-        tables.append(facts("Freedom", _freedom(found.freedom, found.coming_and_going)))
-    if found.start is not None:
-        tables.append(facts("Start", _start(found, found.start)))
-    return [*tables, facts("Run", _run(found.run))]
+    if inspection.freedom is not None:
+        tables.append(facts("Freedom", _freedom(inspection.freedom, inspection.coming_and_going)))
+    if inspection.start is not None:
+        tables.append(facts("Start", _start(inspection, inspection.start)))
+    return [*tables, facts("Run", _run(inspection.run))]
 
 
-def _general(found: Inspection) -> dict[str, RenderableType]:
-    body = found.object
+def _general(inspection: Inspection) -> dict[str, RenderableType]:
+    body = inspection.object
     return {
-        "gravity": "none" if found.gravity is None else numbers(found.gravity, "m/s^2"),
+        "gravity": "none" if inspection.gravity is None else numbers(inspection.gravity, "m/s^2"),
         "object": f"{body.shape}, {number(body.mass, 'kg')}, at {numbers(body.position, 'm')}",
         "inertia": _inertia(body.inertia),
-        "control": found.control,
+        "control": inspection.control,
     }
 
 
@@ -177,20 +177,20 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     return rows
 
 
-def _start(found: Inspection, start: StartReport) -> dict[str, RenderableType]:
-    left = found.residuals
+def _start(inspection: Inspection, start: StartReport) -> dict[str, RenderableType]:
+    left = inspection.residuals
     assert left is not None, "a start has been evaluated"
     rows: dict[str, RenderableType] = {
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
         "corrections": "\n".join(start.lines()) or "none",
-        "left after them": f"gap {number(found.position_residual, 'm')}, "
-        f"rate {number(found.velocity_residual, 'm/s')}",
+        "left after them": f"gap {number(inspection.position_residual, 'm')}, "
+        f"rate {number(inspection.velocity_residual, 'm/s')}",
         "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
-    if found.carrying is not None:
-        rows["weight of the object"] = _carrying(found.carrying)
+    if inspection.carrying is not None:
+        rows["weight of the object"] = _carrying(inspection.carrying)
     return rows
 
 
