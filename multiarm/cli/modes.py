@@ -11,7 +11,8 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import FILES, JsonFile, NoCode, SceneFile, file_option, option, switch
 from multiarm.cli.show import show_replay
-from multiarm.terminal.console import columns, facts, number, output, print_warnings
+from multiarm.notation import number
+from multiarm.terminal.console import columns, facts, output, print_warnings
 
 if TYPE_CHECKING:
     from multiarm.linear.linearisation import LinearSystem

@@ -11,6 +11,7 @@ from rich.text import Text
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import Code, file_option, option, switch
 from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.notation import count_of
 from multiarm.results.files import resolved
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -23,6 +24,7 @@ RESULT = typer.Argument(
     help="A result of multiarm run, or of multiarm sweep with --run; an HDF5 file.",
     metavar="RESULT.h5",
 )
+REPORT = Path("report.html")
 RUN = option("Number of a run of a sweep, which is simulated again.", "N", default="none")
 
 
@@ -88,9 +90,14 @@ def replay(
 
 def report(
     result: Annotated[Path, RESULT],
-    html: Annotated[Path, option("The HTML file; replaced if it exists.", "FILE.html")] = Path(
-        "report.html"
-    ),
+    html: Annotated[
+        Path | None,
+        option(
+            "The HTML file; one that is named here is replaced if it exists.",
+            "FILE.html",
+            default=f"{REPORT}, which must not exist",
+        ),
+    ] = None,
     run: Annotated[int | None, RUN] = None,
     code: Code = False,
 ) -> None:
@@ -98,6 +105,9 @@ def report(
 
     Of a sweep, --run names the run.
     """
+    if html is None and REPORT.exists():
+        raise MultiarmError(f"'{REPORT}' exists; name the file to be written or replaced: --html")
+    html = html or REPORT
     check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result, run, code)
     import multiarm
@@ -159,8 +169,8 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     try:
         if run is None:
             raise MultiarmError(
-                f"'{result}' is a sweep of {sweep.count} runs; choose the one to show: --run 1 to "
-                f"--run {sweep.count}"
+                f"'{result}' is a sweep of {count_of(sweep.count, 'run')}; choose the one "
+                f"to show: --run 1 to --run {sweep.count}"
             )
         values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
         messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)

@@ -45,6 +45,7 @@ from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
+from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
 from multiarm.scene.values import SURROUNDINGS
 
@@ -199,9 +200,6 @@ class Evaluation:
         )
 
     def _repr_html_(self) -> str:
-        def numbers(values: np.ndarray) -> str:
-            return np.array2string(values, precision=4, suppress_small=True, max_line_width=100)
-
         facts = {
             "object's acceleration [m/s², rad/s²]": numbers(self.object_acceleration),
             **{f"wrench of {a} [N, N m]": numbers(w) for a, w in self.wrenches.items()},

@@ -26,6 +26,7 @@ from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_
 from multiarm.dynamics.tips import Kinematics, kinematics_of
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
@@ -172,7 +173,8 @@ class System:
         for joint in self.scene.joints:
             arm, rows = self.arms[joint.arm], len(self.contacts[joint.arm])
             facts[f"arm {joint.arm}"] = (
-                f"{arm.dof} joints, joined by {joint.kind}: {rows} contacts, free: "
+                f"{count_of(arm.dof, 'joint')}, joined by {joint.kind}: "
+                f"{count_of(rows, 'contact')}, free: "
                 f"{', '.join(self.frames[joint.arm].labels) or 'nothing'}"
             )
         facts["control"] = self.scene.control.kind

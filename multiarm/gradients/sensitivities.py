@@ -31,6 +31,7 @@ from multiarm.gradients.segments import (
     Piece,
 )
 from multiarm.gradients.variation import TINY, state_columns
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.setup import increasing_times
@@ -84,7 +85,8 @@ class Sensitivities:
 
     def __repr__(self) -> str:
         times, rows, columns = self.matrix.shape
-        counts = f"{rows} components at {times} times, by {columns} columns"
+        of, by = count_of(rows, "component"), count_of(columns, "column")
+        counts = f"{of} at {count_of(times, 'time')}, by {by}"
         return f"Sensitivities({counts}{self.message and '; '}{self.message})"
 
     def _repr_html_(self) -> str:

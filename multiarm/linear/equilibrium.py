@@ -47,6 +47,7 @@ from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ModelError, SolverError
 from multiarm.linear.linearisation import LinearSystem, linearise
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 
 __all__ = ["Equilibrium", "find_equilibrium"]
@@ -96,7 +97,7 @@ class Equilibrium:
     __dir__ = public_names
 
     def __repr__(self) -> str:
-        return f"Equilibrium({self.stability}, after {self.steps} steps; {self.state})"
+        return f"Equilibrium({self.stability}, after {count_of(self.steps, 'step')}; {self.state})"
 
     def _repr_html_(self) -> str:
         facts = {
@@ -333,8 +334,8 @@ def _not_found(least: _Search, descent: _Search, start: State) -> str:
     )
     if descent.steps < MOST_STEPS:
         text += (
-            f"no motion near the state reached, {moved:.2g} m or rad from the start, lessens them or "
-            "does work; whether there is one elsewhere is not known; begin elsewhere (`state`)"
+            f"no motion near the state reached, {moved:.2g} m or rad from the start, lessens them "
+            "or does work; whether there is one elsewhere is not known; begin elsewhere (`state`)"
         )
     elif moved > UNBOUNDED:
         text += (
@@ -343,8 +344,8 @@ def _not_found(least: _Search, descent: _Search, start: State) -> str:
         )
     else:
         text += (
-            f"the forces still do work, {moved:.2g} m or rad from the start; whether there is one is "
-            "not known; begin nearer to it (`state`)"
+            f"the forces still do work, {moved:.2g} m or rad from the start; whether there is one "
+            "is not known; begin nearer to it (`state`)"
         )
     return text + (
         ", or give the torques that hold the posture: "

@@ -57,6 +57,11 @@ class Channel:
         units = tuple(self.unit.split(", "))
         return units if len(units) == self.width else (self.unit,) * self.width
 
+    @property
+    def column_labels(self) -> tuple[str, ...]:
+        """Label of each column; its number where there is none."""
+        return self.labels or tuple(str(column + 1) for column in range(self.width))
+
 
 def in_sequence(channels: Iterable[Channel]) -> Columns:
     """Columns of rows in which the channels follow each other."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from multiarm.errors import SceneError, TrajectoryError
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import STATUSES, temporary_name
@@ -119,7 +120,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         span = f", t = {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else ""
-        return f"Trajectory({len(self)} samples{span}, {self.status})"
+        return f"Trajectory({count_of(len(self), 'sample')}{span}, {self.status})"
 
     def _repr_html_(self) -> str:
         span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else "none"
@@ -144,18 +145,9 @@ class Trajectory:
             One row a sample, with the time [s] as index; a column for each number, named
             ``channel/label``, such as ``arms/left/joint_position/elbow_joint``. ``attrs["units"]``
             maps columns to units.
-
-        Raises
-        ------
-        TrajectoryError
-            The package pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise TrajectoryError(
-                "to_pandas: the package pandas is not installed: pip install pandas"
-            ) from None
+        import pandas
+
         columns: dict[str, np.ndarray] = {}
         units: dict[str, str] = {}
         for channel in self._store.channels.values():
@@ -167,6 +159,39 @@ class Trajectory:
         frame = pandas.DataFrame(columns, index=time)
         frame.attrs["units"] = {name: unit for name, unit in units.items() if name != "time"}
         return frame
+
+    @property
+    def limit_use(self) -> Any:
+        r"""How much of its limits each joint uses: the largest shares and their times.
+
+        The limits are those of the robot's file, whether or not the scene enforces them. The share
+        is 1 at the limit: :math:`|\tau| / \hat\tau` of the effort, with the torque of the drive
+        (`joint_torques`: within limits and lag of the drive if the scene has any; friction is no
+        part of it), :math:`|v| / \hat v` of the speed, and
+        :math:`|q - (q_- + q_+)/2| / ((q_+ - q_-)/2)` of the range. Peaks between two stored samples
+        are not seen.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a joint, with the columns ``joint`` (``left/shoulder_pan_joint``), ``effort``,
+            ``speed``, ``range`` (shares), and ``effort_time``, ``speed_time``, ``range_time`` [s],
+            of the first such sample. NaN where the robot's file names no limit (an effort or a
+            speed of 0 is none), and everywhere in results of earlier versions, which do not store
+            the limits.
+
+        Raises
+        ------
+        TrajectoryError
+            The limits in the file cannot be read.
+        """
+        import pandas
+
+        from multiarm.results.limit_use import JointUse, joint_uses
+
+        columns = tuple(JointUse("", None, None, None).row())
+        frame = pandas.DataFrame([use.row() for use in joint_uses(self)], columns=columns)
+        return frame.astype(dict.fromkeys(columns[1:], float))
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -391,8 +416,8 @@ class Trajectory:
         ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
         ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
         bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
-        evaluations, wall_time_s, errors, returned). The errors are estimates, from a rerun with
-        smaller tolerances.
+        evaluations, wall_time_s, compile_time_s, errors, returned). The errors are estimates, from
+        a rerun with smaller tolerances.
         """
         return self._outcome.certificate
 
@@ -437,7 +462,8 @@ class Trajectory:
         -------
         dict
             status, message, samples, duration_s; steps, rejected_steps, evaluations,
-            wall_time_s, realtime_factor, error_estimate as far as the run counted them;
+            wall_time_s (without compilation), compile_time_s (of all runs of its check
+            together), realtime_factor, error_estimate as far as the run counted them;
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
             contact_force_max_N, the largest magnitude per arm, and of the floor; wrench_max, per
@@ -446,8 +472,8 @@ class Trajectory:
             coupled_steps. Numbers are finite; unknown ones are None.
         """
         counted = (
-            "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
-            "error_estimate",
+            "steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
+            "realtime_factor", "error_estimate",
         )  # fmt: skip
         forces, wrenches = (
             channels_of(self._store.channels, quantity) for quantity in ("contact_force", "wrench")

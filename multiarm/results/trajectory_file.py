@@ -37,6 +37,7 @@ import h5py
 import numpy as np
 
 from multiarm.errors import TrajectoryError
+from multiarm.notation import count_of
 from multiarm.results.channels import (
     Channel,
     arm_names,
@@ -116,7 +117,7 @@ class TrajectoryReader(StoredFile):
         width = math.prod(stored.shape[1:])
         here = stored.id.get_storage_size() // (stored.dtype.itemsize * max(width, 1))
         if min(len(stored), here if width else self.samples) < self.samples:
-            raise self.broken(f"'{name}' has not all of its {self.samples:,} samples")
+            raise self.broken(f"'{name}' has not all of its {count_of(self.samples, 'sample')}")
         self.require(name, self.samples)
         words = {key: self.attribute(key, str, stored) for key in ("unit", "frame", "description")}
         labels: tuple[Any, ...] = ()

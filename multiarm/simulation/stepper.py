@@ -7,7 +7,6 @@ has the steps, events and numbers of a run whose control is sampled where the ca
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
@@ -21,6 +20,7 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED
+from multiarm.jit.compilation import compile_time, running_time
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of
 from multiarm.results.sinks import MemorySink
@@ -166,7 +166,7 @@ class Stepper:
         for block in (*self._blocks, rows, self._observe()[None]):
             sink.append(block)
         message = f"advanced to t = {self.time:.9g} s"
-        statistics = run_statistics(self._driver, task, self._wall)
+        statistics = run_statistics(self._driver, task, self._wall, self._compilation)
         return sink.finish("completed", message, statistics, run.log.all()).of(task.system.scene)
 
     def _metadata(self) -> dict[str, Any]:
@@ -227,15 +227,17 @@ class Stepper:
             check_control_span(self._task.data.model, 0.0, end)
         self._control(torques)
         self._extend(end)
-        started = time.perf_counter()
+        started, compiled_before = running_time(), compile_time()
         try:
             self._drive()
         finally:
-            self._wall += time.perf_counter() - started
+            self._wall += running_time() - started
+            self._compilation += compile_time() - compiled_before
         return state_of(self._run, self._layout)
 
     def _begin(self, torques: np.ndarray | None) -> None:
         """Bring the task to its start, where ``torques`` are held, or those of its own control."""
+        compiled_before = compile_time()
         self._task.data.hold(torques)
         self._driver: Driver = begin(self._task, MemorySink())
         run = self._driver.run
@@ -248,7 +250,7 @@ class Stepper:
         self._pace = Pace(run, self._task.spec)
         self._blocks: list[np.ndarray] = []
         self._row = np.zeros(run.block.shape[1])
-        self._wall = 0.0
+        self._wall, self._compilation = 0.0, compile_time() - compiled_before
 
     def _end_after(self, duration: float) -> float:
         t = self._run.clock.t

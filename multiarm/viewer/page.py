@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import ReplayError
+from multiarm.notation import count_of
 from multiarm.reports import pages
 from multiarm.results.channels import CONTACT_STATES
 from multiarm.results.event_log import (
@@ -172,7 +173,7 @@ def _ticks(events: Sequence[Event], at: np.ndarray, duration: float) -> list[dic
     for interval in np.unique(part):
         inside = [int(i) for i in np.flatnonzero(part == interval)]
         kinds = list(dict.fromkeys(events[i]["kind"] for i in inside))
-        more = f" and {len(kinds) - NAMED} more kinds" if len(kinds) > NAMED else ""
+        more = f" and {count_of(len(kinds) - NAMED, 'more kind')}" if len(kinds) > NAMED else ""
         number = f"{len(inside)} events: " if len(inside) > 1 else ""
         when = f"{events[inside[0]]['time']:.4g} s"
         ticks.append(

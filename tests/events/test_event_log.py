@@ -267,7 +267,7 @@ def test_every_time_plot_marks_the_events():
             assert found["contact lost"].tolist() == [2.5]
         (legend,) = figure.legends
         words = [text.get_text() for text in legend.get_texts()]
-        assert words == ["touches (1)", "lets go (1)", "slides (1)"]
+        assert words == ["touches: 1 event", "lets go: 1 event", "slides: 1 event"]
 
 
 def test_families_differ_in_their_dashes_too():
@@ -284,7 +284,7 @@ def test_lines_of_many_events_are_bounded_and_cover_all_of_them():
     (times,) = marks(figure.axes[0]).values()
     assert 100 < len(times) <= DISTINCT + 1
     assert np.diff(times).max() < 2.1 * 6.0 / DISTINCT
-    assert figure.legends[0].get_texts()[0].get_text() == "bounces (5,000)"
+    assert figure.legends[0].get_texts()[0].get_text() == "bounces: 5,000 events"
 
 
 def test_events_leave_the_axes_as_they_are():
@@ -357,7 +357,7 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     sink.append(rows_of(channels, block))
     axes = plots.contact_states(sink.finish("completed", "", {})).axes[0]
     assert len(axes.texts) == MOST_ROWS
-    assert "9 more contacts are not shown" in axes.get_xlabel()
+    assert "9 more contacts not shown" in axes.get_xlabel()
 
 
 @pytest.mark.slow
@@ -537,7 +537,7 @@ def test_report_says_whose_the_largest_forces_are_and_when():
 def printed(run):
     figures = run_figures("swing", run, {}, False)
     console = Console(width=200, file=io.StringIO())
-    console.print(summary_table(figures))
+    console.print(summary_table(figures, 0.0))
     assert json.loads(json.dumps(figures))["events"] == run.events
     return [line.strip() for line in console.file.getvalue().splitlines()]
 
