@@ -6,6 +6,7 @@ Bodies are written on the command line as ``box:1.2,0.8,0.6``, ``prism:6,0.3,0.8
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,12 +33,18 @@ if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
     from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
+    from multiarm.scene import Scene
 
 __all__ = ["FORMS", "body_of_text", "design_facts", "grasp_app", "judgement_tables"]
 
 
 # Reach of an optimised gripper around its corner, in sizes of the body.
 USUAL_SIZE = 0.2
+# So many further grasps are tried where arms do not reach the first.
+FURTHER = 4
+SEARCHED = "the arms do not reach the grasp that a construction gives, or that was found first"
+# Cosine of the tilt of an object that stands upright.
+UPRIGHT = 1.0 - 1e-9
 GRIPPERS, SCENE, RESULTS = "Grippers", "The scene", "Results"
 
 grasp_app = typer.Typer(
@@ -47,11 +54,9 @@ grasp_app = typer.Typer(
 
 
 class Objective(str, Enum):
-    """The quantity that an optimised grasp maximises or minimises."""
+    """The quantity that an optimised grasp maximises."""
 
     margin = "margin"
-    stability = "stability"
-    force = "force"
 
 
 @grasp_app.command("design")
@@ -91,8 +96,8 @@ def design(
     optimise: Annotated[
         Objective | None,
         option(
-            "Search for the best placements: the largest margin or stability, or the smallest "
-            "contact forces; says how far from the best it may be.",
+            "Search for the best placements: the largest margin; says how far from the best it "
+            "may be.",
             default="a construction of the thesis",
             panel=GRIPPERS,
         ),
@@ -137,8 +142,8 @@ def design(
     from multiarm.scene import dump_scene
 
     solid = body_of_text(body, scale)
-    made = _designed(solid, offset, gripper_size, optimise, gap, tip_radius, seed)
-    scene = made.to_scene(
+    made, scene = _first_in_reach(
+        _designs(solid, offset, gripper_size, optimise, gap, tip_radius, seed),
         arms,
         mass=mass,
         tip_radius=tip_radius,
@@ -152,6 +157,8 @@ def design(
     comments = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *made.notes))
     text = comments + dump_scene(scene)
     rows = design_facts(made)
+    if scene.object.pose.matrix()[2, 2] < UPRIGHT:
+        rows["object"] = "turned at the start: upright, the arms do not reach it"
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
     rows["squeeze"] = f"{squeeze} in the mean, so that no contact opens"
     messages().print(facts("Grasp", rows))
@@ -211,7 +218,29 @@ def check(
         print_written("picture", plot)
 
 
-def _designed(
+def _first_in_reach(
+    grasps: Iterable[Grasp], arms: tuple[str, str], **options: Any
+) -> tuple[Grasp, Scene]:
+    """The first of the grasps that the arms reach, and its scene.
+
+    Raises
+    ------
+    GraspError
+        They reach none; the reason for the last.
+    """
+    from multiarm.grasp.scenes import UnreachableError
+
+    faults = []
+    for grasp in grasps:
+        try:
+            return grasp, grasp.to_scene(arms, **options)
+        except UnreachableError as error:
+            faults.append(str(error))
+    tried = f"of {len(faults)} grasps none can be reached; the last: " if len(faults) > 1 else ""
+    raise GraspError(tried + faults[-1])
+
+
+def _designs(
     body: Any,
     offset: float | None,
     gripper_size: float | None,
@@ -219,28 +248,33 @@ def _designed(
     gap: float,
     tip_radius: float,
     seed: int,
-) -> Grasp:
+) -> Iterator[Grasp]:
+    """The grasp as asked for, and others that serve where arms do not reach this one."""
     import numpy as np
+
+    from multiarm.grasp import design_grasp, optimise_grasp, search_grasp
 
     rng = np.random.default_rng(seed)
     if optimise is None:
-        from multiarm.grasp import design_grasp
-
-        return design_grasp(body, offset=offset, gripper_size=gripper_size, generator=rng)
-    from multiarm.grasp import optimise_grasp
-
+        yield design_grasp(
+            body, offset=offset, gripper_size=gripper_size, generator=rng, progress=True
+        )
+        if offset is None and gripper_size is None:
+            for _ in range(FURTHER):
+                yield search_grasp(body, rng).noted(SEARCHED)
+        return
     if offset is not None:
         raise MultiarmError("--offset belongs to the construction for blocks, not to --optimise")
-    found = optimise_grasp(
-        body,
-        objective=optimise.value,
-        gripper_size=gripper_size or USUAL_SIZE * body.size,
-        tip_radius=tip_radius,
-        gap=gap,
-        progress=True,
-        rng=rng,
-    )
-    return found.grasp.noted(found.message)
+    for _ in range(1 + FURTHER):
+        best = optimise_grasp(
+            body,
+            gripper_size=gripper_size or USUAL_SIZE * body.size,
+            tip_radius=tip_radius,
+            gap=gap,
+            progress=True,
+            rng=rng,
+        )
+        yield best.grasp.noted(best.message)
 
 
 def _mesh_file(solid: Any, out: Path | None, body: str) -> Path | None:

@@ -28,6 +28,8 @@ The draws come from a generator that is passed in, so that a search can be repea
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from multiarm.errors import GraspError
@@ -40,7 +42,6 @@ from multiarm.grasp.assembling import (
     size_of_gripper,
     sized,
     smallest_pushes,
-    two_groups,
 )
 from multiarm.grasp.blocks import USUAL_OFFSET, design_block_grasp
 from multiarm.grasp.body_class import BodyClass, as_polyhedron, classify, roundness
@@ -50,6 +51,7 @@ from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.parallel_bodies import design_parallel_grasp
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import two_groups
 from multiarm.grasp.seventh_contact import region_of, seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp
 
@@ -61,6 +63,7 @@ def design_grasp(
     offset: float | None = None,
     seventh: float | None = None,
     generator: np.random.Generator | None = None,
+    progress: bool | Callable[[int, int, str], None] | None = None,
 ) -> Grasp:
     """A form-closure grasp of a polyhedron by two grippers, without friction.
 
@@ -75,6 +78,8 @@ def design_grasp(
         A and E of the construction for blocks [m] (see `design_block_grasp`).
     generator : numpy.random.Generator, optional
         For the search, where one is needed.
+    progress : bool or callable, optional
+        Of the wider class, as in `design_wide_grasp`.
 
     Returns
     -------
@@ -101,7 +106,7 @@ def design_grasp(
     elif found.kind == "three pairs of parallel faces":
         grasp = design_parallel_grasp(body, gripper_size=gripper_size)
     else:
-        grasp = _general_grasp(body, found, gripper_size, generator)
+        grasp = _general_grasp(body, found, gripper_size, generator, progress)
     return grasp.noted(*nearly_round, f"the body is {found.words}")
 
 
@@ -143,11 +148,12 @@ def _general_grasp(
     found: BodyClass,
     gripper_size: float | None,
     generator: np.random.Generator | None,
+    progress: bool | Callable[[int, int, str], None] | None,
 ) -> Grasp:
     """The wider class when it can be, and a search otherwise."""
     if found.triples:
         try:
-            return design_wide_grasp(body, gripper_size=gripper_size)
+            return design_wide_grasp(body, gripper_size=gripper_size, progress=progress)
         except GraspError:
             pass  # the search may still find one; its notes say that it was a search
     grasp = search_grasp(body, generator)
@@ -180,7 +186,8 @@ def search_grasp(body: Polyhedron, generator: np.random.Generator | None = None)
     Returns
     -------
     Grasp
-        The contacts in two groups, each as compact as it can be; gripper 1 carries the larger.
+        The contacts in two groups that hands reach, as compact as can be; gripper 1 carries the
+        larger.
 
     Raises
     ------
@@ -270,7 +277,7 @@ def _firmness(contacts: Contacts) -> float:
 
 
 def _grasp(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> Grasp:
-    first, second = two_groups(contacts.points)
+    first, second = two_groups(contacts)
     order = [*first, *second]
     on = [faces[j] for j in order]
     points = contacts.points[order]
