@@ -26,7 +26,7 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
-from multiarm.grasp.programs import LinearSolution, linear_program
+from multiarm.programs import LinearSolution, linear_program
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
 # A body of half-spaces is bounded when the origin is inside the hull of their duals by more than

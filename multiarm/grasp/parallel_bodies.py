@@ -86,8 +86,9 @@ Offsets = tuple[float, float, float, float]
 # its bound, or half way from the bound to the edge if that is nearer.
 USUAL_DEPTH, USUAL_STEPS, USUAL_DISTANCE = 0.3, (0.5, -0.5), 2.0
 
-# How the refusal of a corner begins that would not do with grippers of any size.
-OPEN = "no contact on the line y = f of the top"
+
+class OpenCornerError(GraspError):
+    """A corner at which no contact on the line y = f closes, with grippers of any size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,19 +202,20 @@ def design_parallel_grasp(
     offsets = None if offsets is None else _four(offsets)
     if found.kind not in ("block", "three pairs of parallel faces"):
         raise GraspError(f"three pairs of parallel faces are needed; this body is {found.words}")
-    best, faults = None, []
+    best: Grasp | None = None
+    faults: list[GraspError] = []
     for three in [faces] if faces is not None else _corners(body, found.pairs):
         opposite = opposite_corner(found, body, three)
         for step in USUAL_STEPS[: 1 if offsets is not None else None]:
             try:
                 made = _fitted(body, three, opposite, offsets, step, distance, gripper_size)
             except GraspError as error:
-                faults.append(str(error))
+                faults.append(error)
                 continue
             if best is None or made.closure.distance > best.closure.distance:
                 best = made
     if best is None:
-        reasons = [fault for fault in faults if not fault.startswith(OPEN)] or faults
+        reasons = [fault for fault in faults if not isinstance(fault, OpenCornerError)] or faults
         raise GraspError(f"no corner of the body takes these grippers; for one, {reasons[0]}")
     return best
 
@@ -378,9 +380,11 @@ class CornerPattern:
         return ""
 
     def require_reach(self) -> None:
-        """Raise `GraspError` when no contact on the line y = f of the top closes the grasp."""
+        """Raise `OpenCornerError` when no contact on the line y = f of the top closes the grasp."""
         if self.faulty:
-            raise GraspError(f"{OPEN} closes the grasp: {self.faulty}")
+            raise OpenCornerError(
+                f"no contact on the line y = f of the top closes the grasp: {self.faulty}"
+            )
 
     @cached_property
     def points(self) -> np.ndarray:

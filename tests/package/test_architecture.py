@@ -23,9 +23,9 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts",
-    "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly", "events",
-    "simulation", "linear", "gradients", "grasp", "sweeps",
+    "errors", "public", "geometry", "jit", "spatial", "programs", "tableaus", "scene", "results",
+    "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly",
+    "events", "simulation", "linear", "gradients", "grasp", "sweeps",
     "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
@@ -72,7 +72,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "control.recorded",
         "dynamics.solver.dense",
         "assembly.loop_closure",
-        "contacts.internal_forces",
+        "programs",
         "effects.external_wrenches",
         "gradients.collocation",
         "linear.coordinates",
