@@ -66,7 +66,7 @@ def _workplace() -> Path:
     startup = folder / ".ipython" / "profile_default" / "startup"
     startup.mkdir(parents=True)
     shutil.copy(DOCS / "_extensions" / "page_startup.py", startup)
-    for name in ("examples", "robots"):
+    for name in ("examples", "robots", "benchmarks"):
         (folder / name).symlink_to(ROOT / name)
     return folder
 

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
+from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
 from multiarm.errors import ModelError
+from multiarm.notation import count_of
 from multiarm.scene.faults import counted
-from multiarm.scene.meshes import readable_visuals
+from multiarm.scene.meshes import readable_shapes
 from multiarm.scene.mjcf import mjcf_model
 
 
@@ -117,7 +118,7 @@ class Arm:
         self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
 
     def __repr__(self) -> str:
-        return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
+        return f"Arm({self.name!r}, {count_of(self.dof, 'joint')}, tip {self.files.tip!r})"
 
     def configuration(self, angles: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
@@ -157,17 +158,37 @@ class Arm:
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
         bias = pin.nonLinearEffects(model, data, q, v).copy()
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        pin.updateFramePlacements(model, data)
-        tip, axes = self.tip_frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        tip, axes = self._tip(data, q), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        drift = pin.getFrameClassicalAcceleration(model, data, self.tip_frame_id, axes)
         return ArmTerms(
             M=inertia,
             bias=bias,
-            J=np.array(jacobian).reshape(6, model.nv),
-            tip_position=data.oMf[tip].translation.copy(),
-            tip_rotation=data.oMf[tip].rotation.copy(),
-            tip_twist=pin.getFrameVelocity(model, data, tip, axes).vector.copy(),
-            drift=pin.getFrameClassicalAcceleration(model, data, tip, axes).vector.copy(),
+            J=tip.jacobian,
+            tip_position=tip.position,
+            tip_rotation=tip.rotation,
+            tip_twist=tip.twist,
+            drift=drift.vector.copy(),
+        )
+
+    def tip_kinematics(self, angles: np.ndarray, velocity: np.ndarray) -> TipKinematics:
+        """Motion of the tip at joint positions [rad or m] and velocities, (n,)."""
+        q, data = self.configuration(angles), self.model.createData()
+        pin.forwardKinematics(self.model, data, q, np.array(velocity, dtype=float))
+        return self._tip(data, q)
+
+    def _tip(self, data: pin.Data, q: np.ndarray) -> TipKinematics:
+        """Motion of the tip, where ``data`` has that of the joints at ``q``."""
+        model, tip = self.model, self.tip_frame_id
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        pose = pin.updateFramePlacement(model, data, tip)
+        twist = pin.getFrameVelocity(model, data, tip, axes).vector
+        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        return TipKinematics(
+            position=pose.translation.copy(),
+            rotation=pose.rotation.copy(),
+            twist=twist.copy(),
+            jacobian=np.array(jacobian).reshape(6, model.nv),
+            joint_names=self.joint_names,
         )
 
     def tip_pose(self, angles: np.ndarray) -> np.ndarray:
@@ -254,6 +275,10 @@ class Arm:
         """
         return _assemble(self.name, self.files, loader)[1]
 
+    def collision_model(self, loader: Any) -> pin.GeometryModel:
+        """The URDF's collision geometry; of a robot or tool without any, its visual geometry."""
+        return _assemble(self.name, self.files, loader, pin.GeometryType.COLLISION)[1]
+
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
     """Velocity of a joint's frame for a unit rate, linear and angular, in its own axes."""
@@ -315,21 +340,24 @@ def _read(urdf: Path | str, _stamp: int) -> pin.Model:
 
 
 def _assemble(
-    name: str, files: ArmFiles, loader: Any = None
+    name: str,
+    files: ArmFiles,
+    loader: Any = None,
+    kind: pin.GeometryType = pin.GeometryType.VISUAL,
 ) -> tuple[pin.Model, pin.GeometryModel]:
-    """Robot, tool, locked joints, base: the model and, with a ``loader``, its visual geometry."""
+    """Robot, tool, locked joints, base: the model and, with a ``loader``, its geometry."""
     base = pin.SE3(files.base)
     if files.mjcf:
         model, first = mjcf_model(files.urdf)
         base = base * pin.SE3(first.matrix())
     else:
         model = _from_urdf(name, files.urdf)
-    geometry = _geometry(model, files.urdf, files.package_dirs, loader, files.mjcf)
+    geometry = _geometry(model, files.urdf, files.package_dirs, loader, kind, files.mjcf)
     armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
-        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, loader)
+        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, loader, kind)
         mount = _frame_id(model, files.mount, name)
         placement = pin.SE3(files.tool_placement)
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
@@ -354,39 +382,57 @@ def _geometry(
     urdf: Path | str,
     package_dirs: tuple[Path, ...],
     loader: Any,
+    kind: pin.GeometryType,
     mjcf: bool = False,
 ) -> pin.GeometryModel:
-    """The visuals; without those whose meshes cannot be read, which a warning names."""
+    """The shapes; without those whose meshes cannot be read, which a warning names."""
     if loader is None:
         return pin.GeometryModel()
     folders = [str(p) for p in package_dirs]
+    role, lack, without = _ROLES[kind]
 
-    def visuals(text: str) -> pin.GeometryModel:
-        kind = pin.GeometryType.VISUAL
+    def shapes(text: str) -> pin.GeometryModel:
         return pin.buildGeomFromUrdfString(model, text, kind, None, folders, loader)
 
+    lost: list[str] = []
     try:
         if mjcf:
-            return pin.buildGeomFromMJCF(model, str(urdf), pin.GeometryType.VISUAL)
-        if isinstance(urdf, str):
-            return visuals(urdf)
-        text, lost = readable_visuals(urdf, package_dirs)
-        try:
-            geometry = visuals(text)
-        except (ValueError, RuntimeError):
-            text, lost = readable_visuals(urdf, package_dirs, loader)
-            geometry = visuals(text)
+            geometry = pin.buildGeomFromMJCF(model, str(urdf), kind)
+        elif isinstance(urdf, str):
+            geometry = shapes(urdf)
+        else:
+            text, lost = readable_shapes(urdf, package_dirs, role)
+            try:
+                geometry = shapes(text)
+            except (ValueError, RuntimeError):
+                text, lost = readable_shapes(urdf, package_dirs, role, loader)
+                geometry = shapes(text)
     except (ValueError, RuntimeError):
         name = "a tool's URDF" if isinstance(urdf, str) else urdf
-        warnings.warn(f"the shapes of {name} cannot be read: the replay shows bars", stacklevel=2)
+        warnings.warn(f"the shapes of {name} cannot be read: {without}", stacklevel=2)
         return pin.GeometryModel()
     if lost:
+        assert isinstance(urdf, Path), "only files have meshes of their own"
         what = counted([*dict.fromkeys(lost)], 3)
-        warnings.warn(
-            f"{urdf.name}: the replay leaves out {what}; a joint with no shape left has a bar",
-            stacklevel=2,
-        )
+        warnings.warn(f"{urdf.name}: {lack.format(what)}", stacklevel=2)
+    if kind == pin.GeometryType.COLLISION and not geometry.ngeoms and not lost:
+        return _geometry(model, urdf, package_dirs, loader, pin.GeometryType.VISUAL, mjcf)
     return geometry
+
+
+# The tag of shapes in a URDF, what a warning says where some cannot be read, and where none can.
+_ROLES = {
+    pin.GeometryType.VISUAL: (
+        "visual",
+        "the replay leaves out {}; a joint with no shape left has a bar",
+        "the replay shows bars",
+    ),
+    pin.GeometryType.COLLISION: (
+        "collision",
+        "postures are found without regard to {}",
+        "postures are found without regard to them",
+    ),
+}
 
 
 def named_with_prefix(arm: Arm) -> pin.Model:

@@ -14,7 +14,7 @@ import numpy as np
 
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
-from multiarm.assembly.bases import find_bases
+from multiarm.assembly.bases import Standing, find_bases
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.postures import find_postures
 from multiarm.assembly.start import assemble as close_start
@@ -237,16 +237,19 @@ def with_bases(scene: Scene) -> Scene:
     SceneError
         Naming every arm for which there is no place.
     """
-    arms = {
-        name: _make_arm(name, scene, resolve_arm(spec, scene.folder))
-        for name, spec in scene.arms.items()
-        if spec.open_base
-    }
-    if not arms:
+    if not any(spec.open_base for spec in scene.arms.values()):
         return scene
+    arms, standing = {}, {}
+    for name, spec in scene.arms.items():
+        resolved = resolve_arm(spec, scene.folder)
+        arm = _make_arm(name, scene, resolved)
+        if spec.open_base:
+            arms[name] = arm
+        elif spec.posture not in (None, SOLVE):
+            standing[name] = Standing(arm, resolved.posture)
     specs = {
         name: scene.arms[name].model_copy(update={"base": base, "posture": SOLVE})
-        for name, base in find_bases(scene, arms).items()
+        for name, base in find_bases(scene, arms, standing).items()
     }
     return scene.model_copy(update={"arms": {**scene.arms, **specs}})
 
@@ -445,6 +448,9 @@ def draft_model(
         geometry=rows.table.geometry,
         shapes=rows.table.shapes,
         frames=np.zeros((len(arms), FRAME_WIDTH)),
+        tip_frames=np.array(
+            [np.append(arm.tip_rotation, arm.tip_translation) for arm in arms.values()]
+        ),
         free_bounds=np.zeros(len(arms) + 1, dtype=np.int64),
         free=np.zeros((0, 2), dtype=np.int64),
         monitors=make_monitors(monitored, limits, layout, effects.watched),

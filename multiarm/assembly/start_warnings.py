@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.assembly.postures import overlapping_links
 from multiarm.dynamics.system import System
 from multiarm.scene import JointSpec
 from multiarm.scene.faults import place
@@ -15,8 +16,16 @@ MOVED = 1e-9
 
 
 def start_warnings(system: System) -> list[str]:
-    """Joints off the object's shape, and written postures that assembly pushed into a limit."""
-    return [*_joints_off_the_object(system), *_joints_at_limits(system)]
+    """What a start has that is possible but probably not meant.
+
+    Joints off the object's shape, written postures that assembly pushed into a limit, and links of
+    arms without a written posture that overlap the object or other arms.
+    """
+    return [
+        *_joints_off_the_object(system),
+        *_joints_at_limits(system),
+        *_links_in_the_way(system),
+    ]
 
 
 def _joints_off_the_object(system: System) -> list[str]:
@@ -61,3 +70,13 @@ def _joints_at_limits(system: System) -> list[str]:
                 "correct the posture, the base or the joint's place"
             )
     return found
+
+
+def _links_in_the_way(system: System) -> list[str]:
+    postures = system.initial_state().joint_positions
+    return [
+        f"{place(('arms', arm, 'posture'))}: {contact.link} overlaps {contact.obstacle} by "
+        f"{-contact.distance:.2g} m (convex hulls), and no posture was found that does not; move "
+        "the base, choose another place on the object, or write a posture"
+        for arm, contact in overlapping_links(system.scene, system.arms, postures).items()
+    ]

@@ -24,7 +24,6 @@ from multiarm.cli.new import new
 from multiarm.cli.pose import pose
 from multiarm.cli.robots import robots
 from multiarm.cli.run import run
-from multiarm.cli.scaling import scaling
 from multiarm.cli.schema import schema
 from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
@@ -134,7 +133,7 @@ def _program(
 
 _COMMANDS = (
     new, run, check, pose, robots, shapes, joints, controls, methods, schema, replay, report,
-    accuracy, effects, scaling, stability, modes, sweep, warmup,
+    accuracy, effects, stability, modes, sweep, warmup,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

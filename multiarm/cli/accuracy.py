@@ -57,7 +57,7 @@ def accuracy(
         bool,
         typer.Option(
             "--peers/--no-peers",
-            help="Run the scene in Pinocchio, and in MuJoCo and Drake if they are installed.",
+            help="Run the scene in Pinocchio, and in MuJoCo if it is installed.",
         ),
     ] = True,
     quick: Annotated[
@@ -68,7 +68,12 @@ def accuracy(
         typer.Option("--thorough", help="Measure dominated settings too, as often as others."),
     ] = False,
     error: Annotated[
-        Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
+        Quantity,
+        option(
+            "What is ranked: position, rotation, joints, force, or motion, the worst of the first "
+            "three.",
+            "NAME",
+        ),
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
     out: Annotated[

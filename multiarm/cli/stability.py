@@ -11,8 +11,9 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import JsonFile, file_option
-from multiarm.cli.studies import rendered, write_files
-from multiarm.terminal.console import columns, number, output, print_error
+from multiarm.cli.studies import write_files
+from multiarm.notation import count_of, number
+from multiarm.terminal.console import columns, output, print_error
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
@@ -31,20 +32,9 @@ def stability(
     listing: Annotated[
         bool, typer.Option("--list", help="Only list the cases and what is hard about them.")
     ] = False,
-    peers: Annotated[
-        bool,
-        typer.Option(
-            "--peers/--no-peers",
-            help="Solve the same systems by Pinocchio's own algorithms, and by MuJoCo if it is "
-            "installed.",
-        ),
-    ] = True,
     html: Annotated[
         Path | None,
-        file_option(
-            "Write one HTML page with time series of every case and the peers' answers.",
-            "FILE.html",
-        ),
+        file_option("Write one HTML page with time series of every case.", "FILE.html"),
     ] = None,
     json: JsonFile = None,
 ) -> None:
@@ -65,7 +55,7 @@ def stability(
         output().print(columns("Hard cases", ("name", "case", "what is hard"), rows))
         return
     with Progress() as progress:
-        suite = run_suite(names or (), peers=peers, progress=progress)
+        suite = run_suite(names or (), progress=progress)
     console = output()
     for part in _parts(suite):
         console.print(part)
@@ -80,14 +70,9 @@ def stability(
 
 
 def _parts(suite: SuiteResult) -> list[RenderableType]:
-    from multiarm.studies.hard_case_page import solver_table
-
     heads = ("case", "criteria: measured / bound", "run", "verdict")
     rows = [_row(case) for case in suite.cases]
     parts: list[RenderableType] = [columns("Hard cases", heads, rows)]
-    if any(case.answers for case in suite.cases):
-        parts += rendered(solver_table(suite.cases))
-        parts.append(Text("All answers are in the page and in the JSON.", "dim"))
     passed, total = suite.passed, len(suite.cases)
     style = "bold green" if passed == total else "bold red"
     took = f" in {number(suite.wall_time_s, 's')}"
@@ -104,7 +89,7 @@ def _row(case: CaseResult) -> tuple[RenderableType, ...]:
     verdict = Text("pass", "bold green") if case.passed else Text("FAIL", "bold red")
     title = Text.assemble((f"{case.name}\n", "bold"), (case.title, "dim"))
     steps, wall = case.statistics.get("steps"), number(case.wall_time_s, "s")
-    course = [f"rank {rank_text(case)}", path_text(case), f"{number(steps)} steps, {wall}"]
+    course = [f"rank {rank_text(case)}", path_text(case), f"{count_of(steps or 0, 'step')}, {wall}"]
     run = Text("" if steps is None else "\n".join(course), "dim")
     return title, Group(*lines, ""), run, verdict
 

@@ -14,6 +14,7 @@ control may jump, and the sides of a jump belong to two segments.
 from __future__ import annotations
 
 import math
+from copy import copy
 from functools import cache
 
 import numpy as np
@@ -45,6 +46,13 @@ class Series:
         self._middle, self._half = _range(begin, end)
         self._shape = values.shape[1:]
         self._coefficients = _transform(len(values) - 1) @ values.reshape(len(values), -1)
+
+    def plus(self, change: Series) -> Series:
+        """The sum with a series of the same or a lower degree over the same segment."""
+        total = copy(self)
+        total._coefficients = self._coefficients.copy()
+        total._coefficients[: len(change._coefficients)] += change._coefficients
+        return total
 
     @property
     def numbers(self) -> int:

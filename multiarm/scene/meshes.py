@@ -12,17 +12,18 @@ from multiarm.scene.urdf import read_xml
 _MOST_MESH_BYTES = 1 << 30
 
 
-def readable_visuals(
-    urdf: Path, package_dirs: tuple[Path, ...], loader: Any = None
+def readable_shapes(
+    urdf: Path, package_dirs: tuple[Path, ...], role: str, loader: Any = None
 ) -> tuple[str, list[str]]:
-    """The text of a URDF without visuals whose meshes cannot be read, and what these are.
+    """The text of a URDF without shapes whose meshes cannot be read, and what these are.
 
-    Its meshes have their paths.  With a ``loader`` of coal's, each is read, which takes long.
+    ``role`` is ``visual`` or ``collision``.  Its meshes have their paths.  With a ``loader`` of
+    coal's, each is read, which takes long.
     """
     robot, faults, lost = read_xml(urdf), {}, []
     for link in robot.findall("link"):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
+        for shape in link.findall(role):
+            mesh = shape.find("geometry/mesh")
             if mesh is None:
                 continue
             address = mesh.get("filename", "")
@@ -31,7 +32,7 @@ def readable_visuals(
                 faults[address] = _fault(path, loader)
             if faults[address]:
                 lost.append(f"{path or address} of link '{link.get('name')}' ({faults[address]})")
-                link.remove(visual)
+                link.remove(shape)
             mesh.set("filename", str(path))
     return ElementTree.tostring(robot, "unicode"), lost
 

@@ -275,6 +275,18 @@ class Mesh(Spec):
     ] = (1.0, 1.0, 1.0)
     """Metres for each unit of the file, for all axes or one for each."""
 
+    def triangles(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Corners (N, 3) in the object's frame [m] and triangles (T, 3); None if unreadable."""
+        import trimesh
+
+        try:
+            solid: Any = trimesh.load_mesh(str(self.file), process=False)
+            corners = np.array(solid.vertices, float) * self.scale
+            triangles = np.array(solid.faces, int)
+        except Exception:  # readers of the formats raise what they please; the replay says so
+            return None
+        return (corners, triangles) if len(triangles) else None
+
 
 class Shape(OneOf):
     """The shape of the object: exactly one of these."""
@@ -334,17 +346,8 @@ class Shape(OneOf):
         if self.hull is not None:
             points = np.array(self.hull)
             return nearest_in(points, hull_triangles(points), point)
-        if self.mesh is None:
-            return None
-        import trimesh
-
-        try:
-            loaded: Any = trimesh.load_mesh(str(self.mesh.file), process=False)
-            points = np.array(loaded.vertices, float) * self.mesh.scale
-            triangles = np.array(loaded.faces, int)
-        except Exception:  # readers of the formats raise what they please; the replay says so
-            return None
-        return nearest_in(points, triangles, point) if len(triangles) else None
+        triangles = None if self.mesh is None else self.mesh.triangles()
+        return None if triangles is None else nearest_in(*triangles, point)
 
 
 NO_SHAPE = Shape.model_construct()

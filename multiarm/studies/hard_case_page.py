@@ -1,27 +1,24 @@
 """The hard cases as tables, figures and one self-contained HTML page.
 
 The page shows how many cases are within their criteria and on which machine; an overview of the
-cases; then a card a case with its criteria, four panels over time (loops, energy, residual, rank),
-its events and the peers' answers.
+cases; then a card a case with its criteria, four panels over time (loops, energy, residual, rank)
+and its events.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from textwrap import shorten
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from multiarm.notation import count_of, number
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
-from multiarm.reports.pages import scientific
 from multiarm.studies.hard_cases import CaseResult, CriterionResult, SuiteResult
-from multiarm.studies.peer_trials import OURS, Answer
-from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
 
 
 def figures(suite: SuiteResult) -> dict[str, Any]:
@@ -34,7 +31,7 @@ def rank_text(case: CaseResult) -> str:
     low, high = (case.statistics.get(key) for key in ("lowest_rank", "highest_rank"))
     text = "-" if low is None else f"{low}" if low == high else f"{low} to {high}"
     count = len(case.events)
-    return text if not count else f"{text}, {count} event{'s' if count > 1 else ''}"
+    return text if not count else f"{text}, {count_of(count, 'event')}"
 
 
 def path_text(case: CaseResult) -> str:
@@ -44,90 +41,7 @@ def path_text(case: CaseResult) -> str:
         return "-"
     if not coupled:
         return "linear"
-    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
-
-
-RIGHT = DOUBTFUL = 1e-6
-"""Relative error of accelerations up to which they are right; above it they are doubtful."""
-WRONG = 1e-2
-
-
-def solver_table(cases: Sequence[CaseResult]) -> Table:
-    """One row a solver, over all cases that were given to it."""
-    columns = (
-        Column("solver", TEXT),
-        Column("cases", TEXT, about="those that it can express"),
-        Column(
-            "accelerations", TEXT, about="number of cases right to 1e-6 at the hardest instant, "
-            "compared with a dense solution",
-        ),
-        Column(
-            "short runs", TEXT, about="around that instant; too slow: more than one second on this "
-            "machine",
-        ),
-        Column("gap", TEXT, "{:.0e}".format, scientific, "the largest [m] in finished runs"),
-        Column("broke in", TEXT),
-    )  # fmt: skip
-    return Table("Other solvers", columns, tuple(_solver_rows(cases)))
-
-
-def _solver_rows(cases: Sequence[CaseResult]) -> Iterator[tuple[Any, ...]]:
-    given = [case for case in cases if case.answers]
-    for number, solver in enumerate(answer.solver for answer in given[0].answers):
-        found = [(case.name, case.answers[number]) for case in given]
-        tried = [(name, answer) for name, answer in found if not answer.refusal]
-        if not tried:
-            yield solver, "0", None, None, None, found[0][1].refusal
-            continue
-        right = sum(_is_right(answer) for _, answer in tried)
-        finished = [answer for _, answer in tried if not answer.ended]
-        gaps = [answer.drift for answer in finished if answer.drift is not None]
-        late = sum(answer.out_of_time for _, answer in tried)
-        slow = f", {late} too slow" if late else ""
-        broken = ", ".join(name for name, answer in tried if answer.broken) or None
-        yield (
-            solver, len(tried), f"{right} right", f"{len(finished)} finished{slow}",
-            max(gaps, default=None), broken,
-        )  # fmt: skip
-
-
-def _is_right(answer: Answer) -> bool:
-    errors = (answer.object_error, answer.joint_error)
-    return all(error is not None and error <= RIGHT for error in errors)
-
-
-def answer_table(case: CaseResult) -> Table:
-    """The answers of all solvers to one case."""
-    columns = (
-        Column("", TEXT),
-        Column(f"object's acceleration\noff, at {case.hardest_s:.4g} s", write=scientific),
-        Column("joints' accelerations\noff", write=scientific),
-        Column(f"loops apart [m]\nin {case.window_s:.3g} s around it", write=scientific),
-        Column("energy error [J]", write=scientific),
-        Column("", REMARK),
-    )
-    return Table("The same by others", columns, tuple(_answer_row(a) for a in case.answers))
-
-
-def _answer_row(answer: Answer) -> tuple[Any, ...]:
-    name = Cell(answer.solver, "strong" if answer.solver == OURS else "")
-    if answer.refusal:
-        return name, answer.refusal
-    errors = (answer.object_error, answer.joint_error)
-    remark = "; ".join(filter(None, (answer.accelerations, answer.ended)))
-    return (
-        name,
-        *(Cell("none", "bad") if answer.accelerations else _error_cell(x) for x in errors),
-        answer.drift,
-        answer.energy_error,
-        Cell(remark, "bad" if answer.broken else ""),
-    )
-
-
-def _error_cell(error: float | None) -> Cell:
-    if error is None or error <= DOUBTFUL:
-        return Cell(error)
-    return Cell(error, "bad" if error > WRONG else "warn")
+    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {count_of(steps, 'step')}"
 
 
 # --- figure and page ------------------------------------------------------------------------------
@@ -186,7 +100,6 @@ def render(suite: SuiteResult) -> str:
         "stability.html",
         suite=suite,
         cases=[_case(case, f"c{number}-") for number, case in enumerate(suite.cases)],
-        solvers=solver_table(suite.cases) if any(case.answers for case in suite.cases) else None,
         simulated_s=sum(case.wall_time_s for case in suite.cases),
         shown_events=SHOWN_EVENTS,
     )
@@ -205,7 +118,6 @@ def _case(case: CaseResult, prefix: str) -> dict[str, Any]:
         "path": path_text(case),
         "run": _run(case),
         "figure": "" if figure is None else inline_svg(figure, prefix),
-        "answers": answer_table(case) if case.answers else None,
     }
 
 
@@ -245,10 +157,10 @@ def _run(case: CaseResult) -> list[str]:
     counted = case.statistics
     if not counted:
         return []
-    wall = pages.quantity(case.wall_time_s, "s")
+    wall = number(case.wall_time_s, "s")
     return [
-        f"{pages.quantity(counted['simulated_s'], 's')} simulated in {wall}",
-        f"{counted['integrator']}, {counted['steps']:,} steps "
+        f"{number(counted['simulated_s'], 's')} simulated in {wall}",
+        f"{counted['integrator']}, {count_of(counted['steps'], 'step')} "
         f"({counted['rejected_steps']:,} rejected)",
         f"solver {counted['solver']}, {counted['stabilization']}",
         f"rank {rank_text(case)}",

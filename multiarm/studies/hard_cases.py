@@ -1,9 +1,8 @@
 """Run the hard cases and judge them by their own criteria.
 
 :func:`run_case` turns one :class:`multiarm.problems.HardCase` into a :class:`CaseResult`: each
-criterion measured against its bound, the rank, the cost of the run, and the results of other
-programs on the same case.  A case passes when the run is completed and every criterion is within
-its bound.  A case that cannot be run is a result too.
+criterion measured against its bound, the rank, and the cost of the run.  A case passes when the run
+is completed and every criterion is within its bound.  A case that cannot be run is a result too.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import unknown
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.peer_trials import Answer, Trial, all_answers
 from multiarm.studies.records import error_text, machine
 from multiarm.terminal.progress import Progress, Report, displayed
 
@@ -107,12 +105,6 @@ class CaseResult:
         Of the run: steps, evaluations, coupled_steps, lowest_rank, highest_rank, ...
     wall_time_s : float
         Of the run, without compilation; 0 when not run.
-    hardest_s : float
-        The instant at which the solvers are compared.
-    window_s : float
-        Length of their short run.
-    answers : tuple of Answer
-        Ours and the peers'; empty if peers were not run.
     history : dict of str to list
         time [s], gap [m], gap_rate [m/s], energy_balance [J], residual [1], rank, coupled_arms.
     scene : str
@@ -129,9 +121,6 @@ class CaseResult:
     events: tuple[dict[str, Any], ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
     wall_time_s: float = 0.0
-    hardest_s: float = 0.0
-    window_s: float = 0.0
-    answers: tuple[Answer, ...] = ()
     history: Mapping[str, list[float | None]] = field(default_factory=dict)
     scene: str = ""
 
@@ -160,7 +149,7 @@ class SuiteResult:
     machine : dict
         Processor, platform, versions, time of the run.
     wall_time_s : float
-        Of everything, compilation and peers too.
+        Of everything, compilation too.
     """
 
     cases: tuple[CaseResult, ...]
@@ -187,7 +176,6 @@ def run_suite(
     names: Sequence[str] = (),
     *,
     cases: Mapping[str, HardCase] | None = None,
-    peers: bool = True,
     progress: bool | Report | None = None,
 ) -> SuiteResult:
     """Run hard cases one after the other; none of them ends the suite.
@@ -198,8 +186,6 @@ def run_suite(
         Which; all when empty.
     cases : mapping of str to HardCase, optional
         Where the names are looked up; ``multiarm.problems.HARD_CASES`` when left out.
-    peers : bool
-        Run other programs too.
     progress : bool or callable, optional
         ``progress(done, total, words)``, in cases; True: on stderr.
 
@@ -219,7 +205,7 @@ def run_suite(
             def report(what: str, part: float, number: int = number, name: str = case.name) -> None:
                 show(number + part, len(chosen), f"{name}: {what}")
 
-            results.append(run_case(case, peers=peers, progress=report))
+            results.append(run_case(case, progress=report))
         show(len(chosen), len(chosen), "done")
     return SuiteResult(tuple(results), machine(), time.perf_counter() - begin)
 
@@ -241,9 +227,7 @@ def choose_cases(
     return [case for name, case in known.items() if not names or name in names]
 
 
-def run_case(
-    case: HardCase, *, peers: bool = True, progress: CaseProgress | None = None
-) -> CaseResult:
+def run_case(case: HardCase, *, progress: CaseProgress | None = None) -> CaseResult:
     """Run one hard case and judge it.
 
     Whatever is raised on the way, except Ctrl-C, becomes a result that did not pass.
@@ -256,11 +240,10 @@ def run_case(
         scene = case.scene()
         text = dump_scene(scene)
         system = compile_system(scene)
-        span = 0.8 if peers else 1.0
         duration = scene.run.duration
         trajectory = simulate(
             system,
-            progress=lambda t: report("simulating", span * min(1.0, t / duration)),
+            progress=lambda t: report("simulating", min(1.0, t / duration)),
             certificate=False,
         )
     except Exception as error:
@@ -269,14 +252,6 @@ def run_case(
         raise KeyboardInterrupt
     expected = (*case.criteria, *([EVENTS] if case.events else []))
     criteria = tuple(_measured(item, trajectory, system) for item in expected)
-    answers: tuple[Answer, ...] = ()
-    hardest = window = 0.0
-    if len(trajectory):
-        trial = Trial(system, trajectory, case.hardest)
-        hardest, window = trial.time, trial.window
-        if peers:
-            report("running peers", 0.8)
-            answers = all_answers(trial)
     return CaseResult(
         *about,
         passed=trajectory.status == "completed" and all(item.passed for item in criteria),
@@ -286,9 +261,6 @@ def run_case(
         events=tuple(trajectory.events),
         statistics=trajectory.statistics,
         wall_time_s=trajectory.statistics["wall_time_s"],
-        hardest_s=hardest,
-        window_s=window,
-        answers=answers,
         history=_history(trajectory),
         scene=text,
     )

@@ -34,8 +34,8 @@ from multiarm.errors import ModelError
 from multiarm.jit.structs import floats_at, struct_at
 from multiarm.studies.peers import (
     Drive,
+    Peer,
     Sinusoid,
-    Solver,
     TimeSeries,
     joint_ends,
     links,
@@ -53,7 +53,7 @@ _INTEGRATORS = {
 # and the stages of a step at which MuJoCo calls for torques
 
 
-class MujocoPeer(Solver):
+class MujocoPeer(Peer):
     """A system as a MuJoCo model, with the best settings; MuJoCo integrates damping implicitly.
 
     Raises
@@ -63,7 +63,6 @@ class MujocoPeer(Solver):
     """
 
     methods: ClassVar = dict.fromkeys(_INTEGRATORS, "step")
-    best: ClassVar = ("RK4", 5e-4)
     hardened: ClassVar = True
 
     def __init__(self, system: System):
@@ -107,17 +106,6 @@ class MujocoPeer(Solver):
         velocity = [d.qvel[n : n + 3], self._rotation() @ d.qvel[n + 3 :], d.qvel[:n]]
         return State(np.concatenate(position), np.concatenate(velocity), self.system.model.layout)
 
-    def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
-        """The object's classical acceleration in world axes and the joints', shape (6 + n,)."""
-        d, n = self.data, self.system.model.layout.joints
-        self.place(state)
-        d.qfrc_applied[:n] = torque
-        with _quiet():
-            mujoco.mj_forward(self.model, d)
-        # the free joint's: linear in world axes, angular in the object's own
-        angular = self._rotation() @ d.qacc[n + 3 :]
-        return np.concatenate([d.qacc[n : n + 3], angular, d.qacc[:n]])
-
     def follow(
         self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
     ) -> None:
@@ -138,7 +126,7 @@ class MujocoPeer(Solver):
             played = TorqueTape(d.qfrc_applied[:n]), drive
             control = played[0].play
         offsets = (np.arange(count)[:, None] + np.array(stages)).ravel()
-        with _quiet(control):
+        with quiet(control):
             for k in range(grid.intervals):
                 if played is not None:
                     tape, torques = played
@@ -167,12 +155,11 @@ class MujocoPeer(Solver):
 class MujocoAsShipped(MujocoPeer):
     """A system as a MuJoCo model with MuJoCo's own settings."""
 
-    best: ClassVar = ("Euler", 2e-3)
     hardened: ClassVar = False
 
 
 @contextmanager
-def _quiet(control: Callable | None = None) -> Iterator[None]:
+def quiet(control: Callable | None = None) -> Iterator[None]:
     """MuJoCo without its log file, and with a control function; both are global to it."""
     mujoco.set_mju_user_warning(lambda _text: None)
     mujoco.set_mjcb_control(control)

@@ -1,4 +1,4 @@
-"""Other programs behind one interface: their model of a system, one acceleration, one motion.
+"""Other programs behind one interface: their model of a system, and its motion.
 
 Each peer has its best settings: models are built and torques tabulated outside the measured time,
 and no Python is in a loop that can do without.  Torques of time alone are a :class:`Sinusoid`, a
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, ClassVar
@@ -21,7 +21,6 @@ from multiarm.arms.arm import Arm
 from multiarm.contacts.kernel import GAP
 from multiarm.control.laws import harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
-from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
@@ -30,20 +29,14 @@ from multiarm.scene import RunSpec
 from multiarm.studies.timing import OutOfTime
 
 PEERS = {
-    "MuJoCo": ("mujoco_peer", "MujocoPeer"),
-    "MuJoCo as shipped": ("mujoco_peer", "MujocoAsShipped"),
-    "Pinocchio": ("pinocchio_peer", "PinocchioTree"),
-    "constraintDynamics as shipped": ("pinocchio_peer", "AsShipped"),
-    "constraintDynamics": ("pinocchio_peer", "ConstraintDynamics"),
-    "lcaba": ("pinocchio_peer", "Lcaba"),
-    "Drake": ("drake_peer", "DrakePeer"),
+    "MuJoCo": "multiarm.studies.mujoco_peer:MujocoPeer",
+    "MuJoCo as shipped": "multiarm.studies.mujoco_peer:MujocoAsShipped",
+    "Pinocchio": "multiarm.studies.pinocchio_peer:PinocchioTree",
 }
 """Name -> module, which need not be importable here, and class of the peer."""
 EXPRESSIBLE = ("weld", "ball", "revolute")
 """Kinds of joint that the peers have constraints for."""
-BYTES_PER_CUBE = 64
-"""Memory of Pinocchio's Data, as measured, grows with the cube of the number of joints."""
-NOT_INSTALLED = "not installed: pip install multiarm[peers]"
+NOT_INSTALLED = "not installed: pip install mujoco"
 
 
 @dataclass(frozen=True)
@@ -231,45 +224,29 @@ class Peer(ABC):
         """
 
 
-class Solver(Peer):
-    """A peer that can be asked for its accelerations at one state.
+def make_peers(
+    system: System, peers: Mapping[str, str] = PEERS
+) -> tuple[dict[str, Peer], dict[str, str]]:
+    """The programs that can run a system by name, and why the others cannot.
 
-    Attributes
-    ----------
-    best : tuple of str and float
-        The method by which a short motion is followed, and its step [s] or tolerance.
+    ``peers`` maps names to ``module:Class``, as ``PEERS`` does.
     """
-
-    best: ClassVar[tuple[str, float]]
-
-    @abstractmethod
-    def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
-        """The object's classical acceleration in world axes and the joints', shape (6 + n,)."""
-
-
-def make_peers(system: System, names: Sequence[str]) -> tuple[dict[str, Peer], dict[str, str]]:
-    """Of ``PEERS``, the programs that can run a system by name, and why the others cannot."""
     able: dict[str, Peer] = {}
     refusals: dict[str, str] = {}
     # no other program here has another effect
     strange = sorted(set(system.scene.effects.named) - {"joint_damping"})
-    for name in names:
-        module, kind = PEERS[name]
+    for name, place in peers.items():
+        module, _, kind = place.partition(":")
         try:
             if strange:
                 refusals[name] = f"cannot express {', '.join(strange)}"
             else:
-                able[name] = getattr(import_module(f"multiarm.studies.{module}"), kind)(system)
+                able[name] = getattr(import_module(module), kind)(system)
         except ModelError as error:
             refusals[name] = f"cannot express it: {error}"
         except ImportError:
             refusals[name] = NOT_INSTALLED
     return able, refusals
-
-
-def memory_needed(joints: int) -> float:
-    """About what Pinocchio's Data takes for a system of so many joints [bytes]."""
-    return BYTES_PER_CUBE * (6.0 + joints) ** 3
 
 
 @dataclass(frozen=True)
@@ -373,18 +350,6 @@ def largest_gap(system: System, state: State) -> float:
         data.set_state(0.0, state)
         update_kinematics(data.struct)
         return float(np.max(np.abs(data.arrays.contacts[:, GAP]), initial=0.0))
-
-
-def total_energy(system: System, state: State) -> float:
-    """Kinetic and potential energy [J]."""
-    with system.borrow() as data:
-        data.set_state(0.0, state)
-        update_kinematics(data.struct)
-        twist, b = state.object_twist, data.arrays
-        kinetic = twist @ b.inertia @ twist
-        for i, v in enumerate(state.joint_velocities.values()):
-            kinetic += v @ read_inertia(b.pointers[i], v.size) @ v
-        return 0.5 * float(kinetic) + data.potential_energy()
 
 
 def joint_damping(system: System) -> np.ndarray:

@@ -1,13 +1,11 @@
-"""The same system in Pinocchio: its closed-loop algorithms, and the motion by an integrator.
+"""The same system in Pinocchio: its closed-loop algorithm, and the motion by an integrator.
 
 Each joint of a scene is one or two rigid constraints between a tip and the object: a weld has 6
 rows, a ball 3, and a hinge, for which Pinocchio has none, is written as two balls on its axis (6
 rows, one of them redundant).
 
-:class:`ConstraintDynamics` and :class:`Lcaba` have the object as a free-flyer beside all arms.
-These algorithms need care: with a regularisation of zero, which is what ``constraintDynamics`` has
-as shipped, they return NaN or unconverged numbers without an exception when rows are redundant, and
-``lcaba`` keeps state in its ``Data`` between calls.
+``constraintDynamics`` needs care: with a regularisation of zero, which it has as shipped, it
+returns NaN or unconverged numbers without an exception when rows are redundant.
 
 Motions are integrated in Python, as Pinocchio has no integrator.  For its best performance
 :class:`PinocchioTree` gets as few coordinates as possible: the object is attached to the last arm
@@ -31,7 +29,7 @@ from scipy.integrate import DOP853
 from multiarm.arms.arm import named_with_prefix
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.studies.peers import Drive, Peer, Sinusoid, Solver, TimeSeries, joint_ends, tip_frame
+from multiarm.studies.peers import Drive, Peer, Sinusoid, TimeSeries, joint_ends, tip_frame
 from multiarm.studies.timing import OutOfTime
 
 Settings = tuple[float, ...]
@@ -48,7 +46,7 @@ Solve = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Accelerations by configuration, velocity and generalised forces."""
 
 
-class _Loops(Peer):
+class PinocchioLoops(Peer):
     """A system as one Pinocchio model, whose loops are closed by rigid constraints.
 
     The state is ``y``: one number a joint, the object's own coordinates, all velocities, and the
@@ -117,10 +115,11 @@ class _Loops(Peer):
                         self._object * on_object * part, pin.ReferenceFrame.LOCAL,
                     )
                 )  # fmt: skip
-        self.data, self.constraint_data = self.model.createData(), self._constraint_data()
+        self.data, self.constraint_data = self.model.createData(), self.new_constraint_data()
         pin.initConstraintDynamics(self.model, self.data, self.constraints, self.constraint_data)
 
-    def _constraint_data(self):
+    def new_constraint_data(self) -> pin.StdVec_RigidConstraintData:
+        """What the algorithms keep for each constraint, as made anew."""
         data = pin.StdVec_RigidConstraintData()
         for constraint in self.constraints:
             data.append(constraint.createData())
@@ -128,16 +127,18 @@ class _Loops(Peer):
 
     def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
         """A function without arguments, to be timed, that runs the algorithm once."""
-        return self._call(*self._given(state, torque), self.fast)
+        return self.call(*self.arguments(state, torque), self.fast)
 
-    def _given(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def arguments(
+        self, state: State, torque: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pinocchio's configuration, velocity and generalised forces."""
         y, n = self.coordinates(state), torque.size
         v, tau = y[self._split :][: self.model.nv].copy(), np.zeros(self.model.nv)
         tau[:n] = torque - self.damping * v[:n]
         return self._configuration(y), v, tau
 
-    def _call(
+    def call(
         self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Settings
     ) -> Callable[[], np.ndarray]:
         """A function without arguments that runs the algorithm once."""
@@ -153,10 +154,10 @@ class _Loops(Peer):
         """
 
         def solve(q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-            found = self._call(q, v, tau, self.precise)()
-            if not np.all(np.isfinite(found)):
+            accelerations = self.call(q, v, tau, self.precise)()
+            if not np.all(np.isfinite(accelerations)):
                 raise FloatingPointError("NaN")
-            return found
+            return accelerations
 
         return solve
 
@@ -295,7 +296,7 @@ class _Loops(Peer):
         )
 
 
-class PinocchioTree(_Loops):
+class PinocchioTree(PinocchioLoops):
     """``constraintDynamics`` on as few coordinates as possible: the object is on the last arm."""
 
     def __init__(self, system: System):
@@ -309,52 +310,6 @@ class PinocchioTree(_Loops):
         return lambda q, v, tau: dynamics(
             model, data, q, v, tau, constraints, constraint_data, settings
         )
-
-
-class ConstraintDynamics(_Loops, Solver):
-    """``constraintDynamics`` on the forest of all arms and a free object.
-
-    Its settings, like those of :class:`Lcaba`, were chosen among four as the most precise on two
-    welded UR5s, folded and straight; other systems may want others.
-    """
-
-    best: ClassVar = ("SciPy DOP853", 1e-10)
-    precise: ClassVar[Settings] = (1e-14, 1e-14, 1e-10, 50)
-
-    def __init__(self, system: System):
-        super().__init__(system, holder="")
-
-    def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
-        """The object's classical acceleration and the joints', as Pinocchio returns them."""
-        q, v, tau = self._given(state, torque)
-        a = self._call(q, v, tau, self.precise)()
-        rotation, local = _se3(state.position).rotation, v[-6:]
-        linear = rotation @ (a[-6:-3] + np.cross(local[3:], local[:3]))
-        return np.concatenate([linear, rotation @ a[-3:], a[:-6]])
-
-
-class AsShipped(ConstraintDynamics):
-    """``constraintDynamics`` with its own settings, which regularise nothing."""
-
-    precise: ClassVar[Settings] = ()
-
-
-class Lcaba(ConstraintDynamics):
-    """``lcaba`` on the same forest."""
-
-    precise: ClassVar = (1e-12, 1e-12, 1e-3, 100)
-    fast: ClassVar = (1e-10, 1e-10, 1e-6, 10)
-
-    def _call(
-        self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Settings
-    ) -> Callable[[], np.ndarray]:
-        """The algorithm with a Data of its own, since it keeps state there."""
-        data, constraint_data = self.model.createData(), self._constraint_data()
-        pin.computeJointMinimalOrdering(self.model, data, self.constraints)
-        return partial(
-            pin.lcaba, self.model, data, q, v, tau, self.constraints, constraint_data,
-            pin.ProximalSettings(*settings),
-        )  # fmt: skip
 
 
 def _quaternion_rate(q: list[float], w: list[float]) -> tuple[float, float, float, float]:

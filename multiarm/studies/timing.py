@@ -1,17 +1,15 @@
-"""How the studies measure time: short interleaved bursts of calls, and slopes fitted to them.
+"""How the studies measure time: short interleaved bursts of calls, and runs on a clock.
 
 Contestants are measured in turns, one burst of each after the other, so that disturbances by other
 programs affect all alike.  Everything runs on one thread; the time is the processor's time for it,
-which is the wall time on a quiet machine, and not much more on a busy one.  The figure of a
-contestant is the *fastest* of its bursts (others can only slow a burst down, through shared caches)
-or the *median*.
+which is the wall time on a quiet machine, and not much more on a busy one.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -23,7 +21,6 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
 from multiarm.tableaus import RK4
@@ -62,20 +59,20 @@ def measure(
     dict of str to ndarray, shape (bursts,)
     """
     calls = {name: calls_a_burst(burst) for name, burst in bursts.items()}
-    found: dict[str, list[float]] = {name: [] for name in bursts}
+    seconds: dict[str, list[float]] = {name: [] for name in bursts}
     spent = dict.fromkeys(bursts, 0.0)
     for turn in range(turns):
         for name, burst in bursts.items():
             if name in rare and turn % rare_every:
                 continue
-            if spent[name] > PATIENCE and len(found[name]) >= FEWEST:
+            if spent[name] > PATIENCE and len(seconds[name]) >= FEWEST:
                 continue
             begin = time.thread_time()
             burst(calls[name])
             took = time.thread_time() - begin
             spent[name] += took
-            found[name].append(took / calls[name])
-    return {name: np.array(times) for name, times in found.items()}
+            seconds[name].append(took / calls[name])
+    return {name: np.array(times) for name, times in seconds.items()}
 
 
 def calls_a_burst(burst: Burst) -> int:
@@ -84,26 +81,6 @@ def calls_a_burst(burst: Burst) -> int:
     begin = time.thread_time()
     burst(2)
     return max(1, round(BURST / max((time.thread_time() - begin) / 2, 1e-7)))
-
-
-def fastest(times: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """The fastest burst of each contestant, microseconds a call."""
-    return {name: 1e6 * float(np.min(found)) for name, found in times.items()}
-
-
-def median(times: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """The median burst of each contestant, microseconds a call."""
-    return {name: 1e6 * float(np.median(found)) for name, found in times.items()}
-
-
-def python_burst(call: Callable[[], object]) -> Burst:
-    """A burst of calls from Python."""
-
-    def burst(count: int) -> None:
-        for _ in range(count):
-            call()
-
-    return burst
 
 
 def slope_burst(data: Data) -> Burst:
@@ -127,39 +104,6 @@ def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
             raise SolverError("a part of an evaluation failed in the benchmark")
 
     return burst
-
-
-def call_burst(data: Data, *parts: int) -> Burst:
-    """Compiled parts of an evaluation, by their addresses, in turn."""
-    bursts = [loop_burst(data, _call_often, address) for address in parts]
-    return lambda count: [burst(count) for burst in bursts]
-
-
-def terms_burst(data: Data) -> Burst:
-    """Pinocchio's two calls alone."""
-    address = data.arrays.functions.pinocchio
-    return lambda count: _terms_often(address, count)
-
-
-def fitted_slope(sizes: Sequence[float], costs: Sequence[float | None]) -> float | None:
-    """Least-squares slope of log cost over log size; None with fewer than two costs."""
-    known = [(n, cost) for n, cost in zip(sizes, costs, strict=True) if cost is not None]
-    if len(known) < 2:
-        return None
-    n, cost = np.log(np.array(known)).T
-    return float(np.polyfit(n, cost, 1)[0])
-
-
-def fitted_slopes(
-    sizes: Sequence[float], costs: Sequence[Mapping[str, float | None]]
-) -> dict[str, float | None]:
-    """The slope of each contestant, from all their costs at each size."""
-    return {name: fitted_slope(sizes, [cost[name] for cost in costs]) for name in costs[0]}
-
-
-def upper_half(sizes: Sequence[Any]) -> slice:
-    """The larger half of increasing sizes, at least two of them where there are two."""
-    return slice(len(sizes) // 2 if len(sizes) >= 4 else max(0, len(sizes) - 2), None)
 
 
 @contextmanager
@@ -219,19 +163,3 @@ def _evaluate_often(struct, z, base, slope, count):
         if status != OK:
             return status
     return status
-
-
-@kernel
-def _call_often(struct, address, count):
-    status = OK
-    for _ in range(count):
-        status = call_cfunc(address, struct, 0.0, 0.0)
-        if status != OK:
-            return status
-    return status
-
-
-@kernel
-def _terms_often(address, count):
-    for _ in range(count):
-        call_python(address)

@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from multiarm.errors import SweepError
+from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.results.files import resolved
 from multiarm.scene.faults import unknown
@@ -63,7 +64,8 @@ class Sweep:
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
-        return f"Sweep({len(self)} of {self.count} runs{': ' if counts else ''}{counts})"
+        done = f"{len(self)} of {count_of(self.count, 'run')}"
+        return f"Sweep({done}{': ' if counts else ''}{counts})"
 
     @property
     def count(self) -> int:

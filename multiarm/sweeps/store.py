@@ -40,6 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictInt, ValidationError
 from typing_extensions import Self
 
 from multiarm.errors import SweepError
+from multiarm.notation import count_of
 from multiarm.results.files import atomic_file
 from multiarm.results.hdf5 import StoredFile, reason
 from multiarm.results.sinks import provenance
@@ -407,7 +408,7 @@ def _changed_lines(what: str, there: str, here: str) -> list[str]:
     changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
     shown = [f"{what}: {line}" for line in changed[:6]]
     more = len(changed) - len(shown)
-    return [*shown, f"{what}: and {more} more lines"] if more > 0 else shown
+    return [*shown, f"{what}: and {count_of(more, 'more line')}"] if more > 0 else shown
 
 
 class WriterLock:

@@ -1,18 +1,16 @@
-"""Claims about the hard-case suite: who passes, how it is told, and what peers are asked."""
+"""Claims about the hard-case suite: which cases pass, and how that is reported."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import re
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from commands import command, finite_json, promised_keys
-from mechanics import planar_pair, ur5_pair
+from mechanics import ur5_pair
 from page_reader import Page
 
 import multiarm as ma
@@ -20,23 +18,11 @@ from multiarm import problems
 from multiarm.cli import stability as stability_command
 from multiarm.problems import Criterion, HardCase
 from multiarm.reports.pages import scientific
-from multiarm.studies import peer_trials
 from multiarm.studies.hard_case_page import render
 from multiarm.studies.hard_cases import CaseResult, run_case, run_suite
-from multiarm.studies.peer_trials import OURS, SOLVERS, Trial
-from multiarm.studies.peers import (
-    NOT_INSTALLED,
-    Grid,
-    Solver,
-    TimeSeries,
-    largest_gap,
-    make_peers,
-    total_energy,
-)
 
 stability = command("stability", 80)
 RUN = {"duration": 0.2, "accuracy": 1e-8}
-MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
 
 
 def most_drift(run, system) -> float:
@@ -112,27 +98,14 @@ GOOD = {"healthy", "hinged", "face"}
 
 @pytest.fixture(scope="module")
 def suite():
-    """All cases of this file, peers asked, however slow the machine is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(peer_trials, "PATIENCE", 120.0)
-        return run_suite(cases=CASES)
+    """All cases of this file."""
+    return run_suite(cases=CASES)
 
 
 @pytest.fixture
 def own_cases(monkeypatch):
     """The command knows the cases of this file."""
     monkeypatch.setattr(problems, "HARD_CASES", CASES)
-
-
-@pytest.fixture(scope="module")
-def healthy_trial():
-    """The two questions about two moving welded arms."""
-    return trial_of(HEALTHY)
-
-
-def trial_of(case: HardCase) -> Trial:
-    system = ma.compile_system(case.scene())
-    return Trial(system, ma.simulate(system), case.hardest)
 
 
 def case_of(suite, name: str) -> CaseResult:
@@ -149,7 +122,7 @@ def test_a_case_passes_when_it_is_completed_within_all_criteria(suite):
 
 
 def test_measured_is_what_the_criterion_measures():
-    case = run_case(HEALTHY, peers=False)
+    case = run_case(HEALTHY)
     system = ma.compile_system(HEALTHY.scene())
     again = ma.simulate(system)
     assert [item.measured for item in case.criteria] == [0.0, most_drift(again, system)]
@@ -160,8 +133,8 @@ def test_a_measure_on_the_bound_passes_and_the_next_number_above_does_not():
     def at(bound):
         return replace(HEALTHY, criteria=(Criterion("two", bound, "1", lambda run, system: 2.0),))
 
-    assert run_case(at(2.0), peers=False).passed
-    assert not run_case(at(np.nextafter(2.0, 0.0)), peers=False).passed
+    assert run_case(at(2.0)).passed
+    assert not run_case(at(np.nextafter(2.0, 0.0))).passed
 
 
 def test_a_run_that_breaks_off_fails_whatever_its_criteria_say():
@@ -170,7 +143,7 @@ def test_a_run_that_breaks_off_fails_whatever_its_criteria_say():
         return pair("weld", "weld")().replace(run={**run, "stabilization": "none"})
 
     easy = (Criterion("nothing", 1.0, "1", lambda run, system: 0.0),)
-    case = run_case(replace(HEALTHY, scene=diverging, criteria=easy), peers=False)
+    case = run_case(replace(HEALTHY, scene=diverging, criteria=easy))
     assert (case.status, case.passed) == ("failed", False)
     assert case.failures == (f"failed: {case.message}",)
 
@@ -178,7 +151,7 @@ def test_a_run_that_breaks_off_fails_whatever_its_criteria_say():
 @pytest.mark.slow
 def test_a_case_that_raises_is_a_failing_row_with_its_message(suite):
     case = case_of(suite, "no_scene")
-    assert (case.passed, case.status, case.answers) == (False, "not run", ())
+    assert (case.passed, case.status) == (False, "not run")
     assert "unknown robot 'nobody'" in case.message
     assert suite.cases[-1].status == "completed", "the suite went on"
 
@@ -208,9 +181,7 @@ def test_ctrl_c_in_a_case_ends_the_suite():
 
 def test_progress_grows_to_the_number_of_cases():
     told: list[float] = []
-    run_suite(
-        ["healthy", "face"], cases=CASES, peers=False, progress=lambda done, *_: told.append(done)
-    )
+    run_suite(["healthy", "face"], cases=CASES, progress=lambda done, *_: told.append(done))
     assert told == sorted(told)
     assert (told[0], told[-1]) == (0.0, 2.0)
 
@@ -219,14 +190,13 @@ def test_progress_grows_to_the_number_of_cases():
 
 
 def test_exit_code_is_0_when_all_pass(own_cases):
-    result = stability("healthy", "--no-peers")
+    result = stability("healthy")
     assert result.exit_code == 0, result.output
     assert "1 of 1 within their criteria" in result.stdout
-    assert "constraintDynamics" not in result.stdout
 
 
 def test_exit_code_is_1_and_the_culprit_is_named_when_one_fails(own_cases):
-    result = stability("healthy", "strict", "--no-peers")
+    result = stability("healthy", "strict")
     assert result.exit_code == 1
     assert "1 of 2 within their criteria" in result.stdout
     assert re.search(r"error: strict: position drift: \S+, bound 1e-30 m", result.stderr)
@@ -264,7 +234,7 @@ def test_pages_that_cannot_be_written_are_refused_before_the_work(own_cases, tmp
 
 def test_files_are_written_although_a_case_failed(own_cases, tmp_path):
     page, figures = tmp_path / "page.html", tmp_path / "figures.json"
-    result = stability("no_scene", "strict", "--no-peers", "--html", page, "--json", figures)
+    result = stability("no_scene", "strict", "--html", page, "--json", figures)
     assert result.exit_code == 1
     found = finite_json(figures.read_text(encoding="utf-8"))
     assert [case["name"] for case in found["cases"]] == ["strict", "no_scene"]
@@ -324,172 +294,3 @@ def test_page_is_whole_well_formed_and_needs_nothing_else(suite):
 )
 def test_numbers_on_the_page_are_powers_of_ten(value, text):
     assert scientific(value) == text
-
-
-# --- peers ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["healthy", "hinged"])
-def test_solvers_agree_where_nothing_is_hard(suite, name):
-    found = {answer.solver: answer for answer in case_of(suite, name).answers}
-    allowed = {OURS: 1e-11, "constraintDynamics": 1e-10, "lcaba": 1e-8}
-    if MUJOCO_IS_HERE:
-        allowed["MuJoCo"] = 1e-6  # hardened springs
-    for solver, tolerance in allowed.items():
-        answer = found[solver]
-        assert max(answer.object_error, answer.joint_error) < tolerance, solver
-        # gap and energy over 0.2 s at a tolerance of 1e-10, in a system of some hundred joules
-        assert answer.ended == ""
-        assert answer.drift < 1e-8
-        assert answer.energy_error < 1e-4
-    assert found["MuJoCo"].refusal == ("" if MUJOCO_IS_HERE else NOT_INSTALLED)
-
-
-def test_peers_make_the_same_motion_under_control_and_damping(monkeypatch):
-    monkeypatch.setattr(peer_trials, "WINDOW", 0.1)
-    trial = trial_of(CASES["hinged"])
-    assert trial.begin == 0.05, "the control's time is not that of the short run"
-    peers, _ = make_peers(trial.system, SOLVERS)
-    allowed = {"constraintDynamics": 1e-8, **({"MuJoCo": 1e-6} if MUJOCO_IS_HERE else {})}
-    ours = trial.state(trial.last)
-    for name, tolerance in allowed.items():
-        series = TimeSeries(Grid(trial.window / 200, 200))
-        peers[name].follow(series, trial.state(trial.first), *peers[name].best, trial.drive)
-        assert series.reached == pytest.approx(trial.window)
-        state = series.states[-1]
-        assert np.max(np.abs(state.position - ours.position)) < tolerance
-        assert np.max(np.abs(state.velocity - ours.velocity)) < 100 * tolerance
-
-
-def test_mujoco_as_shipped_is_soft(suite):
-    answer = case_of(suite, "healthy").answers[4]
-    assert answer.solver == "MuJoCo as shipped"
-    if MUJOCO_IS_HERE:  # largest impedance 0.95: some percent of the force are missing
-        assert answer.joint_error > 1e-3
-        assert answer.drift > 1e-6
-    else:
-        assert answer.refusal == NOT_INSTALLED
-
-
-def test_a_joint_that_peers_have_not_is_refused_in_words(suite):
-    ours, *others = case_of(suite, "face").answers
-    assert ours.joint_error < 1e-11
-    for answer in others:
-        if answer.refusal != NOT_INSTALLED:
-            assert answer.refusal.startswith("cannot express it: ")
-            assert "point_on_plane" in answer.refusal
-        assert answer.drift is None
-
-
-def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
-    monkeypatch.delitem(sys.modules, "multiarm.studies.mujoco_peer", raising=False)
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    answer = peer_trials.all_answers(healthy_trial)[-1]
-    assert answer.refusal == "not installed: pip install multiarm[peers]"
-
-
-@pytest.mark.slow
-def test_runs_with_pinocchio_as_shipped_end_in_nan_on_redundant_rows_and_tuned_do_not():
-    # planar arms of two joints welded to a body: six rows for three motions, exactly dependent
-    scene = planar_pair("planar_2r", [0.4, -0.8], {"kind": "weld"}).replace(
-        run={**RUN, "solver": "dense"}
-    )
-    trial = trial_of(replace(HEALTHY, scene=lambda: scene))
-    found = {answer.solver: answer for answer in peer_trials.all_answers(trial)}
-    # at one state roundings decide: a pivot is zero, or is not
-    assert found["constraintDynamics as shipped"].accelerations in ("", "NaN")
-    assert found["constraintDynamics as shipped"].ended == "NaN after 0 s"
-    assert found["constraintDynamics as shipped"].drift is None
-    assert found["constraintDynamics"].joint_error < 1e-8
-
-
-def answer_of(trial, accelerations, follow):
-    """The answer of a peer made of two functions, which steps by half a millisecond."""
-
-    class Peer(Solver):
-        methods, best = {"any": "step"}, ("any", 5e-4)
-
-        def accelerations(self, state, torque):
-            return accelerations(state, torque)
-
-        def follow(self, series, start, *_):
-            follow(series, start)
-
-    return peer_trials.answer_of(trial, "peer", Peer(trial.system))
-
-
-def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_trial):
-    size = 6 + healthy_trial.system.model.layout.joints
-
-    def broken(*_):
-        raise RuntimeError("the tree is broken\nsecond line")
-
-    def going_out(series, start):
-        series.record(start), series.record(start)
-
-    answer = answer_of(healthy_trial, lambda state, torque: np.full(size, np.nan), broken)
-    assert (answer.accelerations, answer.object_error) == ("NaN", None)
-    assert answer.ended == "the tree is broken after 0 s"
-    assert not answer.out_of_time
-    answer = answer_of(healthy_trial, broken, going_out)
-    assert answer.accelerations == "the tree is broken"
-    assert answer.ended == "NaN after 0.0005 s"
-    assert answer.drift == largest_gap(
-        healthy_trial.system, healthy_trial.state(healthy_trial.first)
-    )
-
-
-def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
-    start = healthy_trial.state(healthy_trial.first)
-
-    def faster(series, start):
-        twice = start.copy()
-        twice.velocity[:] *= 1.0 + 1e-3
-        for state in (start, *[twice] * series.grid.intervals):
-            series.record(state)
-
-    reference = healthy_trial.reference
-    answer = answer_of(healthy_trial, lambda state, torque: reference * (1.0 + 1e-3), faster)
-    still = start.copy()
-    still.velocity[:] = 0.0
-    system = healthy_trial.system
-    kinetic = total_energy(system, start) - total_energy(system, still)
-    assert answer.ended == ""
-    assert answer.energy_error == pytest.approx(2.001e-3 * kinetic, rel=1e-6, abs=1e-12)
-    assert answer.joint_error == pytest.approx(1e-3, rel=1e-9)
-
-
-def test_a_slow_peer_is_not_waited_for(healthy_trial, monkeypatch):
-    monkeypatch.setattr(peer_trials, "PATIENCE", 0.0)
-
-    def creeping(series, start):
-        series.record(start)
-        while series.record(start):
-            series.start()
-            series.stop()
-
-    answer = answer_of(healthy_trial, lambda state, torque: healthy_trial.reference, creeping)
-    assert answer.ended == "only 0.0005 s in 0 s of wall time"
-    assert answer.out_of_time
-
-
-def test_the_short_run_goes_through_the_hardest_moment(healthy_trial):
-    end = healthy_trial.begin + healthy_trial.window
-    assert healthy_trial.begin <= healthy_trial.time <= end
-    assert healthy_trial.window <= peer_trials.WINDOW
-    assert healthy_trial.time == HEALTHY.hardest
-
-
-def test_the_hardest_moment_is_met_exactly_between_samples_too():
-    hardest = 0.0712345
-    trial = trial_of(replace(HEALTHY, hardest=hardest))
-    system = ma.compile_system(HEALTHY.scene())
-    again = ma.simulate(system, duration=hardest)
-    assert trial.time == hardest
-    assert trial.worst.object_position == pytest.approx(again.object_position[-1], abs=1e-9)
-
-
-def test_a_peer_is_spared_what_would_take_all_memory(healthy_trial, monkeypatch):
-    monkeypatch.setattr(peer_trials, "MOST_MEMORY", 1e3)
-    for answer in peer_trials.all_answers(healthy_trial)[1:4]:
-        assert answer.refusal.startswith("not run: Pinocchio's Data for it takes about ")

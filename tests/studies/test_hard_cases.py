@@ -11,6 +11,6 @@ from multiarm.problems import HARD_CASES
 def test_hard_case_is_within_its_criteria(name):
     from multiarm.studies.hard_cases import run_case
 
-    case = run_case(HARD_CASES[name], peers=False)
+    case = run_case(HARD_CASES[name])
     assert case.failures == ()
     assert case.passed

@@ -22,6 +22,7 @@ from multiarm.scene import find_robot
 from multiarm.studies.mujoco_peer import TorqueTape
 from multiarm.studies.peers import (
     NOT_INSTALLED,
+    PEERS,
     Grid,
     TimeSeries,
     control_torque,
@@ -59,10 +60,9 @@ from multiarm.studies.work_precision.results import (
     read_results,
     scene_digest,
 )
-from multiarm.studies.work_precision.study import SOLVERS, run_study
+from multiarm.studies.work_precision.study import run_study
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
-DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
 MACHINE = {"processor": "a", "version": "1", "python": "3", "dependencies": {}, "platform": "p"}
 
@@ -706,6 +706,11 @@ def test_series_put_ours_first_and_go_from_coarse_to_fine():
 # --- peers ----------------------------------------------------------------------------------------
 
 
+def only(name: str) -> dict[str, str]:
+    """One of the peers."""
+    return {name: PEERS[name]}
+
+
 def course_of(
     peers, solver: str, method: str, value: float, reference, system, limit_s: float = 60.0
 ) -> Point:
@@ -717,7 +722,7 @@ def course_of(
 def trial(request):
     """A system, its reference and its peers, for each joint that peers have."""
     own = ma.compile_system(ring(request.param))
-    return own, make_reference(own), make_peers(own, SOLVERS)[0]
+    return own, make_reference(own), make_peers(own)[0]
 
 
 @pytest.mark.slow
@@ -738,7 +743,7 @@ def test_pinocchio_converges_to_the_reference(trial):
 def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(trial):
     own, reference, peers = trial
     if not MUJOCO_IS_HERE:
-        assert make_peers(own, ["MuJoCo"]) == ({}, {"MuJoCo": NOT_INSTALLED})
+        assert make_peers(own, only("MuJoCo")) == ({}, {"MuJoCo": NOT_INSTALLED})
         return
     coarse = [course_of(peers, "MuJoCo", "RK4", h, reference, own) for h in (5e-3, 2.5e-3)]
     order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
@@ -752,18 +757,6 @@ def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(t
 
 
 @pytest.mark.slow
-def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
-    own, reference, peers = trial
-    if not DRAKE_IS_HERE:
-        assert make_peers(own, ["Drake"]) == ({}, {"Drake": NOT_INSTALLED})
-        return
-    found = [course_of(peers, "Drake", "discrete", h, reference, own) for h in (2e-3, 1e-3)]
-    errors = [item.error("motion") for item in found]
-    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
-    assert errors[1] < 5e-3
-
-
-@pytest.mark.slow
 def test_peers_follow_a_feedback_controller_and_damping():
     control = {"kind": "joint_pd", "stiffness": 100, "damping": 1,
                "path": [{"time": 0.1, "xyz": [0, 0, 0.51]}]}  # fmt: skip
@@ -773,12 +766,10 @@ def test_peers_follow_a_feedback_controller_and_damping():
     )  # fmt: skip
     own = ma.compile_system(scene)
     assert sinusoid(own) is None
-    reference, (peers, _) = make_reference(own), make_peers(own, SOLVERS)
+    reference, (peers, _) = make_reference(own), make_peers(own)
     allowed = {("Pinocchio", "SciPy DOP853", 1e-10): 1e-8}
     if MUJOCO_IS_HERE:
         allowed["MuJoCo", "RK4", 2.5e-3] = 1e-5
-    if DRAKE_IS_HERE:
-        allowed["Drake", "discrete", 1e-3] = 1e-3
     for (solver, method, value), bound in allowed.items():
         found = course_of(peers, solver, method, value, reference, own)
         assert found.error("motion") < bound, solver
@@ -791,17 +782,17 @@ def test_pinocchio_follows_joints_that_turn_without_end():
         run={"duration": 0.1},
     )  # fmt: skip
     own = ma.compile_system(scene)
-    peers, _ = make_peers(own, ["Pinocchio"])
+    peers, _ = make_peers(own, only("Pinocchio"))
     found = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, make_reference(own), own)
     assert found.error("motion") < 1e-10, found.message
 
 
 def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
     system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "point_on_plane"}))
-    able, refusals = make_peers(system, SOLVERS)
+    able, refusals = make_peers(system)
     assert able == {}
-    assert set(refusals) == set(SOLVERS)
-    missing = {"Drake": DRAKE_IS_HERE, "MuJoCo": MUJOCO_IS_HERE}
+    assert set(refusals) == set(PEERS)
+    missing = {"MuJoCo": MUJOCO_IS_HERE}
     for solver, reason in refusals.items():
         here = missing.get(solver.split()[0], True)
         assert ("point_on_plane" in reason) == here
@@ -810,23 +801,21 @@ def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
 
 def test_effects_that_no_peer_has_are_named():
     dragged = ring().replace(effects={"drag": {"quadratic": 0.5}, "joint_damping": 1.0})
-    able, refusals = make_peers(ma.compile_system(dragged), SOLVERS)
+    able, refusals = make_peers(ma.compile_system(dragged))
     assert able == {}
-    assert refusals == dict.fromkeys(SOLVERS, "cannot express drag")
+    assert refusals == dict.fromkeys(PEERS, "cannot express drag")
 
 
 def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
-    for name in ("mujoco_peer", "drake_peer"):
-        monkeypatch.delitem(sys.modules, f"multiarm.studies.{name}", raising=False)
-    for name in ("mujoco", "pydrake", "pydrake.multibody.plant"):
-        monkeypatch.setitem(sys.modules, name, None)
-    able, refusals = make_peers(system, SOLVERS)
+    monkeypatch.delitem(sys.modules, "multiarm.studies.mujoco_peer", raising=False)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    able, refusals = make_peers(system)
     assert set(able) == {"Pinocchio"}
-    assert set(refusals.values()) == {"not installed: pip install multiarm[peers]"}
+    assert set(refusals.values()) == {"not installed: pip install mujoco"}
 
 
 def test_what_a_peer_raises_is_a_failed_point(system, reference):
-    peers, _ = make_peers(system, ["Pinocchio"])
+    peers, _ = make_peers(system, only("Pinocchio"))
 
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
@@ -837,7 +826,7 @@ def test_what_a_peer_raises_is_a_failed_point(system, reference):
 
 
 def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
-    peers, _ = make_peers(system, ["Pinocchio"])
+    peers, _ = make_peers(system, only("Pinocchio"))
     late = course_of(peers, "Pinocchio", "RK4", 1e-5, reference, system, limit_s=0.02)
     assert late.status == TOO_SLOW
 
@@ -872,10 +861,10 @@ def test_a_tape_plays_row_by_row_and_stays_at_its_end():
 @pytest.mark.slow
 def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
-        assert NOT_INSTALLED in make_peers(system, SOLVERS)[1].values()
+        assert NOT_INSTALLED in make_peers(system)[1].values()
         return
     drive, grid = sinusoid(system), Grid.of(system.scene.run)
-    peer = make_peers(system, ["MuJoCo"])[0]["MuJoCo"]
+    peer = make_peers(system, only("MuJoCo"))[0]["MuJoCo"]
     for method in peer.methods:
         ends = []
         for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):

@@ -21,7 +21,7 @@ from functools import partial
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.scene import Scene
-from multiarm.studies.peers import Grid, Peer, make_peers
+from multiarm.studies.peers import PEERS, Grid, Peer, make_peers
 from multiarm.studies.records import machine
 from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.plan import Plan
@@ -41,7 +41,6 @@ from multiarm.studies.work_precision.reference import Reference, difference, mak
 from multiarm.studies.work_precision.results import Results
 from multiarm.terminal.progress import Progress, Report, displayed
 
-SOLVERS = ("MuJoCo", "MuJoCo as shipped", "Pinocchio", "Drake")
 FIRST_RESULTS, LEAST_FIRST = 10.0, 2.0
 """First results are shown after so long [s], but so long after the first reference at least."""
 FIRST_REFERENCE, FIRST_PATIENCE = 4.0, 8.0
@@ -177,7 +176,7 @@ class _Study:
 
     def measure_all(self, peers: bool) -> None:
         """Measure all settings that are worth their time, and repeat them."""
-        self.peers, self.results.refusals = make_peers(self.system, SOLVERS if peers else ())
+        self.peers, self.results.refusals = make_peers(self.system, PEERS if peers else {})
         interval = Grid.of(self.scene.run).interval
         theirs = peer_ladders(self.peers, interval, self._reference.average_step_s)
         ours = self._our_ladders()

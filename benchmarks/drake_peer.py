@@ -1,5 +1,7 @@
 """The same system in Drake: a discrete ``MultibodyPlant``, its solver SAP.
 
+    python benchmarks/drake_peer.py [SCENE] [--steps 2e-3,1e-3] [--json FILE]
+
 The plant is built from the arms' own models, body by body, the object a free body; a weld of a
 scene becomes Drake's weld constraint, a ball its ball constraint, a hinge two balls on its axis.
 The constraints are those of the discrete solver, compliant to a degree that follows from the time
@@ -11,25 +13,101 @@ need not be there: it is imported when a plant is built.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import output
+import pandas
+from matplotlib.figure import Figure
 
+import multiarm as ma
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
+from multiarm.plots.style import BLUE
+from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.peers import (
     Drive,
     Grid,
     Peer,
     Sinusoid,
     TimeSeries,
+    control_torque,
     joint_ends,
     links,
     moments,
+    sinusoid,
     tip_frame,
 )
+
+RING = Path(__file__).parents[1] / "examples" / "scenes" / "ring_weld.yaml"
+STEPS = (5e-3, 2e-3, 1e-3, 5e-4)
+"""Steps of the plant [s]."""
+REFERENCE_ACCURACY = 1e-9
+"""Of our run with which Drake's motion is compared [m, rad]."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run a scene in Drake with several steps, and write the table, the figure and the numbers."""
+    parser = output.options(__doc__, "drake_peer", rounds=3)
+    parser.add_argument("scene", nargs="?", type=Path, default=RING, help="default: %(default)s")
+    parser.add_argument("--steps", type=_steps, default=STEPS, metavar="H,H,...",
+                        help="steps [s] that divide the output step")  # fmt: skip
+    arguments = parser.parse_args(words)
+    system = ma.compile_system(ma.load_scene(arguments.scene, code=False))
+    interval = Grid.of(system.scene.run).interval
+    for step in arguments.steps:
+        if abs(interval / step - round(interval / step)) > 1e-9:
+            parser.error(f"--steps: {step:g} s does not divide the output step of {interval:g} s")
+    with output.Clock() as clock:
+        rows = motions(system, arguments.steps, arguments.rounds)
+    output.save(arguments, clock, "drake", {"rows": rows}, pandas.DataFrame(rows), figure)
+
+
+def _steps(text: str) -> tuple[float, ...]:
+    return tuple(float(part) for part in text.split(","))
+
+
+def motions(system: System, steps: Sequence[float], rounds: int) -> list[dict[str, float]]:
+    """Fastest wall time of the steps alone, and largest error of a coordinate, for each step."""
+    exact = ma.simulate(system, accuracy=REFERENCE_ACCURACY)
+    if exact.status != "completed":
+        raise ModelError(f"the scene has no reference to compare with: {exact.message}")
+    peer, grid = DrakePeer(system), Grid.of(system.scene.run)
+    drive = sinusoid(system) or (lambda t, state: control_torque(system, t, state))
+    rows = []
+    for step in steps:
+        print(f"step {step:g} s", flush=True)
+        runs = [TimeSeries(grid) for _ in range(rounds)]
+        for run in runs:
+            peer.follow(run, system.initial_state(), "discrete", step, drive)
+        wall = min(run.wall_time_s for run in runs)
+        rows.append({"step": step, "wall_time_s": wall, "error": _error(runs[0].states, exact)})
+    return rows
+
+
+def _error(states: Sequence[State], exact: ma.Trajectory) -> float:
+    """Largest error of the object's position, its rotation and the joints at the common times."""
+    q, count = np.array([state.position for state in states]), len(states)
+    joints = np.column_stack([exact.joint_positions[name] for name in exact.arm_names])[:count]
+    return float(
+        max(
+            np.max(np.linalg.norm(q[:, :3] - exact.object_position[:count], axis=1)),
+            np.max(rotation_apart(q[:, 3:7], exact.object_quaternion_xyzw[:count])),
+            np.max(np.abs(q[:, 7:] - joints)),
+        )
+    )
+
+
+def figure(rows: pandas.DataFrame) -> Figure:
+    """Wall time over the error."""
+    drawing, (axes,) = output.panels(1)
+    axes.plot(rows["error"], rows["wall_time_s"], "o-", color=BLUE)
+    axes.set(xscale="log", yscale="log", xlabel="largest error [m, rad]",
+             ylabel="wall time [s]", title="One scene in Drake")  # fmt: skip
+    return drawing
 
 
 class DrakePeer(Peer):
@@ -238,3 +316,7 @@ def _pose(matrix: np.ndarray) -> Any:
     from pydrake.math import RigidTransform, RotationMatrix
 
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(matrix[:3, :3]), matrix[:3, 3])
+
+
+if __name__ == "__main__":
+    main()

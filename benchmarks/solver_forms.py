@@ -101,7 +101,7 @@ def build(system: System, state: State) -> Coefficients:
 def node_loop(s: Coefficients) -> Solution:
     """The node algorithm (thesis, 4.10 - 4.12) arm by arm, as one writes it in NumPy."""
     A, b = s.M_o.copy(), s.h_o.copy()
-    kept = []
+    arms = []
     for M, h, W_o, W, c in zip(s.M, s.h, s.W_o, s.W, s.c, strict=True):
         Y = np.linalg.solve(M, np.column_stack([W, h]))  # M^-1 [W, h]
         KY = W.T @ Y
@@ -109,10 +109,10 @@ def node_loop(s: Coefficients) -> Solution:
         Z = np.linalg.solve(K, np.column_stack([W_o.T, r]))  # K^-1 [W_o^T, r]
         A += W_o @ Z[:, :6]
         b += W_o @ Z[:, 6]
-        kept.append((Y, Z))
+        arms.append((Y, Z))
     q_o = np.linalg.solve(A, b)
-    force = [Z[:, 6] - Z[:, :6] @ q_o for _, Z in kept]
-    q = [Y[:, -1] + Y[:, :-1] @ f for (Y, _), f in zip(kept, force, strict=True)]
+    force = [Z[:, 6] - Z[:, :6] @ q_o for _, Z in arms]
+    q = [Y[:, -1] + Y[:, :-1] @ f for (Y, _), f in zip(arms, force, strict=True)]
     return Solution(q_o, np.array(q), np.array(force))
 
 
@@ -122,7 +122,7 @@ def lilly_orin(s: Coefficients) -> Solution:
     The tips' accelerations are taken without their drift, which is in ``c``.
     """
     A, b = s.M_o.copy(), s.h_o.copy()
-    kept = []
+    arms = []
     for M, h, c, J, wrench, G in zip(s.M, s.h, s.c, s.J, s.wrench, s.G, strict=True):
         W_hat, triangle = np.linalg.qr(wrench)  # W_hat^T W_hat = 1
         a_c = -np.linalg.solve(triangle.T, c)  # constrained relative acceleration
@@ -134,10 +134,10 @@ def lilly_orin(s: Coefficients) -> Solution:
         B = np.linalg.solve(across, W_hat.T @ G)
         A += G.T @ W_hat @ B
         b -= G.T @ W_hat @ P
-        kept.append((M, h, J, wrench, W_hat, P, B))
+        arms.append((M, h, J, wrench, W_hat, P, B))
     q_o = np.linalg.solve(A, b)
     q, force = [], []
-    for M, h, J, wrench, W_hat, P, B in kept:
+    for M, h, J, wrench, W_hat, P, B in arms:
         f_m = W_hat @ (P + B @ q_o)  # wrench on the arm
         q.append(np.linalg.solve(M, h + J.T @ f_m))
         force.append(-np.linalg.lstsq(wrench, f_m, rcond=None)[0])

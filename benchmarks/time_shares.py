@@ -1,4 +1,6 @@
-"""Shares of the time: the parts of one evaluation and of one step, and the overhead of a step.
+"""Where the time goes: the parts of one evaluation and of one step, and the overhead of a step.
+
+    python benchmarks/time_shares.py [--arms 2,8,32] [--rounds N] [--json FILE]
 
 Every part is a compiled loop over the function that the time loop calls, timed in interleaved
 bursts on the ring of welded UR5 arms (:func:`multiarm.problems.ring_of_arms`); a step is that of a
@@ -16,10 +18,25 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import output
+import pandas
+from evaluations import moving_state
+from matplotlib.figure import Figure
+from timing import (
+    Burst,
+    call_burst,
+    calls_a_burst,
+    fastest,
+    loop_burst,
+    measure,
+    one_thread,
+    slope_burst,
+    terms_burst,
+)
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.loop_closure import projection_tolerance
@@ -44,21 +61,10 @@ from multiarm.integration.step import (
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_of
+from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import Trajectory
-from multiarm.studies.evaluation_costs import moving_state
-from multiarm.studies.timing import (
-    Burst,
-    call_burst,
-    calls_a_burst,
-    clocked_run,
-    fastest,
-    loop_burst,
-    measure,
-    one_thread,
-    slope_burst,
-    terms_burst,
-)
+from multiarm.studies.timing import clocked_run
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS, RK4
 
 ARMS = (2, 8, 32)
@@ -74,6 +80,57 @@ LEAST_RUNS, PATIENCE, BURSTS_A_RUN = 3, 0.05, 5
 BURSTS_PER_ROUND = 15
 TARGET = 0.25
 """The overhead of a step over its evaluations should be below this."""
+COLOURS = {
+    "arm terms": BLUE, "contacts": "#6aa5ea", "forces": "#a9c9f2", "node": GREEN,
+    "state": "#8fd0af", "between": "#cfd6dd", "stabilisation": ORANGE, "recording": "#ecb679",
+    "arithmetic": PINK, "rest": "#8a94a0",
+}  # fmt: skip
+"""Of the parts, in the figure."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Measure, and write the table, the figure and the numbers."""
+    parser = output.options(__doc__, "time_shares")
+    parser.add_argument("--arms", type=output.counts, default=ARMS, metavar="N,N,...",
+                        help="numbers of arms (default 2,8,32)")  # fmt: skip
+    arguments = parser.parse_args(words)
+    with output.Clock() as clock:
+        shares = time_shares(arguments.arms, arguments.rounds)
+    output.save(arguments, clock, "shares", shares, table(shares), figure)
+    print(f"cost of a step besides its evaluations, {arguments.arms[0]} arms "
+          f"(should be below {TARGET:.0%}):")  # fmt: skip
+    for cost in shares["overheads"]:
+        print(f"  {cost['integrator']}: {cost['overhead']:+.0%}")
+
+
+def table(shares: dict[str, Any]) -> pandas.DataFrame:
+    """A row for each part of an evaluation and of a step, at each number of arms."""
+    rows = []
+    for row in shares["rows"]:
+        for whole in ("evaluation", "step"):
+            sum_of_parts = sum(row[whole].values())
+            rows += [
+                {"of": whole, "arms": row["arms"], "part": part, "microseconds": cost,
+                 "percent": 100.0 * cost / sum_of_parts}
+                for part, cost in row[whole].items()
+            ]  # fmt: skip
+    return pandas.DataFrame(rows)
+
+
+def figure(rows: pandas.DataFrame) -> Figure:
+    """Stacked bars in percent; a remainder that errors of measurement make negative is left out."""
+    drawing, panels = output.panels(2)
+    for whole, axes in zip(("evaluation", "step"), panels, strict=True):
+        shares = rows[rows["of"] == whole].pivot(index="arms", columns="part", values="percent")
+        shares = shares[[part for part in COLOURS if part in shares]].clip(lower=0.0)
+        shares = shares.div(shares.sum(axis=1), axis=0).mul(100.0).iloc[::-1]
+        shares.plot.barh(stacked=True, ax=axes, color=COLOURS, width=0.72, legend=False)
+        axes.set(title=f"Where {'an' if whole == 'evaluation' else 'a'} {whole} goes",
+                 xlabel="percent", ylabel="arms", xlim=(0, 100))  # fmt: skip
+        axes.grid(False)
+        axes.legend(fontsize=7.5, frameon=False, ncols=3, loc="upper center",
+                    bbox_to_anchor=(0.5, -0.16))  # fmt: skip
+    return drawing
 
 
 class StepCost(NamedTuple):
@@ -102,11 +159,7 @@ class StepCost(NamedTuple):
     overhead: float
 
 
-def time_shares(
-    arms: Sequence[int] = ARMS,
-    rounds: int = 7,
-    progress: Callable[[str], None] | None = None,
-) -> dict[str, Any]:
+def time_shares(arms: Sequence[int] = ARMS, rounds: int = 7) -> dict[str, Any]:
     """Take evaluations and steps apart.
 
     Returns
@@ -118,15 +171,14 @@ def time_shares(
         ``overheads``: the fields of :class:`StepCost` of every integrator, at the fewest arms.
         ``kind``, ``duration_s``, ``tolerance``, ``fixed_steps``, ``fixed_step_s``: of the runs.
     """
-    report = progress or (lambda text: None)
     rows, overheads = [], []
     with one_thread():
         for count in arms:
-            report(f"where time goes: {count} arms")
+            print(f"where the time goes: {count} arms", flush=True)
             rows.append(_measure(count, rounds))
         system = compile_system(ring_of_arms(arms[0], KIND))
         for name in integrators():
-            report(f"a step of {name}")
+            print(f"a step of {name}", flush=True)
             overheads.append(step_cost(system, name, rounds)._asdict())
     return {
         "rows": rows,
@@ -157,14 +209,14 @@ def step_cost(system: System, integrator: str, rounds: int) -> StepCost:
             begin = time.thread_time()
             evaluations(calls)
             cost = min(cost, (time.thread_time() - begin) / calls)
-    found, steps = run.statistics, run.statistics["steps"]
-    wall, each = best / steps, found["evaluations"] / steps
+    statistics, steps = run.statistics, run.statistics["steps"]
+    wall, each = best / steps, statistics["evaluations"] / steps
     return StepCost(
         integrator=integrator,
         arms=len(system.arm_names),
         steps=steps,
         evaluations=each,
-        projections=found["projections"] / steps,
+        projections=statistics["projections"] / steps,
         samples=len(run) / steps,
         microseconds=1e6 * wall,
         evaluation_microseconds=1e6 * cost,
@@ -342,3 +394,7 @@ def _project_often(struct, z, base, closed, count):
         load(z, base, data)
         status = project(struct, closed)
     return status
+
+
+if __name__ == "__main__":
+    main()

@@ -1,5 +1,7 @@
 """Hard cases in other programs: their accelerations at the hardest instant, and a short run.
 
+    python benchmarks/peer_trials.py [NAMES] [--json FILE]
+
 Each solver gets two tasks, at states of our own run.
 
 1. The accelerations at the case's hardest instant, compared with the dense minimum-norm reference
@@ -16,32 +18,38 @@ A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+import output
+import pandas
+from matplotlib.figure import Figure
+from peer_solvers import Solver, memory_needed
 from scipy.integrate import cumulative_simpson
 
+from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate
+from multiarm.plots.style import BLUE
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import state_of
 from multiarm.simulation.simulate import simulate
+from multiarm.studies.hard_cases import choose_cases
 from multiarm.studies.peers import (
     Drive,
     Grid,
     Sinusoid,
-    Solver,
     TimeSeries,
     control_torque,
     is_controlled,
     joint_damping,
     largest_gap,
     make_peers,
-    memory_needed,
-    total_energy,
 )
 from multiarm.studies.timing import OutOfTime
 
@@ -50,12 +58,61 @@ WINDOW = 0.5
 PATIENCE = 1.0
 """A solver's wall time for the short run [s]."""
 OURS = "multiarm"
-PINOCCHIO = ("constraintDynamics as shipped", "constraintDynamics", "lcaba")
-SOLVERS = (*PINOCCHIO, "MuJoCo as shipped", "MuJoCo")
+PINOCCHIO = {
+    "constraintDynamics as shipped": "peer_solvers:AsShipped",
+    "constraintDynamics": "peer_solvers:ConstraintDynamics",
+    "lcaba": "peer_solvers:Lcaba",
+}
+SOLVERS = PINOCCHIO | {
+    "MuJoCo as shipped": "mujoco_solver:AsShipped",
+    "MuJoCo": "mujoco_solver:Mujoco",
+}
 MOST_MEMORY = 1e9
 """Of Pinocchio's Data [bytes]."""
 APART = 10.0
 """A short run has broken when the loops are apart by this many metres."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the hard cases, ask all solvers, and write the table, the figure and the numbers."""
+    parser = output.options(__doc__, "peer_trials", rounds=1)
+    parser.add_argument("names", nargs="*", help="hard cases; multiarm stability --list has them")
+    arguments = parser.parse_args(words)
+    answers = {}
+    with output.Clock() as clock:
+        for case in choose_cases(arguments.names):
+            print(case.name, flush=True)
+            system = compile_system(case.scene())
+            run = simulate(system, certificate=False)
+            if len(run):
+                answers[case.name] = all_answers(Trial(system, run, case.hardest))
+    numbers = {name: [asdict(answer) for answer in each] for name, each in answers.items()}
+    output.save(arguments, clock, "peer_trials", numbers, table(answers), figure)
+
+
+def table(answers: dict[str, tuple[Answer, ...]]) -> pandas.DataFrame:
+    """A row for each case and solver."""
+    return pandas.DataFrame(
+        {"case": case}
+        | {key: value if value != "" else None for key, value in asdict(answer).items()}
+        for case, each in answers.items()
+        for answer in each
+    )
+
+
+def figure(rows: pandas.DataFrame) -> Figure:
+    """Errors of the accelerations of each solver, a dot for each case."""
+    drawing, (axes,) = output.panels(1)
+    solvers = list(rows["solver"].unique())
+    for place, solver in enumerate(solvers):
+        errors = rows.loc[rows["solver"] == solver, ["object_error", "joint_error"]].max(axis=1)
+        axes.plot(
+            errors.clip(lower=1e-17), np.full(len(errors), place), "o", color=BLUE, mfc="none"
+        )
+    axes.set_yticks(range(len(solvers)), solvers)
+    axes.set(xscale="log", xlabel="relative error", title="Accelerations at the hardest instant")
+    axes.invert_yaxis()
+    return drawing
 
 
 @dataclass(frozen=True)
@@ -168,19 +225,32 @@ class Trial:
             return None, None
         off = np.abs(accelerations - self.reference)
         parts = (slice(None, 6), slice(6, None))
-        found = [
+        object_error, joint_error = (
             float(np.max(off[part]) / max(1.0, np.max(np.abs(self.reference[part]))))
             for part in parts
-        ]
-        return found[0], found[1]
+        )
+        return object_error, joint_error
+
+
+def total_energy(system: System, state: State) -> float:
+    """Kinetic and potential energy [J]."""
+    with system.borrow() as data:
+        data.set_state(0.0, state)
+        update_kinematics(data.struct)
+        twist, b = state.object_twist, data.arrays
+        kinetic = twist @ b.inertia @ twist
+        for i, v in enumerate(state.joint_velocities.values()):
+            kinetic += v @ read_inertia(b.pointers[i], v.size) @ v
+        return 0.5 * float(kinetic) + data.potential_energy()
 
 
 def all_answers(trial: Trial) -> tuple[Answer, ...]:
     """The answers of all solvers, ours first."""
     joints = trial.system.model.layout.joints
     memory = memory_needed(joints)
-    spared = PINOCCHIO if memory > MOST_MEMORY else ()
-    able, refusals = make_peers(trial.system, [name for name in SOLVERS if name not in spared])
+    spared = PINOCCHIO if memory > MOST_MEMORY else {}
+    asked = {name: place for name, place in SOLVERS.items() if name not in spared}
+    able, refusals = make_peers(trial.system, asked)
     text = f"not run: Pinocchio's Data for it takes about {memory / 1e9:.1f} GB"
     refusals |= dict.fromkeys(spared, text)
     answers = [_our_answer(trial)]
@@ -189,7 +259,7 @@ def all_answers(trial: Trial) -> tuple[Answer, ...]:
             answers.append(Answer(name, refusal=refusals[name]))
             continue
         peer = able[name]
-        assert isinstance(peer, Solver), "SOLVERS tell their accelerations"
+        assert isinstance(peer, Solver), "all of SOLVERS tell their accelerations"
         answers.append(answer_of(trial, name, peer))
     return tuple(answers)
 
@@ -224,12 +294,12 @@ def _our_answer(trial: Trial) -> Answer:
 def _compared(trial: Trial, name: str, accelerations: Callable[[], np.ndarray]) -> Answer:
     """The answer to the first task."""
     try:
-        found = accelerations()
+        values = accelerations()
     except Exception as error:
         return Answer(name, accelerations=_error_text(error))
-    if not np.all(np.isfinite(found)):
+    if not np.all(np.isfinite(values)):
         return Answer(name, accelerations="NaN")
-    object_error, joint_error = trial.errors(found)
+    object_error, joint_error = trial.errors(values)
     return Answer(name, object_error=object_error, joint_error=joint_error)
 
 
@@ -277,3 +347,7 @@ def _error_text(error: Exception) -> str:
     lines = str(error).strip().splitlines()
     text = lines[0] if lines else type(error).__name__
     return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+if __name__ == "__main__":
+    main()

@@ -1,5 +1,7 @@
 """The cost of one row of W, for every kind of surface and of row.
 
+    python benchmarks/contact_rows.py [--rounds N] [--json FILE]
+
 The timed function is the one that an evaluation calls for the contacts of an arm
 (:func:`multiarm.contacts.kernel.write_rows`), on tables of many rows of one kind between two moving
 bodies, in interleaved bursts of which the fastest counts.
@@ -8,10 +10,14 @@ bodies, in interleaved bursts of which the fastest counts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import output
+import pandas
+from matplotlib.figure import Figure
+from timing import Burst, fastest, measure, one_thread
 
 from multiarm.contacts.kernel import (
     BODY_WIDTH,
@@ -37,12 +43,33 @@ from multiarm.geometry.records import (
 from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
-from multiarm.studies.timing import Burst, fastest, measure
+from multiarm.plots.style import BLUE
 
 ROWS = 24
 """Of a table: a multiple of the rows that a kind has together."""
 BURSTS_PER_ROUND = 2
 X, Y, Z = np.eye(3)
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Measure, and write the table, the figure and the numbers."""
+    arguments = output.options(__doc__, "contact_rows").parse_args(words)
+    with output.Clock() as clock, one_thread():
+        costs = measure_rows(arguments.rounds)
+    output.save(arguments, clock, "contact_rows", costs, table(costs), figure)
+
+
+def table(costs: dict[str, float]) -> pandas.DataFrame:
+    """A line for each kind of row."""
+    return pandas.DataFrame({"row": costs.keys(), "microseconds": costs.values()})
+
+
+def figure(rows: pandas.DataFrame) -> Figure:
+    """A bar for each kind of row."""
+    drawing, (axes,) = output.panels(1)
+    axes.barh(rows["row"][::-1], rows["microseconds"][::-1], color=BLUE)
+    axes.set(xscale="log", xlabel="microseconds", title="One row of W")
+    return drawing
 
 
 def row_kinds() -> dict[str, list[Contact]]:
@@ -82,15 +109,11 @@ def row_kinds() -> dict[str, list[Contact]]:
     }
 
 
-def measure_rows(
-    rounds: int = 7, progress: Callable[[str], None] | None = None
-) -> dict[str, float]:
+def measure_rows(rounds: int = 7) -> dict[str, float]:
     """Microseconds a row, of every kind in :func:`row_kinds`."""
     bursts = {name: _burst(contacts) for name, contacts in row_kinds().items()}
     best = dict.fromkeys(bursts, math.inf)
-    for turn in range(rounds):
-        if progress is not None:
-            progress(f"contact rows, round {turn + 1} of {rounds}")
+    for _ in range(rounds):
         for name, cost in fastest(measure(bursts, BURSTS_PER_ROUND)).items():
             best[name] = min(best[name], cost / ROWS)
     return best
@@ -141,3 +164,7 @@ def _write_often(
             write_row(
                 k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch, places, located
             )
+
+
+if __name__ == "__main__":
+    main()

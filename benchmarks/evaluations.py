@@ -1,4 +1,6 @@
-"""The cost of one acceleration evaluation over the number of arms, compared with Pinocchio's.
+"""The cost of one evaluation over the number of arms, compared with Pinocchio's algorithms.
+
+    python benchmarks/evaluations.py [--arms 2,4,8] [--kind weld] [--rounds N] [--json FILE]
 
 Measured on one scene (:func:`multiarm.problems.ring_of_arms`) at one random state that moves with
 the constraints.  *multiarm* is the evaluation as the time loop performs it: Pinocchio's two calls,
@@ -18,16 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.start import project_velocity
-from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System
-from multiarm.events.evaluation import evaluate
-from multiarm.problems import ring_of_arms
-from multiarm.studies.peers import memory_needed
-from multiarm.studies.pinocchio_peer import ConstraintDynamics, Lcaba, PinocchioTree
-from multiarm.studies.timing import (
+import output
+import pandas
+from matplotlib.figure import Figure
+from peer_solvers import ConstraintDynamics, Lcaba, memory_needed
+from timing import (
     fastest,
     fitted_slopes,
     measure,
@@ -38,20 +35,91 @@ from multiarm.studies.timing import (
     upper_half,
 )
 
+from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.start import project_velocity
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.events.evaluation import evaluate
+from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK
+from multiarm.problems import ring_of_arms
+from multiarm.studies.pinocchio_peer import PinocchioTree
+
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5
 """Of the free memory, which Pinocchio's Data may take."""
 OURS, COMPILED, TERMS, DENSE = "multiarm", "compiled", "terms", "dense"
 PEERS = ("constraintDynamics", "tree", "lcaba")
 METHODS = (OURS, COMPILED, TERMS, *PEERS, DENSE)
+ARMS = (2, 4, 8, 16, 32, 64)
+KINDS = ("weld", "ball", "revolute")
+LINES = {
+    OURS: ("multiarm, Pinocchio's arms", BLUE, "-"),
+    COMPILED: ("multiarm, compiled arms", PINK, "-"),
+    TERMS: ("Pinocchio's arm terms", BLUE, ":"),
+    "lcaba": ("lcaba", GREEN, "-"),
+    "constraintDynamics": ("constraintDynamics", ORANGE, "-"),
+    "tree": ("the same, object on one arm", ORANGE, ":"),
+    DENSE: ("dense KKT, NumPy", "#8a94a0", "-"),
+}
+"""Method -> its name, colour and dashes in the figure."""
 
 
-def evaluation_costs(
-    arms: Sequence[int],
-    kinds: Sequence[str],
-    rounds: int,
-    progress: Callable[[str], None] | None = None,
-) -> dict[str, Any]:
+def main(words: Sequence[str] | None = None) -> None:
+    """Measure, and write the table, the figure and the numbers."""
+    parser = output.options(__doc__, "evaluations")
+    parser.add_argument("--arms", type=output.counts, default=ARMS, metavar="N,N,...",
+                        help="numbers of arms (default 2,4,8,16,32,64)")  # fmt: skip
+    parser.add_argument("--kind", action="append", choices=KINDS, dest="kinds",
+                        help="joint of each arm; may be repeated (default weld, ball)")  # fmt: skip
+    arguments = parser.parse_args(words)
+    kinds = arguments.kinds or ["weld", "ball"]
+    with output.Clock() as clock:
+        costs = evaluation_costs(arguments.arms, kinds, arguments.rounds)
+    output.save(arguments, clock, "evaluations", costs, table(costs), figure)
+
+
+def table(costs: dict[str, Any]) -> pandas.DataFrame:
+    """A row for every kind of joint, method and number of arms."""
+    return pandas.DataFrame(
+        {
+            "kind": row["kind"],
+            "method": method,
+            "arms": row["arms"],
+            "microseconds": row["microseconds"][method],
+            "relative_error": row["relative_error"].get(method),
+        }
+        for row in sorted(costs["rows"], key=lambda row: row["kind"], reverse=True)
+        for method in METHODS
+    ).sort_values(["kind", "method", "arms"], ascending=[False, True, True], key=_as_listed)
+
+
+def _as_listed(column: pandas.Series) -> pandas.Series:
+    return column.map(METHODS.index) if column.name == "method" else column
+
+
+def figure(rows: pandas.DataFrame) -> Figure:
+    """Cost over the number of arms, a panel for each kind of joint."""
+    kinds = list(rows["kind"].unique())
+    drawing, axes = output.panels(len(kinds))
+    for kind, panel in zip(kinds, axes, strict=True):
+        of_kind = rows[rows["kind"] == kind]
+        for method, (name, colour, dashes) in LINES.items():
+            line = of_kind[of_kind["method"] == method].dropna(subset="microseconds")
+            panel.plot(
+                line["arms"],
+                line["microseconds"],
+                dashes,
+                color=colour,
+                marker="o",
+                ms=3,
+                label=name,
+            )
+        arms = sorted(of_kind["arms"].unique())
+        output.over_arms(panel, arms, f"One evaluation, {kind} joints", "microseconds")
+    return drawing
+
+
+def evaluation_costs(arms: Sequence[int], kinds: Sequence[str], rounds: int) -> dict[str, Any]:
     """Measure all methods on rings of UR5 arms.
 
     Returns
@@ -69,19 +137,18 @@ def evaluation_costs(
     with one_thread():
         for kind in kinds:
             for count in arms:
-                if progress is not None:
-                    progress(f"one evaluation: {kind}, {count} arms")
+                print(f"{kind}, {count} arms", flush=True)
                 rows.append(_measure(kind, count, rounds))
-    found: dict[str, Any] = {"rows": rows, "exponents": {}, "upper_exponents": {}, "growth": {}}
+    result: dict[str, Any] = {"rows": rows, "exponents": {}, "upper_exponents": {}, "growth": {}}
     for kind in kinds:
-        own = [row for row in rows if row["kind"] == kind]
-        sizes, costs = [row["arms"] for row in own], [row["microseconds"] for row in own]
-        upper = upper_half(own)
-        found["exponents"][kind] = fitted_slopes(sizes, costs)
-        found["upper_exponents"][kind] = fitted_slopes(sizes[upper], costs[upper])
+        of_kind = [row for row in rows if row["kind"] == kind]
+        sizes, costs = [row["arms"] for row in of_kind], [row["microseconds"] for row in of_kind]
+        upper = upper_half(of_kind)
+        result["exponents"][kind] = fitted_slopes(sizes, costs)
+        result["upper_exponents"][kind] = fitted_slopes(sizes[upper], costs[upper])
         growth = costs[-1][OURS] / costs[0][OURS]
-        found["growth"][kind] = growth if len(own) > 1 else None
-    return found
+        result["growth"][kind] = growth if len(of_kind) > 1 else None
+    return result
 
 
 def moving_state(system: System, seed: int) -> State:
@@ -96,12 +163,14 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
     scene = ring_of_arms(count, kind)
     system, compiled = compile_system(scene), compile_system(scene, arms="compiled")
     state = moving_state(system, seed=count)
-    own = evaluate(system, 0.0, state)
-    torque = np.concatenate(list(own.joint_torques.values()))
+    evaluation = evaluate(system, 0.0, state)
+    torque = np.concatenate(list(evaluation.joint_torques.values()))
     dense_system = system.with_solver("dense")
     exact = evaluate(dense_system, 0.0, state).accelerations[6:]
-    copied = evaluate(compiled, 0.0, state)
-    found = {OURS: own.accelerations[6:], COMPILED: copied.accelerations[6:]}
+    accelerations = {
+        OURS: evaluation.accelerations[6:],
+        COMPILED: evaluate(compiled, 0.0, state).accelerations[6:],
+    }
     remark = too_large_for_pinocchio(system.model.layout.joints)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
@@ -110,7 +179,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
             "tree": PinocchioTree(system).evaluation(state, torque),
             "lcaba": Lcaba(system).evaluation(state, torque),
         }
-        found.update({name: call()[: torque.size].copy() for name, call in peers.items()})
+        accelerations |= {name: call()[: torque.size].copy() for name, call in peers.items()}
     ours, copies, dense = (each.model.data() for each in (system, compiled, dense_system))
     for data in (ours, copies, dense):
         data.set_state(0.0, state)
@@ -129,7 +198,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
         "arms": count,
         "microseconds": cost,
         "relative_error": {
-            name: float(np.max(np.abs(a - exact)) / scale) for name, a in found.items()
+            name: float(np.max(np.abs(a - exact)) / scale) for name, a in accelerations.items()
         },
         "ratio_to_best_peer": {name: ratio_to_best_peer(cost, name) for name in (OURS, COMPILED)},
         "remarks": dict.fromkeys(PEERS, remark) if remark else {},
@@ -161,5 +230,9 @@ def free_memory() -> float:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:
         return math.inf
-    found = next((line for line in lines if line.startswith("MemAvailable:")), "")
-    return 1024.0 * float(found.split()[1]) if found else math.inf
+    available = next((line for line in lines if line.startswith("MemAvailable:")), "")
+    return 1024.0 * float(available.split()[1]) if available else math.inf
+
+
+if __name__ == "__main__":
+    main()

@@ -1,5 +1,7 @@
 r"""Section 4.4 of the thesis repeated: node algorithm against direct elimination.
 
+    python benchmarks/efficiency.py [--arms 2,4,6] [--rounds N] [--json FILE]
+
 Arms of 6 joints, one contact each, an object; ``t`` is the time to build the coefficients of (4.9),
 ``t1`` that of the node algorithm and ``t2`` that of direct elimination, on identical coefficients.
 The thesis measured Matlab programs; here the same is measured twice.
@@ -32,20 +34,15 @@ halves twice; :func:`node_operations` counts it exactly, without padding of arms
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-
-from multiarm.assembly.compilation import compile_system
-from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.node import ELIMINATED, make_work
-from multiarm.errors import SolverError
-from multiarm.jit.kernels import kernel
-from multiarm.problems import ring_of_arms
-from multiarm.scene import Scene
-from multiarm.studies.evaluation_costs import moving_state
-from multiarm.studies.solver_forms import (
+import output
+import pandas
+from evaluations import moving_state
+from matplotlib.figure import Figure
+from solver_forms import (
     Coefficients,
     Solution,
     assemble,
@@ -57,7 +54,7 @@ from multiarm.studies.solver_forms import (
     solve_lu,
     unpack,
 )
-from multiarm.studies.timing import (
+from timing import (
     Burst,
     call_burst,
     fitted_slopes,
@@ -67,6 +64,15 @@ from multiarm.studies.timing import (
     python_burst,
     upper_half,
 )
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.solver.batched import solve_batched
+from multiarm.dynamics.solver.node import ELIMINATED, make_work
+from multiarm.errors import SolverError
+from multiarm.jit.kernels import kernel
+from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK
+from multiarm.problems import ring_of_arms
+from multiarm.scene import Scene
 
 ARMS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 20, 50, 100)
 BURSTS_PER_ROUND = 12
@@ -89,6 +95,66 @@ _THESIS = {
 }
 
 
+def main(words: Sequence[str] | None = None) -> None:
+    """Measure, and write the table, the figure and the numbers."""
+    parser = output.options(__doc__, "efficiency")
+    parser.add_argument("--arms", type=output.counts, default=ARMS, metavar="N,N,...",
+                        help="numbers of arms (default 2 to 10, 20, 50, 100)")  # fmt: skip
+    arguments = parser.parse_args(words)
+    with output.Clock() as clock:
+        study = solver_study(arguments.arms, arguments.rounds)
+    output.save(arguments, clock, "thesis", study, table(study), figure)
+    passed, slopes = study["crossover"], study["upper_slopes"]["compiled"]
+    print("node algorithm faster from so many arms on:",
+          ", ".join(f"{name} {arms:.3g}" if arms else f"{name} never here"
+                    for name, arms in passed.items()))  # fmt: skip
+    print("exponents over the larger half:",
+          ", ".join(f"{name} {slope:.2f}" for name, slope in slopes.items() if slope))  # fmt: skip
+
+
+def table(study: dict[str, Any]) -> pandas.DataFrame:
+    """A row for each number of arms: ratios in 1995 and now, times [us], operations, deviation."""
+    rows = []
+    for row in study["rows"]:
+        cost, count = row["microseconds"], row["operations"]
+        in_1995 = study["thesis"].get(str(row["arms"]), {})
+        rows.append(
+            {"arms": row["arms"]}
+            | {f"{key}_1995": in_1995.get(key) for key in ("solving", "total")}
+            | {f"{key}_{picture}": row["columns"][picture][key]
+               for picture in PICTURES for key in ("solving", "total")}
+            | {f"{part.replace(' ', '_')}_{picture}_us": microseconds
+               for picture in PICTURES for part, microseconds in cost[picture].items()}
+            | {"node_operations": count["node"], "direct_operations": count["direct"],
+               "deviation": max(row["deviation"].values())}
+        )  # fmt: skip
+    return pandas.DataFrame(rows)
+
+
+def figure(rows: pandas.DataFrame) -> Figure:
+    """Times of both algorithms, and the speed-up then and now."""
+    drawing, (times, ratios) = output.panels(2)
+    for column, name, colour, dashes in (
+        ("node_compiled_us", "node, compiled", BLUE, "-"),
+        ("node_interpreted_us", "node, NumPy loop", BLUE, "--"),
+        ("node_at_once_interpreted_us", "node, NumPy, all arms at once", BLUE, ":"),
+        ("lu_compiled_us", "direct, LU", ORANGE, "-"),
+    ):
+        times.plot(rows["arms"], rows[column], dashes, color=colour, marker="o", ms=3, label=name)
+    for suffix, name, colour in (("compiled", "compiled", BLUE), ("interpreted", "NumPy", GREEN)):
+        for key, dashes, what in (("solving", "-", "$t_2/t_1$"), ("total", "--", "total")):
+            ratios.plot(rows["arms"], rows[f"{key}_{suffix}"], dashes, color=colour, marker="o",
+                        ms=3, label=f"{what}, {name}")  # fmt: skip
+    for key, marker, what in (("solving", "o", "$t_2/t_1$"), ("total", "s", "total")):
+        ratios.plot(rows["arms"], rows[f"{key}_1995"], marker, color=PINK, mfc="none", ms=4,
+                    label=f"{what}, 1995 (Matlab)")  # fmt: skip
+    ratios.axhline(1.0, color=INK, linewidth=0.8)
+    arms = list(rows["arms"])
+    output.over_arms(times, arms, "Section 4.4: solving for the accelerations", "microseconds")
+    output.over_arms(ratios, arms, "Section 4.4: speed-up by the node algorithm", "times")
+    return drawing
+
+
 def columns(t: float, t1: float, t2: float) -> dict[str, float]:
     """The columns of the thesis's table and what they imply, in the unit of the times.
 
@@ -105,13 +171,13 @@ def thesis_columns() -> dict[int, dict[str, float]]:
 
     ``t1 = saved / (solving - 1)``; both figures are rounded, near 5 arms to few digits.
     """
-    found = {}
+    columns_of = {}
     for arms, (total, solving, saved) in _THESIS.items():
         t1 = saved / (solving - 1.0)
-        found[arms] = {
+        columns_of[arms] = {
             "total": total, "solving": solving, "saved": saved, "t1": t1, "t2": solving * t1,
         }  # fmt: skip
-    return found
+    return columns_of
 
 
 def study_scene(arms: int) -> Scene:
@@ -122,11 +188,7 @@ def study_scene(arms: int) -> Scene:
                         control={"kind": "none"})  # fmt: skip
 
 
-def solver_study(
-    arms: Sequence[int] = ARMS,
-    rounds: int = 7,
-    progress: Callable[[str], None] | None = None,
-) -> dict[str, Any]:
+def solver_study(arms: Sequence[int] = ARMS, rounds: int = 7) -> dict[str, Any]:
     """Measure section 4.4.
 
     Returns
@@ -148,8 +210,7 @@ def solver_study(
     rows = []
     with one_thread():
         for count in arms:
-            if progress is not None:
-                progress(f"section 4.4: {count} arms")
+            print(f"section 4.4: {count} arms", flush=True)
             rows.append(_measure(count, rounds))
     sizes = [row["arms"] for row in rows]
     costs = {picture: [row["microseconds"][picture] for row in rows] for picture in PICTURES}
@@ -159,7 +220,7 @@ def solver_study(
         "last_slopes": slice(-2, None),
     }
     thesis = thesis_columns()
-    ratios = {"thesis": [(n, found["solving"]) for n, found in thesis.items()]}
+    ratios = {"thesis": [(n, row["solving"]) for n, row in thesis.items()]}
     for name, picture, node in (
         ("compiled", "compiled", "node"),
         ("interpreted", "interpreted", "node"),
@@ -169,12 +230,12 @@ def solver_study(
         ratios[name] = [(n, cost["lu"] / cost[node]) for n, cost in measured]
     return {
         "rows": rows,
-        "thesis": {str(n): found for n, found in thesis.items()},
+        "thesis": {str(n): row for n, row in thesis.items()},
         **{
-            key: {name: fitted_slopes(sizes[part], own[part]) for name, own in costs.items()}
+            key: {name: fitted_slopes(sizes[part], cost[part]) for name, cost in costs.items()}
             for key, part in ranges.items()
         },
-        "crossover": {name: crossover(found) for name, found in ratios.items()},
+        "crossover": {name: crossover(series) for name, series in ratios.items()},
     }
 
 
@@ -209,13 +270,13 @@ def solve_in_all_ways(s: Coefficients) -> dict[str, Solution]:
 
 def deviations(s: Coefficients) -> dict[str, float]:
     """Largest deviation of every solver's accelerations from those by LU, relative."""
-    found = {
+    accelerations = {
         name: np.concatenate([solution.q_o, solution.q.ravel()])
         for name, solution in solve_in_all_ways(s).items()
     }
-    exact = found.pop("LU")
+    exact = accelerations.pop("LU")
     scale = np.max(np.abs(exact))
-    return {name: float(np.max(np.abs(x - exact)) / scale) for name, x in found.items()}
+    return {name: float(np.max(np.abs(x - exact)) / scale) for name, x in accelerations.items()}
 
 
 def _measure(count: int, rounds: int) -> dict[str, Any]:
@@ -307,26 +368,26 @@ class CompiledNode:
     def __init__(self, s: Coefficients) -> None:
         n, d, N = s.W.shape
         self._work = make_work([d] * n, [N] * n)
-        self._given = tuple(
+        self._matrices = tuple(
             np.ascontiguousarray(array)
             for array in (
                 s.M, s.W, s.W_o.transpose(0, 2, 1).reshape(n * N, 6), s.M_o, s.h_o,
                 s.h.ravel(), s.c.ravel(),
             )
         )  # fmt: skip
-        self._found = np.zeros(6), np.zeros(n * d), np.zeros(n * N)
+        self._solution = np.zeros(6), np.zeros(n * d), np.zeros(n * N)
         self._shape = n, d, N
 
     def burst(self, count: int) -> None:
         """Eliminate and solve that many times."""
-        if _node_often(self._work, *self._given, *self._found, count) != ELIMINATED:
+        if _node_often(self._work, *self._matrices, *self._solution, count) != ELIMINATED:
             raise SolverError("an arm of the study is singular; put it in a regular posture")
 
     def solve(self) -> Solution:
         """Accelerations and forces."""
         self.burst(1)
         n, d, N = self._shape
-        q_o, q, force = (array.copy() for array in self._found)
+        q_o, q, force = (array.copy() for array in self._solution)
         return Solution(q_o, q.reshape(n, d), force.reshape(n, N))
 
 
@@ -356,7 +417,7 @@ def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
 
 @kernel
 def _assemble_often(M_o, h_o, M, h, W_o, W, c, matrix, right, count):
-    """What :func:`multiarm.studies.solver_forms.assemble` does."""
+    """What :func:`solver_forms.assemble` does."""
     n, d, m = W.shape
     for _ in range(count):
         for a in range(matrix.shape[0]):
@@ -378,3 +439,7 @@ def _assemble_often(M_o, h_o, M, h, W_o, W, c, matrix, right, count):
                     matrix[j0 + a, r0 + k] = matrix[r0 + k, j0 + a] = W[i, a, k]
                 for a in range(6):
                     matrix[a, r0 + k] = matrix[r0 + k, a] = W_o[i, a, k]
+
+
+if __name__ == "__main__":
+    main()

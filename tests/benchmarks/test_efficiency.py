@@ -1,0 +1,319 @@
+"""Claims about the study of section 4.4: operations, solvers that agree, the thesis's table."""
+
+from __future__ import annotations
+
+import efficiency
+import numpy as np
+import pytest
+import solver_forms
+from efficiency import direct_operations, node_operations, order, ratio_as_written
+from evaluations import moving_state
+from mechanics import data_of
+from solver_forms import Coefficients
+from timing import fitted_slope
+
+import multiarm as ma
+from multiarm.dynamics.solver import batched
+from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.node import ELIMINATED, FIRST_ARM, START, make_work
+from multiarm.jit.kernels import Kernel
+from multiarm.jit.simd import LANES
+
+
+@pytest.fixture(scope="module")
+def study():
+    """The study of few arms, measured once."""
+    return efficiency.solver_study((2, 3, 5), rounds=1)
+
+
+# --- counted operations ---------------------------------------------------------------------------
+
+
+class Counting(float):
+    """A number that counts what is done with it."""
+
+    count = 0
+
+    def __neg__(self):
+        return Counting(-float(self))
+
+
+def counting(operator):
+    """The operator of numbers that counts itself."""
+
+    def operate(self, other):
+        Counting.count += 1
+        return Counting(operator(self, float(other)))
+
+    return operate
+
+
+for sign in ("add", "sub", "mul", "truediv", "radd", "rsub", "rmul", "rtruediv"):
+    setattr(Counting, f"__{sign}__", counting(getattr(float, f"__{sign}__")))
+
+
+def counted(array):
+    return np.frompyfunc(Counting, 1, 1)(np.asarray(array, dtype=float))
+
+
+def numbers(array):
+    return np.array([float(x) for x in np.ravel(array)])
+
+
+def random_coefficients(rng, n, d, N):
+    """A system of made-up matrices that fit each other."""
+
+    def inertia(size):
+        A = rng.normal(size=(size, size))
+        return A @ A.T + size * np.eye(size)
+
+    J, wrench = rng.normal(size=(n, 6, d)), rng.normal(size=(n, 6, N))
+    G = np.eye(6) + 0.3 * rng.normal(size=(n, 6, 6))
+    return Coefficients(
+        M_o=inertia(6),
+        h_o=rng.normal(size=6),
+        M=np.array([inertia(d) for _ in range(n)]),
+        h=rng.normal(size=(n, d)),
+        W_o=G.transpose(0, 2, 1) @ wrench,
+        W=-J.transpose(0, 2, 1) @ wrench,
+        c=rng.normal(size=(n, N)),
+        J=J,
+        wrench=wrench,
+        G=G,
+    )
+
+
+def dense(s):
+    """The independent reference on the same matrices."""
+    found = solve_dense(s.M_o, s.h_o, list(s.M), list(s.h), list(s.W_o), list(s.W), list(s.c))
+    return np.concatenate([found.object_acceleration, *found.joint_accelerations])
+
+
+def stacked(solution):
+    return np.concatenate([solution.q_o, solution.q.ravel()])
+
+
+def put(array, at, value):
+    array[at] = value
+
+
+# What the instructions on lanes do to the first of them.
+ONE_LANE = {
+    "load_pack": lambda array, at: array[at],
+    "store_pack": put,
+    "broadcast": Counting,
+    "gather_pack": lambda array, at, *_: np.ravel(array)[at],
+    "min_positive": lambda a, b: (b if b < a else a) if b > 0.0 else 0.0,
+    "minimum": lambda a, b: a if a < b else b,
+    "sum_pack": lambda x: x + 0.0 + 0.0 + 0.0,
+}
+
+
+def one_arm_a_group(n, d, N):
+    """Arrays for ``n`` equal arms, each of which has a group of its own."""
+    work, one = make_work([d] * n, [N] * n), make_work([d], [N])
+    arms, start = np.arange(n), one.groups[0, START]
+    groups = np.repeat(one.groups, n, axis=0)
+    groups[:, START] += arms * (one.packs.size - start)
+    groups[:, FIRST_ARM:] = arms[:, None]
+    size = start + n * (one.packs.size - start)
+    shift = np.repeat([d, N], [LANES * d, LANES * N])
+    return work._replace(
+        groups=groups,
+        places=one.places + arms[:, None] * shift,
+        present=np.repeat(one.present, n, axis=0),
+        stiffness=np.repeat(one.stiffness, n, axis=0),
+        packs=np.zeros(size),
+    )
+
+
+@pytest.mark.parametrize(("n", "d", "N"), [(1, 6, 1), (2, 6, 1), (4, 6, 1), (3, 4, 3), (2, 7, 6)])
+def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng, n, d, N):
+    """The very kernels, run as plain Python on numbers that count, in one lane."""
+    for name, thing in list(vars(batched).items()):
+        if isinstance(thing, Kernel):
+            monkeypatch.setattr(batched, name, thing.py_func)
+        if name in ONE_LANE:
+            monkeypatch.setattr(batched, name, ONE_LANE[name])
+    s = random_coefficients(rng, n, d, N)
+    work = one_arm_a_group(n, d, N)
+    work = work._replace(
+        **{name: counted(getattr(work, name)) for name in ("S", "packs", "present", "stiffness")}
+    )
+    work = work._replace(L=counted(s.M), Y=counted(s.W))
+    Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
+    q_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
+    right = [counted(part) for part in (s.h_o, s.h.ravel(), s.c.ravel())]
+    monkeypatch.setattr(Counting, "count", 0)
+    status = batched.solve_batched(work, Wo, counted(s.M_o), *right, q_o, q, force)
+    assert status == ELIMINATED
+    assert Counting.count == node_operations(n, d, N)
+    np.testing.assert_allclose(np.concatenate([numbers(q_o), numbers(q)]), dense(s), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("n", "d", "N"), [(1, 1, 1), (2, 6, 1), (2, 3, 2)])
+def test_direct_operations_are_those_of_gaussian_elimination(rng, monkeypatch, n, d, N):
+    matrix, right = solver_forms.assemble(random_coefficients(rng, n, d, N))
+    exact = np.linalg.solve(matrix, right)
+    swap, A, x = pivoted(matrix), counted(matrix), counted(right)
+    A, x = A[swap], x[swap]
+    k = len(x)
+    assert k == order(n, d, N)
+    monkeypatch.setattr(Counting, "count", 0)
+    for j in range(k):
+        for i in range(j + 1, k):
+            A[i, j] = A[i, j] / A[j, j]
+            for m in range(j + 1, k):
+                A[i, m] = A[i, m] - A[i, j] * A[j, m]
+    for j in range(k):
+        for i in range(j):
+            x[j] = x[j] - A[j, i] * x[i]
+    for j in reversed(range(k)):
+        for i in range(j + 1, k):
+            x[j] = x[j] - A[j, i] * x[i]
+        x[j] = x[j] / A[j, j]
+    assert Counting.count == direct_operations(n, d, N)
+    np.testing.assert_allclose(numbers(x), exact, rtol=1e-8)
+
+
+def pivoted(matrix):
+    """The order of rows that partial pivoting chooses."""
+    from scipy.linalg import lu
+
+    return np.argmax(lu(matrix)[0], axis=0)
+
+
+@pytest.mark.parametrize(
+    ("arms", "ratio", "digit"),
+    [(2, 6, 1), (4, 15, 1), (6, 28, 1), (8, 46, 1), (10, 68, 1), (20, 239, 1), (100, 5.4e3, 100)],
+)
+def test_operations_as_written_have_the_known_ratios(arms, ratio, digit):
+    assert abs(ratio_as_written(arms) - ratio) < digit
+
+
+def test_operations_grow_linearly_and_with_the_cube():
+    arms = [200, 400, 800]
+    assert fitted_slope(arms, [node_operations(n) for n in arms]) == pytest.approx(1.0, abs=1e-2)
+    assert fitted_slope(arms, [direct_operations(n) for n in arms]) == pytest.approx(3.0, abs=1e-2)
+
+
+# --- the solvers of section 4.4 -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arms", [2, 3, 7])
+def test_all_solvers_give_equal_accelerations_and_forces(arms):
+    system = ma.compile_system(efficiency.study_scene(arms))
+    state = moving_state(system, seed=5)
+    s = solver_forms.build(system, state)
+    ours = ma.evaluate(system, 0.0, state)
+    exact = np.concatenate([ours.object_acceleration, *ours.joint_accelerations.values()])
+    force = np.concatenate(list(ours.contact_forces.values()))
+    found = efficiency.solve_in_all_ways(s)
+    assert {"LU", "LDL^T", "node, compiled", "node, loop", "Lilly-Orin", "McMillan"} <= set(found)
+    for name, solution in found.items():
+        assert np.max(np.abs(stacked(solution) - exact)) < 1e-9 * np.max(np.abs(exact)), name
+        assert np.max(np.abs(solution.force.ravel() - force)) < 1e-9 * np.max(np.abs(force)), name
+    assert max(efficiency.deviations(s).values()) < 1e-9
+
+
+@pytest.mark.parametrize(("n", "d", "N"), [(1, 6, 1), (3, 6, 3), (4, 7, 4), (2, 5, 2)])
+def test_all_solvers_solve_made_up_systems(rng, n, d, N):
+    s = random_coefficients(rng, n, d, N)
+    for name, solution in efficiency.solve_in_all_ways(s).items():
+        np.testing.assert_allclose(stacked(solution), dense(s), rtol=1e-7, atol=1e-8, err_msg=name)
+
+
+def test_an_arm_that_cannot_follow_is_no_obstacle_when_its_forces_are_solved_together(rng):
+    s = random_coefficients(rng, 3, 6, 2)
+    s.J[0], s.W[0] = 0.0, 0.0  # K = 0: this arm does not give way at all
+    np.testing.assert_allclose(stacked(solver_forms.mcmillan(s, 1)), dense(s), atol=1e-8)
+    with pytest.raises(np.linalg.LinAlgError):
+        solver_forms.node_loop(s)
+
+
+@pytest.mark.parametrize("together", [0, 1, 4])
+def test_any_number_of_arms_may_be_solved_together(rng, together):
+    s = random_coefficients(rng, 4, 6, 1)
+    np.testing.assert_allclose(stacked(solver_forms.mcmillan(s, together)), dense(s), atol=1e-9)
+
+
+def test_the_script_builds_the_same_coefficients_as_the_kernels():
+    system = ma.compile_system(efficiency.study_scene(3))
+    state = moving_state(system, seed=1)
+    assert np.max(np.abs(state.object_twist)) > 0.01, "terms in the velocities count"
+    s = solver_forms.build(system, state)
+    ma.evaluate(system, 0.0, state)
+    buffers = data_of(system).arrays
+    given = {"M_o": buffers.inertia, "h_o": buffers.h_o, "h": buffers.h, "c": buffers.c}
+    for name, kernels in given.items():
+        np.testing.assert_allclose(np.ravel(getattr(s, name)), kernels.ravel(), atol=1e-11)
+    np.testing.assert_allclose(s.W_o[:, :, 0], buffers.Wo, atol=1e-12)
+    np.testing.assert_allclose(s.W_o, s.G.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
+    np.testing.assert_allclose(s.W, -s.J.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
+
+
+def test_the_matrix_is_filled_alike_by_script_and_kernel(rng):
+    s = random_coefficients(rng, 3, 5, 2)
+    matrix, right = solver_forms.assemble(s)
+    filled, side = np.ones(matrix.shape), np.ones(right.shape)
+    efficiency._assemble_often(s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, filled, side, 1)
+    np.testing.assert_array_equal(filled, matrix)
+    np.testing.assert_array_equal(side, right)
+    np.testing.assert_array_equal(matrix, matrix.T)
+
+
+# --- the thesis's table ---------------------------------------------------------------------------
+
+
+def test_times_implied_by_the_thesis_fit_its_columns():
+    known = {2: (22.4, 15.9), 4: (40.8, 35.9), 6: (55.9, 68.2), 8: (74.5, 122.2), 10: (92.6, 197.2)}
+    found = efficiency.thesis_columns()
+    assert list(found) == list(range(2, 11))
+    for arms, columns in found.items():
+        t1, t2 = columns["t1"], columns["t2"]
+        assert t2 / t1 == pytest.approx(columns["solving"])
+        assert t2 - t1 == pytest.approx(columns["saved"])
+        if arms in known:
+            assert (t1, t2) == pytest.approx(known[arms], abs=0.06)
+    arms = np.array(list(found))
+    slope = np.polyfit(arms, [columns["t1"] for columns in found.values()], 1)[0]
+    assert slope == pytest.approx(9.0, abs=0.3), "t1 grows by about 9 ms an arm"
+
+
+@pytest.mark.slow
+def test_columns_are_those_of_the_measured_times(study):
+    for row in study["rows"]:
+        for picture, columns in row["columns"].items():
+            cost = row["microseconds"][picture]
+            t, t1, t2 = cost["build"], cost["node"], cost["lu"]
+            again = ((t2 + t) / (t1 + t), t2 / t1, t2 - t1, t1, t2)
+            assert tuple(columns.values()) == pytest.approx(again)
+        counts = row["operations"]
+        assert counts["ratio"] == counts["direct"] / counts["node"]
+        assert max(row["deviation"].values()) < 1e-9
+
+
+def test_crossover_is_where_the_ratio_passes_one():
+    assert efficiency.crossover([(2, 0.5), (4, 0.5), (16, 2.0)]) == pytest.approx(8.0)
+    assert efficiency.crossover([(2, 1.5), (4, 3.0)]) == 2.0
+    assert efficiency.crossover([(2, 0.1), (4, 0.9)]) is None
+    assert 4.0 < efficiency.crossover(
+        [(n, columns["solving"]) for n, columns in efficiency.thesis_columns().items()]
+    ) < 5.0  # fmt: skip
+
+
+def test_exponents_are_those_of_the_largest_two_sizes(study):
+    small, large = study["rows"][-2:]
+    for picture, slopes in study["last_slopes"].items():
+        before, after = small["microseconds"][picture], large["microseconds"][picture]
+        for part, slope in slopes.items():
+            grown = np.log(after[part] / before[part])
+            assert slope == pytest.approx(grown / np.log(large["arms"] / small["arms"]))
+
+
+def test_the_table_has_the_thesis_beside_what_was_measured(study):
+    rows = efficiency.table(study).set_index("arms")
+    assert rows["total_1995"].tolist() == [0.98, 0.99, 1.00]
+    assert rows["solving_1995"].tolist() == [0.71, 0.77, 1.03]
+    for row in study["rows"]:
+        assert rows.loc[row["arms"], "lu_compiled_us"] == row["microseconds"]["compiled"]["lu"]
