@@ -268,9 +268,9 @@ def evolved(
         spread = DIFFERENCE * rng.random((count, 1, 1)) * (a - b)
         chosen = rng.random((count, 7, 1)) < TAKING_PART
         trial = touches.towards(y, np.where(chosen, y + pull + spread, y))
-        score = scores(trial)
-        better = score > value
-        y[better], value[better] = trial[better], score[better]
+        trial_scores = scores(trial)
+        better = trial_scores > value
+        y[better], value[better] = trial[better], trial_scores[better]
     order = np.argsort(-value, kind="stable")
     return y[order], value[order]
 

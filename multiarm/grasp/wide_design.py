@@ -168,8 +168,8 @@ def design_wide_grasp(
     if best is None:
         small = "" if gripper_size is None else f" with grippers of {gripper_size:g} m"
         raise GraspError(
-            f"no grasp of the wider class{small} was found: the body is {body_class.words}, but its "
-            f"faces leave no room for the contacts; larger faces or another size may help"
+            f"no grasp of the wider class{small} was found: the body is {body_class.words}, but "
+            f"its faces leave no room for the contacts; larger faces or another size may help"
         )
     return best
 
