@@ -437,6 +437,11 @@ control:
     damping: Annotated[ObjectGain, _EITHER] = ObjectGain(translation=20.0, rotation=20.0)
     """[1/s]; twice the root of the stiffness lets errors die out without overshoot."""
 
+    @property
+    def carries(self) -> bool:
+        """Always: inverse dynamics takes the weight into account."""
+        return True
+
 
 class ObjectImpedanceControl(_ObjectControl):
     """The object on a spring and a damper; arms and object carry their own weight.
