@@ -28,11 +28,9 @@ def shaken(box: np.ndarray, accuracy: float) -> np.ndarray:
     mass, *shift = box
     scene = ma.load_scene(SCENE)
     middle = np.array(scene.object.pose.xyz)
-    body = scene.object.model_dump(exclude_unset=True) | {
-        "mass": float(mass),
-        "pose": {"xyz": (middle + shift).tolist()},
-    }
-    system = ma.compile_system(scene.replace(object=body))
+    system = ma.compile_system(
+        scene.replace({"object.mass": mass, "object.pose.xyz": middle + shift})
+    )
     posture = system.initial_state().joint_positions
 
     def servo(t: float, state: ma.State) -> dict[str, np.ndarray]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
 from multiarm.cli.holding import carrying_rows, overload_warnings
-from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
+from multiarm.cli.options import Arms, Code, JsonFile, SceneFile
 from multiarm.notation import number, numbers, value_text
 from multiarm.terminal.console import (
     accuracy,
@@ -34,10 +34,9 @@ if TYPE_CHECKING:
 __all__ = ["check"]
 
 
-@with_settings("arms")
 def check(
     scene: SceneFile,
-    settings: dict[str, Any],
+    arms: Arms = None,
     json: JsonFile = None,
     code: Code = False,
 ) -> None:
@@ -57,7 +56,7 @@ def check(
     from multiarm.simulation.inspection import inspect_system
 
     with Progress() as progress:
-        system, left = compile_for_inspection(loaded, settings.get("arms"))
+        system, left = compile_for_inspection(loaded, arms)
         progress(0, 0, "inspecting")
         inspection = inspect_system(system, left)
         print_warnings(inspection.warnings[len(loaded.warnings) :])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import RenderableType
@@ -15,13 +15,15 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import (
     FILES,
+    Accuracy,
+    Duration,
     JsonFile,
     NoCode,
     Quiet,
     SceneFile,
+    chosen,
     file_option,
     option,
-    with_settings,
 )
 from multiarm.errors import SweepError
 from multiarm.notation import count_of, number
@@ -48,14 +50,14 @@ WORKERS = "Workers"
 OF_SWEEP = "the sweep's"
 
 
-@with_settings("duration", "accuracy")
 def sweep(
     scene: SceneFile,
     over: Annotated[
         Path,
         option("The sweep, a YAML file: what varies, how, and what is kept.", "FILE.yaml"),
     ],
-    settings: dict[str, Any],
+    duration: Duration = None,
+    accuracy: Accuracy = None,
     repeat: Annotated[
         int | None, option("Runs of each point of the grid.", "N", default=OF_SWEEP, min=1)
     ] = None,
@@ -142,7 +144,7 @@ def sweep(
             seed=seed,
             progress=progress,
             resume=not fresh,
-            **settings,
+            **chosen(duration=duration, accuracy=accuracy),
         )
     summary = found.summary()
     if not quiet:

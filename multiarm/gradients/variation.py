@@ -44,7 +44,7 @@ from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
-from multiarm.scene.changes import changed, parse_path, value_at
+from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
 from multiarm.spatial import skew
@@ -301,7 +301,7 @@ def _start(system: System, state: State | None) -> State:
 def _with_value(system: System, path: str, value: float) -> System:
     control = system.model.python_control
     try:
-        nearby = compile_system(changed(system.scene, {path: value}), like=system)
+        nearby = compile_system(system.scene.replace({path: value}), like=system)
     except MultiarmError as error:
         raise SceneError(
             f"{path}: derivatives by it need the scene with {value:.9g}, which cannot be compiled; "

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, Columns, first_fault, in_sequence
+from multiarm.results.channels import Channel, Columns, first_fault, in_sequence, recordable
 from multiarm.results.files import CLOSED
 from multiarm.results.trajectory import Outcome, Trajectory, plain
 
@@ -62,13 +62,13 @@ class Sink:
         Raises
         ------
         TrajectoryError
-            At the first number that is not finite; the samples before it are kept.
+            At the first number that no result holds; the samples before it are kept.
         """
         if rows.ndim != 2 or rows.shape[1] != self._width:
             raise TrajectoryError(
                 f"a block of samples has shape {rows.shape}; expected (k, {self._width})"
             )
-        if np.isfinite(rows).all():
+        if recordable(rows).all():
             self._keep(rows)
             return
         end, fault = first_fault(self._channels, self._columns_of(self._channels), rows)
@@ -125,6 +125,8 @@ class MemorySink(Sink):
 
 class MemoryStore:
     """Samples in memory, read-only: ``rows`` has shape (K, width); else see :meth:`Sink.open`."""
+
+    path = None
 
     def __init__(
         self,

@@ -39,14 +39,17 @@ import numpy as np
 from multiarm.errors import TrajectoryError
 from multiarm.notation import count_of
 from multiarm.results.channels import (
+    LARGEST,
     Channel,
     arm_names,
+    recordable,
     trajectory_channels,
     wrench_and_tip_channels,
     wrench_channel,
 )
 from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
 from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
+from multiarm.scene.run import LONGEST_RUN
 
 CHUNK_SAMPLES = 512
 """A chunk of a scalar channel fills a page of the file."""
@@ -157,8 +160,10 @@ class TrajectoryReader(StoredFile):
             if len({self.channels[name].shape for name in joints if name in self.channels}) > 1:
                 raise self.broken(f"channels of arm '{arm}' have different numbers of joints")
         times = self.file["time"][: self.samples]
-        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
+        if not recordable(times).all() or np.any(np.diff(times) < 0.0):
             raise self.broken("its times are not finite, or do not increase")
+        if len(times) and times[-1] - times[0] > LONGEST_RUN:
+            raise self.broken(f"its times span more than {LONGEST_RUN:g} s")
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
@@ -167,18 +172,20 @@ class TrajectoryReader(StoredFile):
             if not self.file:  # closed
                 raise TrajectoryError(CLOSED)
             with self.reading(self.path):
-                return self._finite(name, self.file[name][start:stop])
+                return self._recordable(name, self.file[name][start:stop])
         if _identity(self.path) != self._identity:
             raise TrajectoryError(
                 f"'{self.path}' is not the file any more that this result was read from; load it "
                 "again, or write other runs elsewhere"
             )
         with self.opened(self.path)[0] as file, self.reading(self.path):
-            return self._finite(name, file[name][start:stop])
+            return self._recordable(name, file[name][start:stop])
 
-    def _finite(self, name: str, values: np.ndarray) -> np.ndarray:
-        if not np.isfinite(values).all():
-            raise self.broken(f"channel '{name}' has numbers that are not finite")
+    def _recordable(self, name: str, values: np.ndarray) -> np.ndarray:
+        if not recordable(values).all():
+            raise self.broken(
+                f"channel '{name}' has numbers that are not finite, or beyond {LARGEST:g}"
+            )
         return values
 
     def close_between_reads(self) -> None:

@@ -57,8 +57,8 @@ def _whole(least: int, value: Any) -> int:
 MOST_VALUES, LARGEST = 10**9, 2**53
 
 
-Count = Annotated[int, BeforeValidator(partial(_whole, 1)), Field(ge=1)]
-NonNegativeCount = Annotated[int, BeforeValidator(partial(_whole, 0)), Field(ge=0)]
+Count = Annotated[int, Field(ge=1), BeforeValidator(partial(_whole, 1))]
+NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(partial(_whole, 0))]
 
 
 def items(value: Any) -> list[Any]:

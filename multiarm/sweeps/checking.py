@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path
-from multiarm.scene.faults import place, shown
-from multiarm.scene.functions import (
-    FunctionReference,
+from multiarm.scene import REGISTRIES, NamedCode, Scene, parse_path
+from multiarm.scene.code import (
+    CodeReference,
     function_references,
     load_function,
     located,
     reference_fault,
 )
+from multiarm.scene.faults import place, shown
 from multiarm.sweeps.axes import Axis
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
         found += [NamedCode.user_class(at, own, name) for own, name in classes if name in texts]
         for text in sorted(texts):
             if _FUNCTION.fullmatch(text):
-                function = located(FunctionReference(text), scene.folder)
+                function = located(CodeReference(text), scene.folder)
                 found.append(NamedCode.function(at, function))
     return found
 
@@ -144,7 +144,7 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
         for axis, entry in zip(axes, entries, strict=True):
             values |= axis.at(entry)
         try:
-            changed(scene, values)
+            scene.replace(values)
         except SceneError as error:
             for fault in error.faults:
                 found.setdefault(*_at_its_axis(fault, axes, entries))

@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import Scene, changed, dump_scene, load_scene
-from multiarm.scene.functions import FunctionReference
+from multiarm.scene import Scene, dump_scene, load_scene
+from multiarm.scene.code import CodeReference
 from multiarm.sweeps.axes import Axis
 from multiarm.sweeps.checking import axis_faults, axis_words, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
@@ -150,7 +150,7 @@ class SweepPlan:
         """
         found: dict[str, str] = {}
         for text in self.words:
-            name = FunctionReference(text).file or Path(text)
+            name = CodeReference(text).file or Path(text)
             if name.suffix.lower() not in _SUFFIXES:
                 continue
             path = (self.scene.folder / name.expanduser()).resolve()
@@ -206,7 +206,7 @@ class SweepPlan:
         SceneError
             When its values make no valid scene.
         """
-        return changed(self.scene, self.values(run))
+        return self.scene.replace(self.values(run))
 
     def _values(self, run: int, sampler: Sampler) -> dict[str, Any]:
         entries = iter(self._entries((run - 1) // self.spec.repeat))
@@ -251,7 +251,7 @@ def make_plan(
         within = None if source is None or "keep" in changes else folder
         faults += [*axis_faults(spec), *quantity_faults(spec, within)]
         try:  # faults of `run` have the same place in the sweep as in the scene
-            scene = changed(scene, {f"run.{key}": value for key, value in spec.run.items()})
+            scene = scene.replace({f"run.{key}": value for key, value in spec.run.items()})
         except SceneError as error:
             faults += error.faults
         faults += value_faults(scene, spec)

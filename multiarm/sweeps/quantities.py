@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import USER_FAULTS
-from multiarm.scene.functions import FunctionReference, load_function
+from multiarm.scene.code import CodeReference, load_function
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -38,7 +38,7 @@ class Quantity:
     unit: str
     words: str  # description
     # the user's function, or its place
-    function: Callable[[Trajectory], Any] | FunctionReference | None = None
+    function: Callable[[Trajectory], Any] | CodeReference | None = None
     key: str | None = None  # of the table that the function returns
     digest: str = ""  # of the function's source text
 
@@ -66,7 +66,7 @@ def digest(function: Callable | str) -> str:
     """A digest of the function's source text; empty if the text is not available."""
     try:
         if isinstance(function, str):
-            file = FunctionReference(function).file
+            file = CodeReference(function).file
             text = "" if file is None else file.read_text(encoding="utf-8")
         else:
             text = inspect.getsource(function)
@@ -80,7 +80,7 @@ class _Fault(Exception):
 
 
 def _measured(
-    function: Callable | FunctionReference | None, members: list[Quantity], trajectory: Trajectory
+    function: Callable | CodeReference | None, members: list[Quantity], trajectory: Trajectory
 ) -> dict[str, float | None]:
     if function is None:
         return {one.name: KNOWN[one.name].function(trajectory) for one in members}
@@ -114,7 +114,7 @@ def _number(value: Any, name: str) -> float:
 
 
 @lru_cache(maxsize=64)
-def _loaded(function: Callable | FunctionReference, _digest: str) -> Callable:
+def _loaded(function: Callable | CodeReference, _digest: str) -> Callable:
     """The function; the digest makes a changed file be read again."""
     return load_function(function)
 

@@ -108,7 +108,7 @@ class Sweep:
         from multiarm.scene import parse_scene
 
         text, folder = self._stored.texts["scene"], self._stored.header.folder
-        return parse_scene(text, folder, stored=True, code=self._code)
+        return parse_scene(text, folder, self._code)
 
     @property
     def text(self) -> str:

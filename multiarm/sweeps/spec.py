@@ -16,8 +16,8 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJ
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
+from multiarm.scene.code import UserFunction, located
 from multiarm.scene.faults import explain, fault, shown, unknown
-from multiarm.scene.functions import UserFunction, located
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
@@ -116,6 +116,9 @@ def _axis(value: Any) -> Any:
     return {"values": value}
 
 
+_AXIS = BeforeValidator(_axis, json_schema_input_type=AxisSpec | list[Any])
+
+
 def _by_text(value: Any) -> Any:
     """The table with strings as keys; in Python a key may be a tuple of paths."""
     if not isinstance(value, Mapping) or not value:
@@ -157,9 +160,9 @@ class SweepSpec(Spec):
         Replaces entries of the scene's ``run``.
     """
 
-    over: Annotated[
-        dict[str, Annotated[AxisSpec, BeforeValidator(_axis)]], BeforeValidator(_by_text)
-    ] = Field(description="a table 'path: values' of what varies, such as (object.mass: [5, 10])")
+    over: Annotated[dict[str, Annotated[AxisSpec, _AXIS]], BeforeValidator(_by_text)] = Field(
+        description="a table 'path: values' of what varies, such as (object.mass: [5, 10])"
+    )
     combine: Literal["product", "zip"] = "product"
     repeat: Count = 1
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"

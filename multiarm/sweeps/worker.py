@@ -21,7 +21,8 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import REGISTRIES, Scene, changed, parse_scene
+from multiarm.scene import REGISTRIES, Scene, parse_scene
+from multiarm.scene.code import is_reference
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import Job, Record, SweepPlan, program_version
@@ -57,7 +58,7 @@ class JobContext:
                 (own.group, one)
                 for own in REGISTRIES
                 for name, one in own.registered.items()
-                if name in plan.words  # of the scene, or of the sweep only
+                if name in plan.words and not is_reference(name)  # files are read by each worker
             ),
             folder=str(plan.scene.folder),
             session=session,
@@ -142,7 +143,7 @@ def simulate_run(plan: SweepPlan, run: int) -> Trajectory:
 
 def _simulated(context: JobContext, values: Mapping[str, Any]) -> Trajectory:
     base = _base(context)
-    system = compile_system(changed(base.scene, values), like=base.system)
+    system = compile_system(base.scene.replace(values), like=base.system)
     return simulate(system, certificate=context.certificate)
 
 

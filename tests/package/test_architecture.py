@@ -36,6 +36,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
+    "docstring_parser": ("scene.parameters",),
     "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
     "jinja2": ("reports.pages",),
     "joblib": (

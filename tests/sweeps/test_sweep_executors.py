@@ -29,7 +29,6 @@ from sweep_runs import (
 
 import multiarm as ma
 from multiarm.errors import SweepError
-from multiarm.scene import changed
 from multiarm.sweeps import worker
 from multiarm.sweeps.executors import MOST_JOBS, TARGET, Batches, run_in_process, run_in_processes
 from multiarm.sweeps.plan import Job, Record, make_plan
@@ -144,7 +143,7 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 
 
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
-    broken = changed(scene, {GRIP: {"xyz": [-3.0, 0, 0]}})
+    broken = scene.replace({GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
     rows = [row for rows in run_in_process(JobContext.of(plan), plan.jobs()) for row in rows]
     assert [row.status for row in rows] == ["completed", "failed"]
