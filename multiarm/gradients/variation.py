@@ -197,8 +197,8 @@ class Parameter:
             ends = {w: _start(system, state) for w, system in self._systems.items()}
         except ModelError as error:
             raise SceneError(
-                f"{self.path}: derivatives by it need runs from the given `state` with "
-                f"{shown(self.path)} nearby; name a smaller size, "
+                f"{self.path}: derivatives by it need runs from `state` in scenes with values "
+                "nearby, and these cannot begin there; name a smaller size, "
                 f"`parameters={{{self.path!r}: ...}}` ({error})"
             ) from None
         changes = np.array([displacement(start, end) for end in ends.values()])
