@@ -213,7 +213,7 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
             try:
                 shape = _hull_of_mesh(path, stamp, tuple(item.meshScale))
             except ValueError as error:
-                lost[f"{path} of link '{link}' ({error})"] = None
+                lost[f"{item.meshPath} of link '{link}' ({error})"] = None
                 geometry.removeGeometryObject(item.name)
                 continue
         shape.computeLocalAABB()
