@@ -486,7 +486,7 @@ def test_forward_and_backward_agree_at_a_later_start():
 @pytest.mark.slow
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
 def test_no_digit_of_a_chaotic_runs_derivatives_is_claimed(accuracy):
-    """In six seconds errors of this run grow as large as it; in the first it is well-behaved."""
+    """Errors grow as large as the motion within six seconds, and hardly within the first."""
     system = ma.compile_system(ma.load_scene(SCENES / "ring_weld.yaml"))
     asked = {"parameters": ["object.mass"], "accuracy": accuracy}
     g = ma.gradient(system, 6.0, final=lambda t, state: state.object_position[2], **asked)
