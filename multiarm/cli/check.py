@@ -9,6 +9,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
+from multiarm.cli.holding import carrying_rows, overload_warnings
 from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
 from multiarm.notation import number, numbers, value_text
 from multiarm.terminal.console import (
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from multiarm.dynamics.system import StartReport
     from multiarm.simulation.inspection import (
         ArmFacts,
-        Carrying,
         Freedom,
         Inspection,
         JointFacts,
@@ -62,6 +62,7 @@ def check(
         inspection = inspect_system(system, left)
         print_warnings(inspection.warnings[len(loaded.warnings) :])
     print_warnings(inspection.not_looked_at)
+    print_warnings(overload_warnings(inspection.carrying))
     if json is not None:
         write_json(json, inspection.as_dict())
     console = output()
@@ -189,21 +190,8 @@ def _start(inspection: Inspection, start: StartReport) -> dict[str, RenderableTy
         "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
-    if inspection.carrying is not None:
-        rows["weight of the object"] = _carrying(inspection.carrying)
+    rows |= carrying_rows(inspection.carrying)
     return rows
-
-
-def _carrying(carrying: Carrying) -> Text:
-    if carrying.possible:
-        force = number(carrying.largest_force, "N")
-        return Text(f"can be carried; largest contact force {force}", "green")
-    return Text(
-        f"cannot be carried: {number(carrying.force_residual, 'N')} and "
-        f"{number(carrying.moment_residual, 'N m')} stay unbalanced; the object will fall or turn "
-        f"although the control holds it",
-        "bold yellow",
-    )
 
 
 def _run(run: RunFacts) -> dict[str, RenderableType]:
