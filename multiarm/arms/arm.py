@@ -14,16 +14,15 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
-from multiarm.scene.faults import counted
-from multiarm.scene.meshes import readable_shapes
+from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 
 
@@ -268,16 +267,17 @@ class Arm:
             found.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
         return found
 
-    def visual_model(self, loader: Any) -> pin.GeometryModel:
-        """The URDF's visual geometry, placed consistently with :attr:`model`.
+    def visual_model(self) -> pin.GeometryModel:
+        """The visual geometry of robot and tool, placed consistently with :attr:`model`.
 
-        ``loader`` is a mesh loader of coal's, which may read a file once for several arms.
+        Files of meshes are not read here: a shape that is a mesh has the type ``BVHModelBase``,
+        and its path and scale.
         """
-        return _assemble(self.name, self.files, loader)[1]
+        return _assemble(self.name, self.files, pin.GeometryType.VISUAL)[1]
 
-    def collision_model(self, loader: Any) -> pin.GeometryModel:
-        """The URDF's collision geometry; of a robot or tool without any, its visual geometry."""
-        return _assemble(self.name, self.files, loader, pin.GeometryType.COLLISION)[1]
+    def collision_model(self) -> pin.GeometryModel:
+        """The collision geometry as :meth:`visual_model`; of a file without any, its visual one."""
+        return _assemble(self.name, self.files, pin.GeometryType.COLLISION)[1]
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
@@ -340,24 +340,24 @@ def _read(urdf: Path | str, _stamp: int) -> pin.Model:
 
 
 def _assemble(
-    name: str,
-    files: ArmFiles,
-    loader: Any = None,
-    kind: pin.GeometryType = pin.GeometryType.VISUAL,
+    name: str, files: ArmFiles, kind: pin.GeometryType | None = None
 ) -> tuple[pin.Model, pin.GeometryModel]:
-    """Robot, tool, locked joints, base: the model and, with a ``loader``, its geometry."""
+    """Robot, tool, locked joints, base: the model and, if wanted, its geometry of a kind."""
     base = pin.SE3(files.base)
     if files.mjcf:
         model, first = mjcf_model(files.urdf)
         base = base * pin.SE3(first.matrix())
     else:
         model = _from_urdf(name, files.urdf)
-    geometry = _geometry(model, files.urdf, files.package_dirs, loader, kind, files.mjcf)
+    geometry, tool_geometry = pin.GeometryModel(), pin.GeometryModel()
+    if kind is not None:
+        geometry = _geometry(model, files.urdf, files.package_dirs, kind, files.mjcf)
     armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
-        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, loader, kind)
+        if kind is not None:
+            tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, kind)
         mount = _frame_id(model, files.mount, name)
         placement = pin.SE3(files.tool_placement)
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
@@ -381,57 +381,38 @@ def _geometry(
     model: pin.Model,
     urdf: Path | str,
     package_dirs: tuple[Path, ...],
-    loader: Any,
     kind: pin.GeometryType,
     mjcf: bool = False,
 ) -> pin.GeometryModel:
-    """The shapes; without those whose meshes cannot be read, which a warning names."""
-    if loader is None:
-        return pin.GeometryModel()
-    folders = [str(p) for p in package_dirs]
-    role, lack, without = _ROLES[kind]
-
-    def shapes(text: str) -> pin.GeometryModel:
-        return pin.buildGeomFromUrdfString(model, text, kind, None, folders, loader)
-
-    lost: list[str] = []
+    """The shapes of a file; none, and a warning, where Pinocchio cannot read them."""
+    role, without = _ROLES[kind]
+    meshes: dict[str, ShapeMesh] = {}
     try:
         if mjcf:
             geometry = pin.buildGeomFromMJCF(model, str(urdf), kind)
-        elif isinstance(urdf, str):
-            geometry = shapes(urdf)
         else:
-            text, lost = readable_shapes(urdf, package_dirs, role)
-            try:
-                geometry = shapes(text)
-            except (ValueError, RuntimeError):
-                text, lost = readable_shapes(urdf, package_dirs, role, loader)
-                geometry = shapes(text)
+            text = urdf
+            if isinstance(urdf, Path):
+                text, meshes = shapes_without_meshes(urdf, package_dirs, role)
+            geometry = pin.buildGeomFromUrdfString(model, text, kind)
     except (ValueError, RuntimeError):
         name = "a tool's URDF" if isinstance(urdf, str) else urdf
         warnings.warn(f"the shapes of {name} cannot be read: {without}", stacklevel=2)
         return pin.GeometryModel()
-    if lost:
-        assert isinstance(urdf, Path), "only files have meshes of their own"
-        what = counted([*dict.fromkeys(lost)], 3)
-        warnings.warn(f"{urdf.name}: {lack.format(what)}", stacklevel=2)
-    if kind == pin.GeometryType.COLLISION and not geometry.ngeoms and not lost:
-        return _geometry(model, urdf, package_dirs, loader, pin.GeometryType.VISUAL, mjcf)
+    if kind == pin.GeometryType.COLLISION and not geometry.ngeoms:
+        return _geometry(model, urdf, package_dirs, pin.GeometryType.VISUAL, mjcf)
+    for item in geometry.geometryObjects:
+        if item.name in meshes:
+            item.geometry = coal.BVHModelOBBRSS()
+            item.meshPath = meshes[item.name].path
+            item.meshScale = np.array(meshes[item.name].scale)
     return geometry
 
 
-# The tag of shapes in a URDF, what a warning says where some cannot be read, and where none can.
+# The tag of shapes in a URDF, and what a warning says where they cannot be read.
 _ROLES = {
-    pin.GeometryType.VISUAL: (
-        "visual",
-        "the replay leaves out {}; a joint with no shape left has a bar",
-        "the replay shows bars",
-    ),
-    pin.GeometryType.COLLISION: (
-        "collision",
-        "postures are found without regard to {}",
-        "postures are found without regard to them",
-    ),
+    pin.GeometryType.VISUAL: ("visual", "the replay shows bars"),
+    pin.GeometryType.COLLISION: ("collision", "postures are found without regard to them"),
 }
 
 

@@ -10,6 +10,7 @@ either.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,6 +24,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from multiarm.arms.arm import Arm
 from multiarm.scene import ObjectSpec, Scene
+from multiarm.scene.faults import counted
+from multiarm.scene.meshes import read_mesh
 
 # Distances beyond this one need not be known [m].
 HORIZON = 0.05
@@ -195,28 +198,46 @@ def _hull(points: np.ndarray) -> Any:
 
 def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
     """The shapes of an arm's links; ``place`` (3,) is where its tip holds the object [m]."""
-    geometry = arm.collision_model(_mesh_loader())
+    geometry = arm.collision_model()
     levers = arm.levers(place)
     last = arm.tip_joint
     hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
-    solids = []
-    for item in geometry.geometryObjects:
+    solids, lost = [], []
+    for item in geometry.geometryObjects.tolist():
         shape, link = item.geometry, arm.model.frames[item.parentFrame].name
         name = f"link {link!r} of arm {arm.name!r}"
         if isinstance(shape, coal.BVHModelBase):
             path = Path(item.meshPath)
             stamp = path.stat().st_mtime_ns if path.is_file() else 0
-            shape = _hull_of_mesh(path, stamp, tuple(item.meshScale)) if stamp else shape
+            try:
+                shape = _hull_of_mesh(path, stamp, tuple(item.meshScale))
+            except ValueError as error:
+                lost.append(f"{path} of link '{link}' ({error})")
+                geometry.removeGeometryObject(item.name)
+                continue
         shape.computeLocalAABB()
         solids.append(Solid(name, shape, item.parentJoint, item.parentJoint in hand))
+    if lost:
+        warnings.warn(
+            f"{arm.files.urdf.name}: postures are found without regard to {counted(lost, 3)}",
+            stacklevel=2,
+        )
     return geometry, tuple(solids)
 
 
 @lru_cache(maxsize=256)
 def _hull_of_mesh(path: Path, _stamp: int, scale: tuple[float, ...]) -> Any:
     """The hull of a file's mesh; the mesh itself where its points lie in a plane."""
-    mesh = _mesh_loader().load(str(path), np.array(scale))
-    return _hull(mesh.vertices()) or mesh
+    points, triangles, _ = read_mesh(path, scale)
+    hull = _hull(points[np.unique(triangles)])
+    if hull is not None:
+        return hull
+    sheet = coal.BVHModelOBBRSS()
+    sheet.beginModel(len(triangles), len(points))
+    sheet.addVertices(points)
+    sheet.addTriangles(triangles)
+    sheet.endModel()
+    return sheet
 
 
 def _placed(pairs: list[tuple[Solid, pin.SE3]]) -> Placed:
@@ -228,8 +249,3 @@ def _placed(pairs: list[tuple[Solid, pin.SE3]]) -> Placed:
 
 def _transform(pose: pin.SE3) -> Any:
     return coal.Transform3s(pose.rotation, pose.translation)
-
-
-@lru_cache(maxsize=1)
-def _mesh_loader() -> coal.MeshLoader:
-    return coal.CachedMeshLoader()

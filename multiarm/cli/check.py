@@ -11,6 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
+from multiarm.cli.holding import carrying_rows, overload_warnings
 from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
 from multiarm.notation import count_of, number, numbers
 from multiarm.terminal.console import (
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from multiarm.dynamics.system import StartReport
     from multiarm.simulation.inspection import (
         ArmFacts,
-        Carrying,
         EffectFacts,
         Freedom,
         Inspection,
@@ -69,6 +69,7 @@ def check(
             progress(0, 0, "timing the effects")
             inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     print_warnings(inspection.not_looked_at)
+    print_warnings(overload_warnings(inspection.carrying))
     if json is not None:
         write_json(json, inspection.as_dict())
     console = output()
@@ -210,21 +211,8 @@ def _start(found: Inspection, start: StartReport) -> dict[str, RenderableType]:
         "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
-    if found.carrying is not None:
-        rows["weight of the object"] = _carrying(found.carrying)
+    rows |= carrying_rows(found.carrying)
     return rows
-
-
-def _carrying(carrying: Carrying) -> Text:
-    if carrying.possible:
-        force = number(carrying.largest_force, "N")
-        return Text(f"can be carried; largest contact force {force}", "green")
-    return Text(
-        f"cannot be carried: {number(carrying.force_residual, 'N')} and "
-        f"{number(carrying.moment_residual, 'N m')} stay unbalanced; the object will fall or turn "
-        f"although the control holds it",
-        "bold yellow",
-    )
 
 
 def _run(run: RunFacts) -> dict[str, RenderableType]:

@@ -16,6 +16,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json, write_text
+from multiarm.cli.holding import carrying_rows, overload_warnings
 from multiarm.cli.options import Code, JsonFile, SceneFile, file_option, option
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.notation import count_of, number, numbers
@@ -25,6 +26,7 @@ from multiarm.terminal.console import (
     facts,
     messages,
     output,
+    print_warnings,
     print_written,
 )
 from multiarm.terminal.progress import Progress
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
     from multiarm.scene import Scene
+    from multiarm.simulation.holding import Carrying
 
 __all__ = ["FORMS", "body_of_text", "design_facts", "grasp_app", "judgement_tables"]
 
@@ -161,7 +164,10 @@ def design(
         rows["object"] = "turned at the start: upright, the arms do not reach it"
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
     rows["squeeze"] = f"{squeeze} in the mean, so that no contact opens"
+    carrying = _carrying(scene)
+    rows |= carrying_rows(carrying)
     messages().print(facts("Grasp", rows))
+    print_warnings(overload_warnings(carrying))
     if plot is not None:
         _draw(grasp, plot)
     if out is None:
@@ -213,6 +219,7 @@ def check(
     console = output()
     for table in judgement_tables(judgement):
         console.print(table)
+    print_warnings(overload_warnings(judgement.carrying))
     if plot is not None:
         _draw(scene_grasp.as_grasp(), plot)
         print_written("picture", plot)
@@ -275,6 +282,15 @@ def _designs(
             rng=rng,
         )
         yield best.grasp.noted(best.message)
+
+
+def _carrying(scene: Scene) -> Carrying | None:
+    from multiarm.assembly.compilation import compile_system
+    from multiarm.events.evaluation import evaluate
+    from multiarm.simulation.holding import carrying_capacity
+
+    system = compile_system(scene)
+    return carrying_capacity(system, evaluate(system))
 
 
 def _mesh_file(solid: Any, out: Path | None, body: str) -> Path | None:
@@ -371,6 +387,7 @@ def _grasp_facts(judgement: GraspJudgement) -> dict[str, RenderableType]:
         rows["to second order"] = "held, by what turning does to the flat faces"
     if judgement.carrying_force is not None:
         rows["weight"] = f"carried with at most {number(judgement.carrying_force, 'N')} a contact"
+    rows |= carrying_rows(judgement.carrying)
     stability = judgement.stability
     if stability is not None:
         if stability.closure_radius is not None:

@@ -27,6 +27,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
+from multiarm.scene.meshes import read_mesh
 from multiarm.scene.values import (
     Color,
     FilePath,
@@ -267,7 +268,7 @@ class Mesh(Spec):
     """A mesh, its origin at the centre of mass."""
 
     file: FilePath
-    """An STL or OBJ file, for instance."""
+    """An STL, OBJ, PLY, OFF or Collada file."""
     scale: Annotated[
         tuple[float, float, float],
         BeforeValidator(_scale),
@@ -277,15 +278,10 @@ class Mesh(Spec):
 
     def triangles(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Corners (N, 3) in the object's frame [m] and triangles (T, 3); None if unreadable."""
-        import trimesh
-
         try:
-            solid: Any = trimesh.load_mesh(str(self.file), process=False)
-            corners = np.array(solid.vertices, float) * self.scale
-            triangles = np.array(solid.faces, int)
-        except Exception:  # readers of the formats raise what they please; the replay says so
+            return read_mesh(self.file, self.scale)[:2]
+        except ValueError:  # the replay says so
             return None
-        return (corners, triangles) if len(triangles) else None
 
 
 class Shape(OneOf):

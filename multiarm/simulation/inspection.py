@@ -34,7 +34,7 @@ from multiarm.dynamics.evaluation import (
     failure_text,
 )
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
+from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SolverError
@@ -43,6 +43,7 @@ from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.notation import count_of
 from multiarm.results.trajectory import plain
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
 
@@ -133,18 +134,6 @@ class RunFacts:
 
 
 @dataclass(frozen=True)
-class Carrying:
-    """Whether the contact forces can carry the object at rest."""
-
-    possible: bool
-    # what the best contact forces leave of the weight [N] and of its moment about the centre of
-    # mass [N m]
-    force_residual: float
-    moment_residual: float
-    largest_force: float  # [N], of these contact forces
-
-
-@dataclass(frozen=True)
 class EffectFacts:
     """Cost of an effect in an evaluation at the start."""
 
@@ -216,8 +205,6 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         _place_at_start(closed, system)
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
         freedom = None if away else count_freedom(closed)
-        carries = _carries(scene) and not away
-        carrying = carrying_capacity(closed, scene) if carries else None
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
@@ -237,7 +224,7 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         position_residual=None if evaluation is None else evaluation.position_residual,
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
-        carrying=carrying,
+        carrying=None if evaluation is None else carrying_capacity(system, evaluation),
         warnings=scene.warnings + ([] if away else start_warnings(system)),
         not_looked_at=[_not_looked_at(code) for code in left],
     )
@@ -271,24 +258,6 @@ def count_freedom(data: Data) -> Freedom:
         redundant_rows=[n for n, own in zip(names, space.untouched, strict=True) if not own],
         smallest_kept=float(singular[rank - 1]),
         largest_dropped=float(singular[rank]) if rank < singular.size else None,
-    )
-
-
-def carrying_capacity(data: Data, scene: Scene) -> Carrying:
-    r"""How well contact forces can carry the object at rest: :math:`W_o \lambda = [-m g; 0]`."""
-    weight = np.zeros(6)
-    weight[:3] = -scene.object.mass * np.array(scene.gravity)
-    W_o = data.arrays.Wo.T  # (6, N)
-    reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
-    scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
-    forces = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
-    left = W_o @ forces - weight
-    size = float(np.linalg.norm(weight))
-    return Carrying(
-        possible=float(np.linalg.norm(scale * left)) <= 1e-6 * size,
-        force_residual=float(np.linalg.norm(left[:3])),
-        moment_residual=float(np.linalg.norm(left[3:])),
-        largest_force=float(np.max(np.abs(forces))),
     )
 
 
@@ -438,12 +407,6 @@ def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFa
 def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
     quaternion = matrix_to_quaternion(matrix[:3, :3])
     return matrix[:3, 3].tolist(), np.asarray(quaternion).tolist()
-
-
-def _carries(scene: Scene) -> bool:
-    """Whether the control, and no floor, carries the object."""
-    weighs = scene.gravity is not None and any(scene.gravity)
-    return weighs and scene.effects.floor is None and scene.control.carries
 
 
 def _place_at_start(data: Data, system: System) -> None:

@@ -262,14 +262,18 @@ def overlap(system: ma.System) -> float:
     """
     ring = trimesh.load_mesh(system.scene.object.shape.mesh.file)
     hull = trimesh.convex.convex_hull(ring)
-    state, models = system.initial_state(), {}
+    state, models, loader = system.initial_state(), {}, coal.MeshLoader()
     for name, arm in system.arms.items():
-        geometry = arm.collision_model(coal.MeshLoader())
+        geometry = arm.collision_model()
         data = geometry.createData()
         q = arm.configuration(state.joint_positions[name])
         pin.updateGeometryPlacements(arm.model, arm.model.createData(), geometry, data, q)
         models[name] = [
-            (item.geometry.vertices() @ pose.rotation.T + pose.translation, item.parentJoint)
+            (
+                loader.load(item.meshPath, item.meshScale).vertices() @ pose.rotation.T
+                + pose.translation,
+                item.parentJoint,
+            )
             for item, pose in zip(geometry.geometryObjects, data.oMg.tolist(), strict=True)
             if isinstance(item.geometry, coal.BVHModelBase)
         ]

@@ -31,7 +31,8 @@ ROOMS = (
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("assembly.collisions", "contacts.unilateral", "viewer.shapes"),
+    "PIL": ("scene.meshes",),
+    "coal": ("arms.arm", "assembly.collisions", "viewer.shapes"),
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
@@ -79,6 +80,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "linear.linearisation",
         "problems",
         "scene.object",
+        "simulation.holding",
         "sweeps.axes",
         "sweeps.plan",
         "studies.timing",
@@ -87,7 +89,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
-    "trimesh": ("grasp.boundaries", "scene.object"),
+    "trimesh": ("grasp.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
