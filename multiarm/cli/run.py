@@ -146,7 +146,7 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     if gap > NOTABLE_GAP:
         arm = max(start.gaps, key=lambda name: start.gaps[name])
         remarks.append(
-            f"the written start was {gap:.3g} m off at arm '{arm}' and was assembled: "
+            f"the written start was {number(gap, 'm')} off at arm '{arm}' and was assembled: "
             + "; ".join(start.lines())
         )
     if trajectory.status == "completed":
