@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path
+from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.scene.functions import (
     FunctionReference,
@@ -34,11 +34,9 @@ _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
 
 TRIED = 24
 """Values of an axis that are tried, at most."""
-MOST_IN_HYPERCUBE = 1_000_000
-"""Runs of a point whose samples are drawn together."""
 TAILS = (0.5, 0.001, 0.999)
 """Quantiles of a drawn axis that are tried."""
-MOST_RUNS = 100_000_000
+MOST_RUNS = 1_000_000
 """Of one sweep."""
 
 
@@ -64,16 +62,11 @@ def axis_faults(spec: SweepSpec) -> list[str]:
             f"$.sampling: {spec.sampling!r} spreads the runs of one point of the grid, and there "
             "is one; set their number with 'repeat'"
         )
-    elif spec.sampling == "latin_hypercube" and spec.repeat > MOST_IN_HYPERCUBE:
-        faults.append(
-            f"$.repeat: {spec.repeat:,} runs of a point in one latin hypercube, which is drawn "
-            f"as a whole; at most {MOST_IN_HYPERCUBE:,}: take sampling 'sobol' or 'random'"
-        )
     count = spec.repeat
     for axis in steps[:1] if spec.combine == "zip" else steps:
         count *= axis.count
     if count > MOST_RUNS:
-        faults.append(f"$.over: makes {count} runs; at most {MOST_RUNS} are possible")
+        faults.append(f"$.over: makes {count:,} runs; at most {MOST_RUNS:,} are possible")
     return faults
 
 
@@ -147,7 +140,7 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
             changed(scene, values)
         except SceneError as error:
             for fault in error.faults:
-                found.setdefault(*_at_its_axis(fault, axes, entries))
+                found.setdefault(*_at_its_axis(scene, fault, axes, entries))
     return list(found.values())
 
 
@@ -190,7 +183,7 @@ def _some(count: int) -> list[int]:
 
 
 def _at_its_axis(
-    fault: str, axes: tuple[Axis, ...], entries: list[Any]
+    scene: Scene, fault: str, axes: tuple[Axis, ...], entries: list[Any]
 ) -> tuple[tuple[str, ...], str]:
     """A key of a fault of the scene, and its message at the place in the sweep that causes it."""
     where, _, text = fault.partition(": ")
@@ -208,7 +201,7 @@ def _at_its_axis(
         )
         return (fault,), f"$.over: no scene is made by {tried}: {fault}"
     at, axis, entry, path = max(found, key=lambda one: len(one[0]))
-    if len(where) <= len(at) and _of_path(text):
+    if len(where) <= len(at) and not _leads_somewhere(scene, path):
         return (at, text), f"{_place(axis)}: {text}"
     below = where.removeprefix(at).lstrip(".") if where.startswith(at) else ""
     text = f"its {below}: {text}" if below else text
@@ -218,11 +211,13 @@ def _at_its_axis(
     return (at, where), f"{_place(axis)}.{axis.spec.name}: the value {value}: {text}"
 
 
-def _of_path(text: str) -> bool:
-    """Whether a fault concerns a path, not its value."""
-    phrases = "is a list with", "is no list", "nothing is below it"
-    names = "unknown key", "unknown effect", "unknown surface"
-    return text.startswith(names) or any(p in text for p in phrases)
+def _leads_somewhere(scene: Scene, path: str) -> bool:
+    """Whether a scene may have a value at a path."""
+    try:
+        value_at(scene, path)
+    except SceneError:
+        return False
+    return True
 
 
 def _meet(path: str, where: str) -> bool:

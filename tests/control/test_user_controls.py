@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import ur5_pair
+from multiarm.sweeps.worker import JobContext
 from sweep_runs import repeatable
 from user_classes import empty_registries, offered
 
@@ -20,7 +21,6 @@ from multiarm.scene import CONTROLS, Scene, changed, dump_scene, named_code, par
 from multiarm.scene.control import BUILT_IN, ControlKind
 from multiarm.sweeps.executors import run_in_process, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 TORQUES = {"left": (3.0, -2.0, 1.0, 0.5, 0.0, 0.0), "right": {"elbow_joint": -4.0}}

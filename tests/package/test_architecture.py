@@ -35,7 +35,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
-    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
+    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file"),
     "jinja2": ("reports.pages",),
     "joblib": (
         "jit.ahead",
@@ -58,8 +58,8 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer",
         "studies.pinocchio_peer",
     ),
-    "pandas": ("results.trajectory",),
-    "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
+    "pandas": ("results.trajectory", "sweeps.folder", "sweeps.plan", "sweeps.result"),
+    "pyarrow": ("control.tables", "sweeps.folder"),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "rich": ("cli", "terminal"),
@@ -84,7 +84,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
-    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
+    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
     "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
@@ -117,8 +117,8 @@ PUBLIC_ATTRIBUTES = {
     "joint_positions joint_velocities",
     "Stepper": "advance reset time state contact_forces events trajectory",
     "Surface": "name patch record",
-    "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
-    "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
+    "Sweep": "scene plan count complete runs paths quantities columns table status_counts "
+    "summary values_of scene_of trajectory provenance",
     "System": "scene arm_names arms initial_state state",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "
     "joint_velocities joint_torques contact_forces contact_states energy kinetic_energy "

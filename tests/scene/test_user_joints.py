@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import kernel_rows, random_pose, ur5_pair
+from multiarm.sweeps.worker import JobContext
 from sweep_runs import repeatable
 from user_classes import empty_registries, offered
 
@@ -34,7 +35,6 @@ from multiarm.scene import (
 )
 from multiarm.sweeps.executors import run_in_process, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 
