@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 import multiarm as ma
 
 SCENE = Path(__file__).parent / "scenes" / "two_ur5_box.yaml"
@@ -31,8 +33,10 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"the box ends at ({x:.6f}, {y:.6f}, {z:.6f}) m")
     print(f"largest gap {trajectory.position_drift.max():.1e} m, ", end="")
     print(f"energy balance {abs(trajectory.energy_balance).max():.1e} J")
-    for arm, forces in trajectory.contact_forces.items():
-        print(f"{arm}: largest contact force {abs(forces).max():.1f} N")
+    for arm, wrench in trajectory.wrenches.items():
+        carried = np.linalg.norm(wrench[:, :3], axis=1).max()
+        at_contact = abs(trajectory.contact_forces[arm]).max()
+        print(f"{arm}: force up to {carried:.1f} N on the box, {at_contact:.1f} N at a contact")
     if options.replay:
         print(f"replay: {ma.replay(trajectory, options.replay)}")
 

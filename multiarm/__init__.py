@@ -15,6 +15,7 @@ from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
     from multiarm import grasp
+    from multiarm.arms.terms import TipKinematics
     from multiarm.assembly.compilation import compile_system
     from multiarm.control.user_control import Control
     from multiarm.dynamics.evaluation import Evaluation
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from multiarm.dynamics.sensitivity import Derivatives
     from multiarm.dynamics.state import State
     from multiarm.dynamics.system import System
+    from multiarm.dynamics.tips import Kinematics
     from multiarm.effects.effect import Effect, Loads
     from multiarm.events.derivatives import derivatives
     from multiarm.events.evaluation import evaluate
@@ -59,6 +61,7 @@ _HOMES = {
     "Evaluation": "dynamics.evaluation",
     "Gradient": "gradients.gradient",
     "Joint": "scene",
+    "Kinematics": "dynamics.tips",
     "LinearSystem": "linear.linearisation",
     "Loads": "effects.effect",
     "Scene": "scene",
@@ -68,6 +71,7 @@ _HOMES = {
     "Surface": "scene",
     "Sweep": "sweeps.result",
     "System": "dynamics.system",
+    "TipKinematics": "arms.terms",
     "Trajectory": "results.trajectory",
     "compile_system": "assembly.compilation",
     "derivatives": "events.derivatives",
@@ -99,6 +103,7 @@ __all__ = [
     "Evaluation",
     "Gradient",
     "Joint",
+    "Kinematics",
     "LinearSystem",
     "Loads",
     "MultiarmError",
@@ -109,6 +114,7 @@ __all__ = [
     "Surface",
     "Sweep",
     "System",
+    "TipKinematics",
     "Trajectory",
     "compile_system",
     "derivatives",

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from multiarm.notation import count_of
+
 __all__ = [
     "USER_FAULTS",
     "ControlError",
@@ -115,7 +117,7 @@ def shortened(text: str) -> str:
         if sum(map(len, kept)) > LONGEST_MESSAGE - LONGEST_LINE:
             break
     left_out = len(lines) - len(kept)
-    return "\n".join([*kept, f"  and {left_out:,} more lines"] if left_out else kept)
+    return "\n".join([*kept, f"  and {count_of(left_out, 'more line')}"] if left_out else kept)
 
 
 def _cut(line: str) -> str:
@@ -128,6 +130,6 @@ def _cut(line: str) -> str:
 def _told(faults: list[str], source: str | None, noun: str) -> str:
     if source is None and len(faults) == 1:
         return faults[0]
-    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+    count = count_of(len(faults), "fault")
     head = f"{source}: {count}" if source else f"the {noun} has {count}"
     return "\n".join([f"{head}:", *(f"  {fault}" for fault in faults)])

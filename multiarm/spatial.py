@@ -51,26 +51,32 @@ def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
     return rotation.reshape(3, 3)
 
 
-def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion ``xyzw`` with ``w >= 0`` of a rotation matrix, shape (3, 3).
+@plain
+def quaternion_of(X, Y, Z):
+    """Unit quaternion ``(x, y, z, w)`` with ``w >= 0`` of the columns of a rotation matrix.
 
     Shepperd's method: the largest of the four components is computed first, so that no division
     is by a small number.
     """
-    R = rotation.tolist()
-    trace = R[0][0] + R[1][1] + R[2][2]
-    i = max(range(3), key=lambda k: R[k][k])
-    q = [0.0, 0.0, 0.0, 0.0]
-    if R[i][i] > trace:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[i] = 1.0 + 2.0 * R[i][i] - trace
-        q[j] = R[j][i] + R[i][j]
-        q[k] = R[k][i] + R[i][k]
-        q[3] = R[k][j] - R[j][k]
+    a, b, c = X[0], Y[1], Z[2]
+    trace = a + b + c
+    if trace >= max(a, b, c):
+        x, y, z, w = Y[2] - Z[1], Z[0] - X[2], X[1] - Y[0], 1.0 + trace
+    elif a >= b and a >= c:
+        x, y, z, w = 1.0 + 2.0 * a - trace, X[1] + Y[0], X[2] + Z[0], Y[2] - Z[1]
+    elif b >= c:
+        x, y, z, w = Y[0] + X[1], 1.0 + 2.0 * b - trace, Y[2] + Z[1], Z[0] - X[2]
     else:
-        q = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1], 1.0 + trace]
-    norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    return np.array(q) / (-norm if q[3] < 0.0 else norm)
+        x, y, z, w = Z[0] + X[2], Z[1] + Y[2], 1.0 + 2.0 * c - trace, X[1] - Y[0]
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if w < 0.0:
+        norm = -norm
+    return x / norm, y / norm, z / norm, w / norm
+
+
+def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion ``xyzw`` with ``w >= 0`` of a rotation matrix, shape (3, 3)."""
+    return np.array(quaternion_of(*rotation.T.tolist()))
 
 
 @plain

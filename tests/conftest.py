@@ -6,12 +6,19 @@ or more, such as browsers, clusters and whole commands.  Each file keeps its qui
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 from hypothesis import settings
 
 # The first example of a test may have to compile kernels.
 settings.register_profile("multiarm", deadline=None)
 settings.load_profile("multiarm")
+
+
+# Where the shell ignores Ctrl-C (`nohup`, jobs in the background), this process and those that it
+# starts would ignore it as well; tests send it to themselves and to others.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser):

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
+from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
 from multiarm.errors import ModelError
+from multiarm.notation import count_of
 from multiarm.scene.faults import counted
 from multiarm.scene.meshes import readable_visuals
 from multiarm.scene.mjcf import mjcf_model
@@ -117,7 +118,7 @@ class Arm:
         self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
 
     def __repr__(self) -> str:
-        return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
+        return f"Arm({self.name!r}, {count_of(self.dof, 'joint')}, tip {self.files.tip!r})"
 
     def configuration(self, angles: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
@@ -157,17 +158,37 @@ class Arm:
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
         bias = pin.nonLinearEffects(model, data, q, v).copy()
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        pin.updateFramePlacements(model, data)
-        tip, axes = self.tip_frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        tip, axes = self._tip(data, q), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        drift = pin.getFrameClassicalAcceleration(model, data, self.tip_frame_id, axes)
         return ArmTerms(
             M=inertia,
             bias=bias,
-            J=np.array(jacobian).reshape(6, model.nv),
-            tip_position=data.oMf[tip].translation.copy(),
-            tip_rotation=data.oMf[tip].rotation.copy(),
-            tip_twist=pin.getFrameVelocity(model, data, tip, axes).vector.copy(),
-            drift=pin.getFrameClassicalAcceleration(model, data, tip, axes).vector.copy(),
+            J=tip.jacobian,
+            tip_position=tip.position,
+            tip_rotation=tip.rotation,
+            tip_twist=tip.twist,
+            drift=drift.vector.copy(),
+        )
+
+    def tip_kinematics(self, angles: np.ndarray, velocity: np.ndarray) -> TipKinematics:
+        """Motion of the tip at joint positions [rad or m] and velocities, (n,)."""
+        q, data = self.configuration(angles), self.model.createData()
+        pin.forwardKinematics(self.model, data, q, np.array(velocity, dtype=float))
+        return self._tip(data, q)
+
+    def _tip(self, data: pin.Data, q: np.ndarray) -> TipKinematics:
+        """Motion of the tip, where ``data`` has that of the joints at ``q``."""
+        model, tip = self.model, self.tip_frame_id
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        pose = pin.updateFramePlacement(model, data, tip)
+        twist = pin.getFrameVelocity(model, data, tip, axes).vector
+        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        return TipKinematics(
+            position=pose.translation.copy(),
+            rotation=pose.rotation.copy(),
+            twist=twist.copy(),
+            jacobian=np.array(jacobian).reshape(6, model.nv),
+            joint_names=self.joint_names,
         )
 
     def tip_pose(self, angles: np.ndarray) -> np.ndarray:

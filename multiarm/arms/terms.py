@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.jit.pointers import PythonCallback
+from multiarm.public import public_names
 
 # Columns of the table of addresses of each arm's float64 terms: inertia M and its stride in
 # numbers, Jacobian, bias, gravity torque; pose, twist and drift of the link that carries the tip,
@@ -38,6 +40,39 @@ class ArmTerms(NamedTuple):
     tip_rotation: np.ndarray
     tip_twist: np.ndarray
     drift: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class TipKinematics:
+    r"""Pose, twist and Jacobian of an arm's tip frame at a state.
+
+    .. math:: \begin{bmatrix} \dot x \\ \omega \end{bmatrix} = J(q)\,\dot q
+
+    with the tip's origin ``x`` and its angular velocity ``omega`` in world axes (Pinocchio's
+    ``LOCAL_WORLD_ALIGNED``).  The arrays are copies.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,)
+        Origin of the tip frame in world axes [m].
+    rotation : ndarray, shape (3, 3)
+        Its axes, as columns, in world axes.
+    twist : ndarray, shape (6,)
+        Velocity of the tip's origin [m/s] and angular velocity [rad/s], world axes.
+    jacobian : ndarray, shape (6, n)
+        ``twist = jacobian @ joint_velocities``; world axes, at the tip's origin.
+    joint_names : tuple of str
+        The joints of the columns, from base to tip: those that the arm moves.  A locked joint, such
+        as the trunk of a robot with several arms, has none.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    twist: np.ndarray
+    jacobian: np.ndarray
+    joint_names: tuple[str, ...]
+
+    __dir__ = public_names
 
 
 class ArmState(NamedTuple):

@@ -445,6 +445,9 @@ def draft_model(
         geometry=rows.table.geometry,
         shapes=rows.table.shapes,
         frames=np.zeros((len(arms), FRAME_WIDTH)),
+        tip_frames=np.array(
+            [np.append(arm.tip_rotation, arm.tip_translation) for arm in arms.values()]
+        ),
         free_bounds=np.zeros(len(arms) + 1, dtype=np.int64),
         free=np.zeros((0, 2), dtype=np.int64),
         monitors=make_monitors(monitored, limits, layout, effects.watched),

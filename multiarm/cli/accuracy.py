@@ -68,7 +68,12 @@ def accuracy(
         typer.Option("--thorough", help="Measure dominated settings too, as often as others."),
     ] = False,
     error: Annotated[
-        Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
+        Quantity,
+        option(
+            "What is ranked: position, rotation, joints, force, or motion, the worst of the first "
+            "three.",
+            "NAME",
+        ),
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
     out: Annotated[

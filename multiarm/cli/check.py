@@ -12,14 +12,13 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
 from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
+from multiarm.notation import count_of, number, numbers
 from multiarm.terminal.console import (
     accuracy,
     columns,
     facts,
-    number,
     output,
     print_warnings,
-    vector,
 )
 from multiarm.terminal.progress import Progress
 
@@ -98,8 +97,8 @@ def _tables(found: Inspection) -> list[RenderableType]:
 def _general(found: Inspection) -> dict[str, RenderableType]:
     body = found.object
     return {
-        "gravity": "none" if found.gravity is None else vector(found.gravity, "m/s^2"),
-        "object": f"{body.shape}, {number(body.mass, 'kg')}, at {vector(body.position, 'm')}",
+        "gravity": "none" if found.gravity is None else numbers(found.gravity, "m/s^2"),
+        "object": f"{body.shape}, {number(body.mass, 'kg')}, at {numbers(body.position, 'm')}",
         "inertia": _inertia(body.inertia),
         "control": found.control,
     }
@@ -107,19 +106,21 @@ def _general(found: Inspection) -> dict[str, RenderableType]:
 
 def _inertia(matrix: list[list[float]]) -> str:
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
-    products = f"; xy, xz, yz: {vector([xy, xz, yz])}" if any((xy, xz, yz)) else ""
-    return f"xx, yy, zz: {vector([xx, yy, zz])}{products} kg m^2"
+    products = f"; xy, xz, yz: {numbers([xy, xz, yz])}" if any((xy, xz, yz)) else ""
+    return f"xx, yy, zz: {numbers([xx, yy, zz])}{products} kg m^2"
 
 
 def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
     """One arm; its joints with their positions at the start."""
+    from multiarm.scene.values import roll_pitch_yaw, rotation_matrix
+
     joints = zip(arm.joints.items(), arm.posture, strict=True)
-    base = arm.base_quaternion_xyzw
+    turn = roll_pitch_yaw(rotation_matrix((), arm.base_quaternion_xyzw))
     rows: dict[str, RenderableType] = {
         "robot": f"{arm.robot} ({Path(arm.urdf).name})",
-        "base": f"at {vector(arm.base_position, 'm')}, quaternion xyzw {vector(base)}",
+        "base": f"at {numbers(arm.base_position, 'm')}, rpy {numbers(turn, 'rad')}",
         "joints": f"{len(arm.joints)}: "
-        + ", ".join(f"{joint} {vector([position], unit)}" for (joint, unit), position in joints),
+        + ", ".join(f"{joint} {numbers([position], unit)}" for (joint, unit), position in joints),
         "tip": arm.tip if arm.tool is None else f"{arm.tip}, of the tool {arm.tool}",
         "computed by": _terms(arm),
         "posture": _posture(arm),
@@ -143,7 +144,7 @@ def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
     free = [motion for motion in joint.free_motions if motion not in limited]
     for coordinate, limit in limited.items():
         bounds = f"{number(limit.low)} to {number(limit.high, limit.unit)}"
-        free.append(f"{coordinate}: {bounds}, starts at {vector([limit.start])}")
+        free.append(f"{coordinate}: {bounds}, starts at {numbers([limit.start])}")
     contacts = Text(", ".join(joint.rows))
     if joint.redundant_rows:
         count = len(joint.rows) - joint.rank
@@ -175,7 +176,7 @@ def _effect(name: str, added: EffectFacts | None) -> tuple[RenderableType, ...]:
     spread = f"{added.microseconds:.2f} \N{PLUS-MINUS SIGN} {added.uncertainty_microseconds:.2f}"
     time = Text(f"{spread}, within noise" if added.within_noise else spread)
     counts = (added.states, added.rows, added.callbacks)
-    return name, time, f"{added.bytes:,} bytes", *(str(count or "-") for count in counts)
+    return name, time, count_of(added.bytes, "byte"), *(str(count or "-") for count in counts)
 
 
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:

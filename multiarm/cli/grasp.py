@@ -17,15 +17,14 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json, write_text
 from multiarm.cli.options import Code, JsonFile, SceneFile, file_option, option
 from multiarm.errors import GraspError, MultiarmError
+from multiarm.notation import count_of, number, numbers
 from multiarm.results.files import printable, save_figure
 from multiarm.terminal.console import (
     columns,
     facts,
     messages,
-    number,
     output,
     print_written,
-    vector,
 )
 from multiarm.terminal.progress import Progress
 
@@ -276,7 +275,7 @@ def design_facts(grasp: Grasp) -> dict[str, RenderableType]:
     """The facts of a designed grasp."""
     closure = grasp.closure
     rows: dict[str, RenderableType] = {
-        "body": f"{len(grasp.body.faces)} faces, size {number(grasp.body.size, 'm')}",
+        "body": f"{count_of(len(grasp.body.faces), 'face')}, size {number(grasp.body.size, 'm')}",
         "verdict": _verdict(bool(closure), closure.message),
         "margin": f"{number(closure.margin)} (of 1, shared by {len(grasp.contacts)} contacts)",
     }
@@ -314,7 +313,7 @@ def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableTy
         contact.arm,
         contact.name.removeprefix(f"{contact.arm}/"),
         contact.face or "-",
-        vector(contact.point, digits=3),
+        numbers(contact.point, digits=3),
         force,
         number(contact.room, "m") if contact.room is not None else "-",
         number(contact.coefficient),

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run, write_json
-from multiarm.cli.options import JsonFile, NoCode, SceneFile, file_option, option, switch
-from multiarm.terminal.console import columns, facts, number, output, print_warnings, print_written
+from multiarm.cli.options import FILES, JsonFile, NoCode, SceneFile, file_option, option, switch
+from multiarm.cli.show import show_replay
+from multiarm.notation import number
+from multiarm.terminal.console import columns, facts, output, print_warnings
 
 if TYPE_CHECKING:
     from multiarm.linear.linearisation import LinearSystem
@@ -33,9 +35,11 @@ def modes(
     amplitude: Annotated[
         float, option("Largest displacement in the replay [m, rad].", "A", min=0.0)
     ] = 0.1,
+    replay: Annotated[
+        bool, switch("--replay", "Show the modes moving, one after another, in the browser.", FILES)
+    ] = False,
     replay_html: Annotated[
-        Path | None,
-        file_option("Show the modes moving, one after another, in one HTML file.", "FILE.html"),
+        Path | None, file_option("Write their motion to one HTML file.", "FILE.html")
     ] = None,
     json: JsonFile = None,
     no_code: NoCode = False,
@@ -77,12 +81,15 @@ def modes(
     rows = [_row(k, mode) for k, mode in enumerate(linear.modes, 1)]
     heads = ("", "motion", "frequency", "damping", "time", "moves most")
     console.print(columns("Modes, the slowest first", heads, rows))
-    if replay_html is not None:
-        import multiarm
-        from multiarm.linear.motion import modes_trajectory
+    if not replay and replay_html is None:
+        return
+    from multiarm.linear.motion import modes_trajectory
 
-        multiarm.replay(modes_trajectory(linear, amplitude=amplitude), replay_html)
-        print_written("replay", replay_html)
+    motion = modes_trajectory(linear, amplitude=amplitude)
+    if replay_html is not None:
+        show_replay(motion, replay_html)
+    if replay:
+        show_replay(motion)
 
 
 def _general(linear: LinearSystem) -> dict[str, Any]:

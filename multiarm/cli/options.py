@@ -129,6 +129,8 @@ class _WithSettings:
             if name == STEPS_CHOSEN_BY[0] and not self._names:
                 others = ", ".join(f"--{other}" for other in STEPS_CHOSEN_BY[1:])
                 text += f" Any of this, {others} replaces the scene's choice of all four."
+            if issubclass(sort, Enum) and any(choice.value not in text for choice in sort):
+                text += f" One of {', '.join(choice.value for choice in sort)}."
             metavar = _metavar(name, text, sort)
             declared = option(text, metavar, default=OF_SCENE, panel=METHOD)
             found[name] = inspect.Parameter(
@@ -148,10 +150,10 @@ def _settings_of(model: Any) -> dict[str, Any]:
     return json_schema(model)["properties"]
 
 
-def _metavar(name: str, text: str, sort: type) -> str | None:
-    """A letter for a value; choices are listed instead."""
+def _metavar(name: str, text: str, sort: type) -> str:
+    """A letter for a value; choices have names, which the help lists: in its table they break."""
     if issubclass(sort, Enum):
-        return None
+        return "NAME"
     return "S" if "[s]" in text else name[0].upper()
 
 

@@ -11,6 +11,7 @@ import typer
 
 from multiarm.cli.catalogue import Card, Section, show
 from multiarm.cli.options import JsonFile
+from multiarm.notation import count_of
 
 if TYPE_CHECKING:
     from multiarm.scene import JointOutline, RobotEntry, RobotOutline
@@ -85,7 +86,8 @@ def _card(entry: RobotEntry) -> Card:
         count=" to ".join(map(str, numbers[:1] + numbers[1:][-1:])),
         facts={
             "file": str(entry.urdf),
-            label: ", ".join(f"{tip} ({n} joints)" for tip, n in counts.items()) or "none",
+            label: ", ".join(f"{tip} ({count_of(n, 'joint')})" for tip, n in counts.items())
+            or "none",
             **trouble,
         },
         listed={label: " | ".join(chains.values()), **trouble},

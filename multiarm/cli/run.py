@@ -23,19 +23,19 @@ from multiarm.cli.options import (
     switch,
     with_settings,
 )
-from multiarm.cli.show import serve_until_interrupt
+from multiarm.cli.show import show_replay
 from multiarm.errors import SceneError
+from multiarm.jit.compilation import compile_time
+from multiarm.notation import count_of, number, numbers
 from multiarm.results.event_log import counts, who
 from multiarm.terminal.console import (
     STATUS_STYLES,
     accuracy,
     facts,
-    number,
     output,
     print_error,
     print_warnings,
     print_written,
-    vector,
 )
 from multiarm.terminal.progress import RunProgress
 
@@ -90,14 +90,16 @@ def run(
     A warning reports a completed run whose accuracy is not met.
 
     The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
-    evaluations, wall_time_s, realtime_factor, error_estimate, position_drift_max_m,
-    velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
-    final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), rank_lowest,
-    rank_highest (independent constraints), coupled_steps (steps in which some arm could not be
-    eliminated), integrator, stabilization, solver, arms (backend of each), accuracy, tolerance,
-    certificate (null where nothing was checked; else met, text, reason, asked, estimated_error,
-    by_output, over_time, checks, growth_rate_per_s, safety, attempts), events (time, kind, text;
-    arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
+    evaluations, wall_time_s (without compilation), compile_time_s (during the run and its check),
+    realtime_factor, error_estimate, position_drift_max_m, velocity_drift_max_m_per_s,
+    energy_balance_max_J, final_object_position, final_object_quaternion_xyzw, contact_force_max_N
+    (by arm; floor, if there is one), wrench_max (likewise: force_N, force_time_s, moment_N_m,
+    moment_time_s; on the object, about its centre of mass), rank_lowest, rank_highest (independent
+    constraints), coupled_steps (steps in which some arm could not be eliminated), integrator,
+    stabilization, solver, arms (backend of each), accuracy, tolerance, certificate (null where
+    nothing was checked; else met, text, reason, asked, estimated_error, by_output, over_time,
+    checks, growth_rate_per_s, safety, attempts), events (time, kind, text; arm, contact or joint,
+    where in m, before and after as they apply), compiled_kernels (also for the scene), and files
     (result, replay, report). Numbers are finite, or null where there is none.
     """
     from multiarm.results.trajectory_file import TrajectoryReader
@@ -115,11 +117,11 @@ def run(
         source=scene,
     )
     TrajectoryReader.writable_target(target)
-    trajectory, system, compiled = _simulate(loaded, settings, certificate, target, quiet)
+    trajectory, system, compilation = _simulate(loaded, settings, certificate, target, quiet)
     print_warnings(_remarks(trajectory, system))
-    figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compiled)
+    figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compilation > 0.0)
     if not quiet:
-        output().print(summary_table(figures))
+        output().print(summary_table(figures, compilation))
         print_written("result", target)
     if trajectory.status != "completed":
         print_error(f"the run {_ended(trajectory)}; the results up to there are in '{target}'")
@@ -127,7 +129,7 @@ def run(
     if json is not None:
         write_json(json, figures)
     if replay and len(trajectory):
-        serve_until_interrupt(trajectory, quiet=quiet)
+        show_replay(trajectory, quiet=quiet)
     if trajectory.status != "completed":
         raise typer.Exit(1)
 
@@ -153,14 +155,14 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
 
 def _simulate(
     scene: Scene, settings: dict[str, Any], certificate: bool, target: Path, quiet: bool
-) -> tuple[Trajectory, System, bool]:
+) -> tuple[Trajectory, System, float]:
     """Compile and simulate behind a progress bar; Ctrl-C ends the run, not the program.
 
-    Returns the trajectory, the system, and whether kernels had to be compiled.
+    Returns the trajectory, the system, and how long kernels were compiled [s].
     """
     duration = settings.get("duration", scene.run.duration)
-    integrator = settings.get("integrator", scene.run.integrator)
-    with RunProgress(duration, quiet, integrator) as progress:
+    compiled_before = compile_time()
+    with RunProgress(duration, quiet) as progress:
         from multiarm.assembly.compilation import compile_system
         from multiarm.simulation.setup import run_spec
         from multiarm.simulation.simulate import simulate
@@ -182,7 +184,7 @@ def _simulate(
             trajectory = simulate(system, **of_run, **options)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
-        return trajectory, system, progress.compiling
+        return trajectory, system, compile_time() - compiled_before
 
 
 def _about_options(fault: str) -> str:
@@ -236,7 +238,7 @@ def run_figures(
     files : dict
         What was written -> where.
     compiled_kernels : bool
-        The wall time contains a first compilation.
+        Kernels were compiled, before the run or during it.
     """
     keys = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
     counted = trajectory.statistics
@@ -251,27 +253,45 @@ def run_figures(
     }
 
 
-def summary_table(figures: dict[str, Any]) -> Table:
-    """The figures of :func:`run_figures` as a table."""
+def summary_table(figures: dict[str, Any], compilation: float) -> Table:
+    """The figures of :func:`run_figures` as a table; kernels were compiled for a time [s]."""
     status = figures["status"]
     rows: dict[str, RenderableType] = {
         "status": Text(status, STATUS_STYLES[status]),
-        "simulated": f"{number(figures['duration_s'], 's')}, {number(figures['samples'])} samples",
+        "simulated": f"{number(figures['duration_s'], 's')}, "
+        f"{count_of(figures['samples'], 'sample')}",
         "method": _method(figures),
         "steps": f"{number(figures['steps'])} ({number(figures['rejected_steps'])} rejected), "
-        f"{number(figures['evaluations'])} evaluations",
-        "wall time": _pace(figures),
+        f"{count_of(figures['evaluations'], 'evaluation')}",
+        "wall time": f"{number(figures['wall_time_s'], 's')}, "
+        f"{number(figures['realtime_factor'])} x real time",
+        **_compilation(compilation),
         "largest gap (position drift)": number(figures["position_drift_max_m"], "m"),
         "largest gap rate (velocity drift)": number(figures["velocity_drift_max_m_per_s"], "m/s"),
         "largest energy balance error": number(figures["energy_balance_max_J"], "J"),
         **_exactness(figures),
     }
     if figures["final_object_position"] is not None:
-        rows["object at the end"] = vector(figures["final_object_position"], "m")
+        rows["object at the end"] = numbers(figures["final_object_position"], "m")
     for arm, force in figures["contact_force_max_N"].items():
-        rows[f"largest contact force, {arm}"] = number(force, "N")
+        rows[f"largest forces, {arm}"] = _forces(figures["wrench_max"].get(arm), force)
     rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
+
+
+def _forces(wrench: dict[str, float | None] | None, contact_force: float | None) -> str:
+    """The largest force and moment on the object, and the largest force of a contact."""
+    at_contact = f"{number(contact_force, 'N')} at a contact"
+    if wrench is None:  # a result of an earlier version
+        return f"{at_contact} (the wrench on the object was not recorded)"
+    force, moment = (
+        f"{number(wrench[what], unit)} at {number(wrench[when], 's')}"
+        for what, unit, when in (
+            ("force_N", "N", "force_time_s"),
+            ("moment_N_m", "N m", "moment_time_s"),
+        )
+    )
+    return f"{force} and {moment} on the object; {at_contact}"
 
 
 def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
@@ -281,11 +301,11 @@ def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
         return {}
     lines = []
     for kind in kinds[:SHOWN_KINDS]:
-        times = f", {number(kind.count)} times, first" if kind.count > 1 else ""
+        times = f", {kind.count:,} times, first" if kind.count > 1 else ""
         whose = f" ({who(kind.first)})" if who(kind.first) else ""
-        lines.append(f"{kind.kind}{times} at {number(float(kind.first['time']), 's')}{whose}")
+        lines.append(f"{kind.words}{times} at {number(float(kind.first['time']), 's')}{whose}")
     if len(kinds) > SHOWN_KINDS:
-        lines.append(f"and {len(kinds) - SHOWN_KINDS} more kinds")
+        lines.append(f"and {count_of(len(kinds) - SHOWN_KINDS, 'more kind')}")
     return {"events": "\n".join(lines)}
 
 
@@ -316,7 +336,7 @@ def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
     rows: dict[str, RenderableType] = {"accuracy": Text.assemble((verdict, style), f":{rest}")}
     checked = [row["wall_time_s"] or 0.0 for row in certificate["attempts"] if not row["returned"]]
     if checked:
-        runs = f"{len(checked)} more run{'s' if len(checked) > 1 else ''}"
+        runs = count_of(len(checked), "more run")
         rows["checked by"] = f"{runs} with other tolerances, {number(sum(checked), 's')}"
     return rows
 
@@ -329,8 +349,8 @@ def _error(figures: dict[str, Any]) -> str:
     return f"about {number(estimate)} m or rad{remark} (an estimate: the steps' errors, summed)"
 
 
-def _pace(figures: dict[str, Any]) -> str:
-    pace = (
-        f"{number(figures['wall_time_s'], 's')}, {number(figures['realtime_factor'])} x real time"
-    )
-    return f"{pace}, after compiling the kernels" if figures["compiled_kernels"] else pace
+def _compilation(seconds: float) -> dict[str, RenderableType]:
+    """How long the compiler took before and during the run; empty where it had nothing to do."""
+    if not seconds > 0.0:
+        return {}
+    return {"compiling kernels": f"{number(seconds, 's')}, only the first time on this machine"}

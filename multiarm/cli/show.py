@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,18 +11,20 @@ from rich.text import Text
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import Code, file_option, option, switch
 from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.notation import count_of
 from multiarm.results.files import resolved
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
-__all__ = ["replay", "report", "serve_until_interrupt"]
+__all__ = ["replay", "report", "show_replay"]
 
 RESULT = typer.Argument(
     help="The file of multiarm run, or the folder of multiarm sweep with --run.",
     metavar="RESULT",
 )
+REPORT = Path("report.html")
 RUN = option("Number of a run of a sweep, which is simulated again.", "N", default="none")
 
 
@@ -32,64 +33,71 @@ def replay(
     run: Annotated[int | None, RUN] = None,
     html: Annotated[
         Path | None,
-        file_option(
-            "Write one HTML file, which needs no network, instead of serving.", "FILE.html"
-        ),
+        file_option("Write one HTML file, which needs no network, and open nothing.", "FILE.html"),
     ] = None,
     fps: Annotated[float, option("Frames per second of the viewer.")] = 30.0,
     speed: Annotated[
         float, option("Seconds of the run shown in one second; 0.5 is slow motion.")
     ] = 1.0,
     no_open: Annotated[
-        bool, switch("--no-open", "Do not open a browser; the address is printed.")
+        bool, switch("--no-open", "Do not open a browser; the place of the page is printed.")
     ] = False,
     host: Annotated[
-        str,
+        str | None,
         option(
-            "Address of this computer at which the live replay is served. Only this computer "
-            "reaches the default; every computer that reaches another address can watch. 0.0.0.0: "
-            "all addresses.",
+            "Address of this computer at which the replay is served. Only this computer reaches "
+            "the default; every computer that reaches another address can watch. 0.0.0.0: all "
+            "addresses.",
             "ADDRESS",
+            default="127.0.0.1 with --port",
         ),
-    ] = "127.0.0.1",
+    ] = None,
     port: Annotated[
-        int, option("Port of the live replay.", "N", default="a free one", min=0, max=65535)
-    ] = 0,
+        int | None,
+        option(
+            "Serve the replay at this port until Ctrl-C; 0 takes a free one.",
+            "N",
+            default="none, a free one with --host",
+            min=0,
+            max=65535,
+        ),
+    ] = None,
     code: Code = False,
 ) -> None:
-    """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
+    """Show the motion of a run in the browser, or write it to one HTML file.
 
     Shown are arms, object, joints with their axes and limits, contacts and contact forces. A run
     that failed or was interrupted is shown as far as it came. Of a sweep, --run names the run.
     Surfaces by functions are drawn with --code.
 
-    The server ends with the program. From another computer, forward its port: ssh -L
-    8000:127.0.0.1:8000 COMPUTER, there multiarm replay RESULT.h5 --no-open --port 8000.
+    The browser reads a temporary file, which is kept for a day at least. For a browser on another
+    computer, forward a port: ssh -L 8000:127.0.0.1:8000 COMPUTER, there multiarm replay RESULT.h5
+    --port 8000 --no-open.
     """
     check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result, run, code)
-    if html is None:
-        serve_until_interrupt(
-            trajectory,
-            fps=fps,
-            speed=speed,
-            open_browser=not no_open,
-            host=host,
-            port=port,
-            code=code,
-        )
-        return
-    import multiarm
-
-    multiarm.replay(trajectory, html, fps=fps, speed=speed, code=code)
-    print_written("replay", html)
+    show_replay(
+        trajectory,
+        html,
+        fps=fps,
+        speed=speed,
+        open_browser=not no_open,
+        host=host,
+        port=port,
+        code=code,
+    )
 
 
 def report(
     result: Annotated[Path, RESULT],
-    html: Annotated[Path, option("The HTML file; replaced if it exists.", "FILE.html")] = Path(
-        "report.html"
-    ),
+    html: Annotated[
+        Path | None,
+        option(
+            "The HTML file; one that is named here is replaced if it exists.",
+            "FILE.html",
+            default=f"{REPORT}, which must not exist",
+        ),
+    ] = None,
     run: Annotated[int | None, RUN] = None,
     code: Code = False,
 ) -> None:
@@ -97,6 +105,9 @@ def report(
 
     Of a sweep, --run names the run.
     """
+    if html is None and REPORT.exists():
+        raise MultiarmError(f"'{REPORT}' exists; name the file to be written or replaced: --html")
+    html = html or REPORT
     check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result, run, code)
     import multiarm
@@ -105,20 +116,15 @@ def report(
     print_written("report", html)
 
 
-def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **options: Any) -> None:
-    """Serve a live replay and wait for Ctrl-C; `options` as of ``multiarm.replay``."""
+def show_replay(
+    trajectory: Trajectory, html: Path | None = None, *, quiet: bool = False, **options: Any
+) -> None:
+    """Show or write a replay and say where its page is; `options` as of ``multiarm.replay``."""
     import multiarm
-    from multiarm.viewer import InlineReplay
 
-    viewer = multiarm.replay(trajectory, **options)
-    assert not isinstance(viewer, (Path, InlineReplay)), "without a path the replay is live"
-    try:
-        if not quiet:
-            line = Text.assemble("replay at ", (viewer.url(), "bold"), "; Ctrl-C ends it")
-            messages().print(line, soft_wrap=True)
-        Event().wait()
-    except KeyboardInterrupt:
-        return
+    page = multiarm.replay(trajectory, html, **options)
+    if isinstance(page, Path) and not quiet:
+        print_written("replay", page)
 
 
 def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
@@ -162,8 +168,8 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     sweep = load_sweep(result, code)
     if run is None:
         raise MultiarmError(
-            f"'{result}' is a sweep of {sweep.count} runs; choose the one to show: --run 1 to "
-            f"--run {sweep.count}"
+            f"'{result}' is a sweep of {count_of(sweep.count, 'run')}; choose the one to show: "
+            f"--run 1 to --run {sweep.count}"
         )
     values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
     messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)

@@ -12,7 +12,8 @@ from rich.text import Text
 from multiarm.cli.files import check_targets
 from multiarm.cli.options import JsonFile, file_option
 from multiarm.cli.studies import write_files
-from multiarm.terminal.console import columns, number, output, print_error
+from multiarm.notation import count_of, number
+from multiarm.terminal.console import columns, output, print_error
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def _row(case: CaseResult) -> tuple[RenderableType, ...]:
     verdict = Text("pass", "bold green") if case.passed else Text("FAIL", "bold red")
     title = Text.assemble((f"{case.name}\n", "bold"), (case.title, "dim"))
     steps, wall = case.statistics.get("steps"), number(case.wall_time_s, "s")
-    course = [f"rank {rank_text(case)}", path_text(case), f"{number(steps)} steps, {wall}"]
+    course = [f"rank {rank_text(case)}", path_text(case), f"{count_of(steps or 0, 'step')}, {wall}"]
     run = Text("" if steps is None else "\n".join(course), "dim")
     return title, Group(*lines, ""), run, verdict
 

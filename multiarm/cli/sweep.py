@@ -24,13 +24,13 @@ from multiarm.cli.options import (
     with_settings,
 )
 from multiarm.errors import SweepError
+from multiarm.notation import count_of, number
 from multiarm.results.files import atomic_output, save_figure
 from multiarm.terminal.console import (
     STATUS_STYLES,
     columns,
     facts,
     messages,
-    number,
     output,
     print_error,
     print_warnings,
@@ -205,7 +205,7 @@ def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
     """Print a hint; exit with 1 if runs are missing or none completed."""
     if summary.done < summary.count:
         print_error(
-            f"the sweep was interrupted: {summary.done:,} of {summary.count:,} runs are in "
+            f"the sweep was interrupted: {summary.done:,} of {count_of(summary.count, 'run')} in "
             f"'{target}'; the same command resumes from there"
         )
         raise typer.Exit(1)
@@ -260,4 +260,4 @@ def trouble_lines(summary: SweepSummary) -> list[str]:
         lines.append(f"run {failure.first_run}{more} {failure.status}: {failure.message}")
     listed = sum(failure.runs for failure in summary.failures)
     rest = summary.done - summary.statuses.get("completed", 0) - listed
-    return [*lines, f"and {rest:,} more runs did not complete"] if rest else lines
+    return [*lines, f"and {count_of(rest, 'more run')} did not complete"] if rest else lines

@@ -6,6 +6,7 @@ import time
 from typing import Annotated
 
 from multiarm.cli.options import option
+from multiarm.notation import count_of
 from multiarm.terminal.console import output
 from multiarm.terminal.progress import Progress
 
@@ -38,6 +39,6 @@ def warmup(
         compile_all(kernels, workers, note)
     took = time.perf_counter() - began
     output().print(
-        f"{len(kernels)} kernels are in the cache; {len(kernels) - cached} of them compiled now, "
-        f"in {took:.1f} s"
+        f"in the cache: {count_of(len(kernels), 'kernel')}, {len(kernels) - cached} of them "
+        f"compiled now, in {took:.1f} s"
     )

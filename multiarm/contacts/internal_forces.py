@@ -41,6 +41,7 @@ from multiarm.geometry.screws import (
     screw_system,
     wrench_matrix,
 )
+from multiarm.notation import count_of
 
 FORMS = ("orthonormal", "nonnegative", "echelon")
 # A combination presses all contacts when the weakest has this part of the strongest.
@@ -190,9 +191,9 @@ def distribute(
     mu_I = np.atleast_1d(np.asarray(internal, dtype=float))
     if A.basis.shape != (W_o.shape[1], mu_I.size):
         raise GraspError(
-            f"{W_o.shape[1]} contacts of rank {screws.rank} have "
-            f"{W_o.shape[1] - screws.rank} internal coordinates; got {mu_I.size} of them"
-            f" and a basis of shape {A.basis.shape}"
+            f"{count_of(W_o.shape[1], 'contact')} of rank {screws.rank}, so "
+            f"{count_of(W_o.shape[1] - screws.rank, 'internal coordinate')}; got {mu_I.size} "
+            f"of them and a basis of shape {A.basis.shape}"
         )
     return force + A.basis @ mu_I
 
@@ -223,7 +224,9 @@ def decompose(
     """
     W_o, forces = wrench_matrix(W_o, "W_o"), np.asarray(forces, dtype=float)
     if forces.shape != (W_o.shape[1],):
-        raise GraspError(f"W_o has {W_o.shape[1]} contacts, the forces have shape {forces.shape}")
+        raise GraspError(
+            f"W_o has {count_of(W_o.shape[1], 'contact')}, the forces have shape {forces.shape}"
+        )
     A = basis or internal_forces(W_o)
     moving = _minimum_norm(W_o, A.basis, forces, length)
     squeezing = forces - moving
@@ -307,8 +310,8 @@ def _echelon(
     chosen = pivots(A) if rows is None else chosen_rows(rows, labels, "contacts")
     if len(chosen) != size:
         raise GraspError(
-            f"the contacts have {size} internal coordinates, which takes as many of them, not "
-            f"{len(chosen)}{_advice(A, labels)}"
+            f"the contacts have {count_of(size, 'internal coordinate')}, which takes as many of "
+            f"them, not {len(chosen)}{_advice(A, labels)}"
         )
     block = A[list(chosen)]
     smallest = np.linalg.svd(block, compute_uv=False)[-1] if size else 1.0

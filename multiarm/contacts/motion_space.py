@@ -39,6 +39,7 @@ from multiarm.geometry.screws import (
     screw_system,
     wrench_matrix,
 )
+from multiarm.notation import count_of
 from multiarm.spatial import skew
 
 # Rates whose smallest singular value on the free motions is below this cannot be coordinates.
@@ -261,7 +262,7 @@ def _space(
     count, free, labels = len(selection.matrix), 6 - screws.rank, ", ".join(selection.labels)
     if count != free:
         raise GraspError(
-            f"the contacts leave {free} motions free, which takes as many "
+            f"the contacts leave {count_of(free, 'motion')} free, which takes as many "
             f"{'rates' if rows is None else 'rows'}, not {count} ({labels}){_alternatives(screws)}"
         )
     smallest = _smallest(selection.matrix, screws)

@@ -55,6 +55,7 @@ from multiarm.errors import ControlError, GraspError
 from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import add_scaled, scale, sub, vec
+from multiarm.notation import count_of
 from multiarm.scene import Pose
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
 from multiarm.spatial import (
@@ -152,8 +153,8 @@ def _desired_forces(
         if len(forces) != own[arm].size:
             names = ", ".join(contact.name for contact in model.contacts[arm])
             raise ControlError(
-                f"control.internal_forces.{arm}: {len(forces)} forces for {own[arm].size} "
-                f"contacts; give one each: {names}"
+                f"control.internal_forces.{arm}: {count_of(len(forces), 'force')} for "
+                f"{count_of(own[arm].size, 'contact')}; give one each: {names}"
             )
         own[arm][:] = forces
     lost = np.linalg.norm(np.linalg.pinv(Wo.T) @ (Wo.T @ offsets))

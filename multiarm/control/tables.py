@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import SceneError
+from multiarm.notation import count_of
 from multiarm.scene.control import RecordedControl
 from multiarm.scene.faults import listed, shown, unknown
 
@@ -64,7 +65,8 @@ def read_table(control: RecordedControl, joints: Sequence[str]) -> Table:
     for name, own in zip(chosen.values(), values, strict=True):
         if len(own) != len(times):
             raise _fault(
-                f"{path}: column {name!r} has {len(own)} rows, {control.time!r} has {len(times)}"
+                f"{path}: column {name!r} has {count_of(len(own), 'row')}, "
+                f"{control.time!r} has {len(times)}"
             )
     return Table(times, list(chosen), np.column_stack(values))
 
@@ -182,7 +184,8 @@ def _read_csv(path: Path) -> _Read:
     for number, row in rows:
         if len(row) != len(names):
             raise _Unreadable(
-                f"{path}, line {number}: has {len(row)} columns, the first line {len(names)}"
+                f"{path}, line {number}: has {count_of(len(row), 'column')}, the first line "
+                f"{len(names)}"
             )
     columns = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(names)
     return dict(zip(names, columns, strict=True)), lambda k: f"line {rows[k][0]}"

@@ -30,6 +30,8 @@ from multiarm.jit.structs import (
     view,
 )
 
+# Numbers of a tip in ``Variables.tips``.
+TIP_WIDTH = 13
 # Results of an evaluation; k >= 0: the elimination failed at arm k, or at the object where k is the
 # number of arms.
 OK, CALLBACK_FAILED, PROJECTION_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -3, -4, -5
@@ -50,6 +52,8 @@ class Constants(NamedTuple):
     geometry: Floats2
     shapes: Floats2
     frames: Floats2  # (n, 24) joint frames, see multiarm.contacts.joint
+    # (n, 12) the tips in the links that carry them: rotation row by row, origin [m]
+    tip_frames: Floats2
     # (n + 1,), (m, 2): recorded components of the relative motion in these frames, arm after arm:
     # of the rates, of the coordinates
     free_bounds: Ints1
@@ -190,6 +194,10 @@ class Variables(NamedTuple):
     # recorded contact forces: ``force`` itself; with unilateral contacts those of all rows, and the
     # states of all contacts
     shown: Floats1
+    # at the last sample: (o, 6) the wrench on the object of each owner of rows; (n, 13) of each tip
+    # its origin, quaternion (xyzw) and twist
+    wrenches: Floats2
+    tips: Floats2
     torque: Floats1  # (joints,) of the control
     sampling: SamplingStatus
     held: Floats2  # (2, joints) of a control that can be held: torques that act, and the last ones
@@ -232,6 +240,7 @@ def make_variables(
         "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6), "h_o": 6, "h": joints, "q_o": 6,
         "qdd": joints, "torque": joints, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
+        "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
         "residual": joints, "kept": 13 + 2 * joints, "mixed": 6 + joints, "signs": arms,
         # between two calls of the time loop; further events are only counted
         "events": (512 if monitors else 0, 3),

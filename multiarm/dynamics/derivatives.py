@@ -96,7 +96,7 @@ def differentiate(
         unique = np.concatenate(list(found.contact_forces_unique.values()))
         matrix[rows["contact_forces"]][~unique] = np.nan
         message = (
-            f"{layout.contacts - found.rank} of {layout.contacts} constraints repeat others: "
+            f"constraints that repeat others: {layout.contacts - found.rank} of {layout.contacts}; "
             "displacements are projected on those that keep the joints closed, and forces that are "
             "not unique have no derivatives"
         )

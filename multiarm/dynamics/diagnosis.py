@@ -28,6 +28,7 @@ from multiarm.dynamics.model import Data, Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NO_INERTIA
 from multiarm.geometry.records import Contact
+from multiarm.notation import count_of
 
 # Motion along a direction, relative to that along the arm's best one, that counts as little ...
 LITTLE = 5e-3
@@ -197,7 +198,7 @@ def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
     lost = lost_directions(data, arm)
     if joints >= independent:
         return words + tuple(motion.words for motion in lost)
-    leave = f"its {joints} joint{' leaves' if joints == 1 else 's leave'}"
+    leave = f"its {count_of(joints, 'joint')} {'leaves' if joints == 1 else 'leave'}"
     words += (f"{leave} {len(lost)} of {independent} directions without motion",)
     if len(lost) > independent - joints:  # the posture loses further ones
         words += tuple(motion.words for motion in lost if motion.words.endswith(REACH))

@@ -376,6 +376,20 @@ def potential_energy(model, data):
 
 
 @kernel
+def write_wrenches(rows, bounds, forces, wrenches):
+    """Write the wrench of each owner of rows on the object, the sum of its ``rows * forces``.
+
+    ``rows`` (N, 6) are those of ``W_o``, ``bounds`` (o + 1,) where those of each owner begin.
+    """
+    for i in range(wrenches.shape[0]):
+        wrench = wrenches[i]
+        clear(wrench)
+        for k in range(bounds[i], bounds[i + 1]):
+            for l in range(6):  # noqa: E741
+                wrench[l] += rows[k, l] * forces[k]
+
+
+@kernel
 def largest(contacts, column):
     """Largest magnitude in one column of the contact kinematics (NaN stays NaN)."""
     worst = 0.0

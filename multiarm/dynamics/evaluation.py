@@ -45,6 +45,7 @@ from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
+from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
 from multiarm.scene.values import SURROUNDINGS
 
@@ -189,19 +190,19 @@ class Evaluation:
 
     def __repr__(self) -> str:
         left = self.residuals
-        forces = [np.max(np.abs(own), initial=0.0) for own in self.contact_forces.values()]
+        totals = [np.linalg.norm(wrench[:3]) for wrench in self.wrenches.values()]
+        forces = [np.max(np.abs(force), initial=0.0) for force in self.contact_forces.values()]
         return (
-            f"Evaluation(time={self.time:g}, rank={self.rank}, largest contact force "
-            f"{max(forces, default=0.0):.3g} N,\n  residuals: arm {left.arm:.2g}, "
-            f"object {left.object:.2g}, constraint {left.constraint:.2g})"
+            f"Evaluation(time={self.time:g}, rank={self.rank}, forces up to "
+            f"{max(totals, default=0.0):.3g} N of an arm, {max(forces, default=0.0):.3g} N at one "
+            f"contact,\n  residuals: arm {left.arm:.2g}, object {left.object:.2g}, "
+            f"constraint {left.constraint:.2g})"
         )
 
     def _repr_html_(self) -> str:
-        def numbers(values: np.ndarray) -> str:
-            return np.array2string(values, precision=4, suppress_small=True, max_line_width=100)
-
         facts = {
             "object's acceleration [m/s², rad/s²]": numbers(self.object_acceleration),
+            **{f"wrench of {a} [N, N m]": numbers(w) for a, w in self.wrenches.items()},
             **{f"contact forces of {a} [N]": numbers(f) for a, f in self.contact_forces.items()},
             "rank": self.rank,
             "residuals": ", ".join(f"{k} {v:.1g}" for k, v in vars(self.residuals).items()),

@@ -40,6 +40,7 @@ from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
+from multiarm.notation import count_of
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -144,7 +145,9 @@ def _solve(
         A, a = _desired_motion(data.model, name, ev, desired, relative[name])
         qdd[d], left = _nearest(M, A, a, posture[name])
         if left > 1e-7 * (1.0 + np.max(np.abs(a), initial=0.0)):
-            faults.append(f"arm '{name}' ({len(M)} joints) misses it by {left:.3g} m/s^2, rad/s^2")
+            faults.append(
+                f"arm '{name}' ({count_of(len(M), 'joint')}) misses it by {left:.3g} m/s^2, rad/s^2"
+            )
         torque[d] = M @ qdd[d] - free[d] - W @ force[r]
         balance = M @ qdd[d] - free[d] - torque[d] - W @ force[r]
         gap = b.Wo[r] @ desired + W.T @ qdd[d] - c[r]

@@ -472,6 +472,7 @@ class Data:
         b.inner[:] = b.inner_rate[:] = 0.0
         b.places[:] = self.model.pair_places
         b.coordinates[:] = np.nan
+        b.tips[:] = 0.0
         b.margins[:] = np.nan
         b.event_count[0] = 0
         b.status.rank = b.status.coupled_arms = 0

@@ -17,6 +17,7 @@ from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import Layout
 from multiarm.errors import ModelError
+from multiarm.notation import count_of
 
 STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
 PARAMETERS = ("object_wrench", "object_mass", "object_inertia", "placements")
@@ -270,4 +271,5 @@ class Derivatives:
 
     def __repr__(self) -> str:
         rows, columns = self.matrix.shape
-        return f"Derivatives({rows} rows by {columns} columns{self.message and '; '}{self.message})"
+        size = f"{count_of(rows, 'row')} by {count_of(columns, 'column')}"
+        return f"Derivatives({size}{self.message and '; '}{self.message})"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import ModelError, MultiarmError
+from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import shown
 
@@ -32,7 +33,7 @@ class Layout:
     def __str__(self) -> str:
         count = len(self.names)
         arms = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
-        return f"{arms}; {self.joints} joints, {self.contacts} contacts"
+        return f"{arms}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
 
     @property
     def joints(self) -> int:
@@ -153,7 +154,8 @@ def require_same_joints(state: State, layout: Layout) -> None:
     if not state.layout.same_joints(layout):
         raise ModelError(
             f"this state belongs to a system with arms {', '.join(state.layout.names)} "
-            f"({state.layout.joints} joints), not to this one; make it with `system.state(...)`"
+            f"({count_of(state.layout.joints, 'joint')}), not to this one; make it with "
+            "`system.state(...)`"
         )
 
 
@@ -164,7 +166,7 @@ def checked_vector(
     try:
         vector = np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise error(f"{what}: expected {size} numbers, got {shown(values)}") from None
+        raise error(f"{what}: expected {count_of(size, 'number')}, got {shown(values)}") from None
     if vector.shape != (size,):
         raise error(f"{what}: expected shape ({size},), got {vector.shape}")
     if not np.all(np.isfinite(vector)):

@@ -23,8 +23,10 @@ from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
+from multiarm.dynamics.tips import Kinematics, kinematics_of
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
@@ -171,7 +173,8 @@ class System:
         for joint in self.scene.joints:
             arm, rows = self.arms[joint.arm], len(self.contacts[joint.arm])
             facts[f"arm {joint.arm}"] = (
-                f"{arm.dof} joints, joined by {joint.kind}: {rows} contacts, free: "
+                f"{count_of(arm.dof, 'joint')}, joined by {joint.kind}: "
+                f"{count_of(rows, 'contact')}, free: "
                 f"{', '.join(self.frames[joint.arm].labels) or 'nothing'}"
             )
         facts["control"] = self.scene.control.kind
@@ -295,6 +298,21 @@ class System:
         fill_by_arm("joint_positions", state.joint_positions, joint_positions or {})
         fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
         return state
+
+    def kinematics(self, state: State | None = None) -> Kinematics:
+        """Poses, twists and Jacobians of the arms' tips, ``kinematics().tips["left"]``.
+
+        Parameters
+        ----------
+        state : State, optional
+            The start when left out.  It is taken as it is, without projection.
+
+        Raises
+        ------
+        ModelError
+            When ``state`` is none of this system; for a tip of an unknown arm.
+        """
+        return kinematics_of(self.arms.values(), self.checked(state))
 
     def with_control(
         self,

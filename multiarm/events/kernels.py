@@ -48,6 +48,7 @@ from multiarm.dynamics.equations import (
     passive_forces,
     renew_kinematics,
     update_rows,
+    write_wrenches,
 )
 from multiarm.dynamics.kinematics import arm_rows, load_inertia
 from multiarm.dynamics.solver.node import IMBALANCE_BOUND
@@ -323,7 +324,7 @@ def write_direction(s, mode, first, second):
 
 @cfunc
 def record_forces(address, size, _t, _b):
-    """Write the forces of all rows and the state of every contact into ``data.shown``."""
+    """Write the forces of all rows and the states of contacts, ``data.shown``, and the wrenches."""
     data = open_data(struct_at(address, size))
     mode = open_mode(struct_at(data.modes.guards, 0))
     shown = data.shown
@@ -339,7 +340,11 @@ def record_forces(address, size, _t, _b):
     first = shown.size - mode.states.size
     for k in range(mode.states.size):
         shown[first + k] = mode.states[k]
-    return OK
+    struct = struct_at(data.modes.full, 0)
+    update_rows(struct)
+    _, full, work = open_system(struct)
+    write_wrenches(full.Wo, work.rows, shown, data.wrenches)
+    return CALLBACK_FAILED if data.status.failed else OK
 
 
 @kernel

@@ -34,6 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.notation import count_of
 
 # A force this small relative to its moment (over `length`) is zero: the wrench is a couple.
 COUPLE_TOLERANCE = 1e-12
@@ -198,7 +199,8 @@ class FreeMotions:
                 listed = " and ".join(filter(None, [", ".join(axes[:-1]), axes[-1]]))
                 words.append(f"{motion} {listed}")
         if self.coupled:
-            words.append(f"{self.coupled} {'more ' * bool(words)}along several axes at once")
+            motions = count_of(self.coupled, "more motion" if words else "motion")
+            words.append(f"{motions} along several axes at once")
         return words
 
 

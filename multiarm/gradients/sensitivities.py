@@ -32,6 +32,7 @@ from multiarm.gradients.segments import (
     Piece,
 )
 from multiarm.gradients.variation import state_columns
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.setup import increasing_times
@@ -78,7 +79,8 @@ class Sensitivities:
 
     def __repr__(self) -> str:
         times, rows, columns = self.matrix.shape
-        return f"Sensitivities({rows} components at {times} times, by {columns} columns)"
+        of, by = count_of(rows, "component"), count_of(columns, "column")
+        return f"Sensitivities({of} at {count_of(times, 'time')}, by {by})"
 
     def _repr_html_(self) -> str:
         parameters = ", ".join(list(self.columns)[len(self.rows) :])

@@ -27,6 +27,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
 from multiarm.grasp.programs import LinearSolution, linear_program
+from multiarm.notation import count_of
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
 # A body of half-spaces is bounded when the origin is inside the hull of their duals by more than
@@ -155,8 +156,9 @@ def check_one_solid(
     opened = sum(1 for u, v in runs if (v, u) not in runs)
     if twice:
         raise GraspError(
-            f"{what}: {twice} edges are run along twice in one direction, so that faces are turned "
-            f"the wrong way round or more than two share an edge ({opened} edges are open)"
+            f"{what}: run along twice in one direction: {count_of(twice, 'edge')}, so that faces "
+            f"are turned the wrong way round or more than two share an edge (open: "
+            f"{count_of(opened, 'edge')})"
             + (remedy or "; list the corners of each face counter-clockwise as seen from outside")
         )
     if opened:

@@ -23,6 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.notation import count_of
 
 # A normal is a unit vector when its length is off by no more than this; it is then made exact.
 UNIT_TOLERANCE = 1e-6
@@ -90,7 +91,9 @@ class Contacts:
             raise GraspError(f"normal {j + 1} has length zero: it has no direction")
         called = tuple(names) if names is not None else _numbered(len(at))
         if len(called) != len(at):
-            raise GraspError(f"{len(at)} contacts need as many names, not {len(called)}")
+            raise GraspError(
+                f"{count_of(len(at), 'contact')} must have as many names, not {len(called)}"
+            )
         unit = along / lengths[:, None]
         for array in (at, along, unit):
             array.setflags(write=False)
@@ -170,7 +173,8 @@ class Contacts:
         if numbers and all(isinstance(one, bool | np.bool_) for one in numbers):
             if len(numbers) != self.count:
                 raise GraspError(
-                    f"{self.count} contacts are chosen by as many truth values, not {len(numbers)}"
+                    f"{count_of(self.count, 'contact')} must have as many truth values, not "
+                    f"{len(numbers)}"
                 )
             numbers = [j for j, one in enumerate(numbers) if one]
         if not numbers:

@@ -18,6 +18,7 @@ from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face import Face
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.notation import count_of
 from multiarm.public import facts_html
 
 # A contact lies on its face when it is off by no more than this part of the body's size.
@@ -80,7 +81,8 @@ class FaceContacts:
     def __post_init__(self) -> None:
         if len(self.faces) != len(self.contacts):
             raise GraspError(
-                f"{len(self.contacts)} contacts need as many faces, not {len(self.faces)}"
+                f"{count_of(len(self.contacts), 'contact')} must have as many faces, not "
+                f"{len(self.faces)}"
             )
         for j, number in enumerate(self.faces):
             if number not in range(len(self.body.faces)):
@@ -98,7 +100,7 @@ class FaceContacts:
     def _repr_html_(self) -> str:
         facts = {
             "body": repr(self.body).strip("<>"),
-            "contacts": f"{len(self.contacts)} by {len(self.grippers)} grippers",
+            "contacts": f"{len(self.contacts)} by {count_of(len(self.grippers), 'gripper')}",
             "faces": ", ".join(dict.fromkeys(self.body.faces[k].name for k in self.faces)),
             "notes": "; ".join(self.notes),
         }

@@ -61,6 +61,7 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.immobility import Immobility, immobility
+from multiarm.notation import count_of
 from multiarm.public import facts_html
 
 
@@ -167,7 +168,7 @@ class FormClosure:
     def message(self) -> str:
         """The verdict and its reason in a sentence or two."""
         if self.motion is None:
-            return f"{self.contacts.count} contacts hold the body: form closure"
+            return f"{count_of(self.contacts.count, 'contact')} hold the body: form closure"
         sentence = explanation(self.contacts, self.motion, self.rank, self.borderline)
         if self.order == 2:
             sentence += (
@@ -301,7 +302,7 @@ def explanation(contacts: Contacts, motion: np.ndarray, rank: int, borderline: b
     off = leaving_contacts(contacts, motion)
     if contacts.count <= n:
         count = contacts.count
-        few = "1 contact never closes" if count == 1 else f"{count} contacts never close"
+        few = f"{count_of(count, 'contact')} never {'closes' if count == 1 else 'close'}"
         why = f"{few} {space}, at least {n + 1} are needed"
     elif rank < n:
         why = f"the wrenches of the {contacts.count} contacts have rank {rank} of {n}"

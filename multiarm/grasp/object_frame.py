@@ -44,6 +44,7 @@ from multiarm.grasp.rotations_from_planes import (
     rotations_of,
     table_of,
 )
+from multiarm.notation import count_of
 
 if TYPE_CHECKING:
     from multiarm.grasp.polyhedron import Polyhedron
@@ -215,8 +216,9 @@ def _pairs(faces: Sequence[int], points: np.ndarray) -> np.ndarray:
     numbers = _integers(faces)
     if len(numbers) != len(points):
         raise GraspError(
-            f"each contact needs the number of its face: {len(numbers)} numbers for "
-            f"{len(points)} points; seven in the thesis's order need none, others need faces="
+            f"each contact needs the number of its face: {count_of(len(numbers), 'number')} for "
+            f"{count_of(len(points), 'point')}; seven in the thesis's order need none, others "
+            "need faces="
         )
     missing = [k for k in (1, 2, 3, -1, -2, -3) if k not in numbers]
     if missing or np.any(np.abs(numbers) > 3) or np.any(numbers == 0):

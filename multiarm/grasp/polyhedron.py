@@ -21,6 +21,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp import boundaries
 from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
+from multiarm.notation import count_of
 from multiarm.scene.object import MassProperties, Moments, moments
 
 ORTHOGONAL = 1e-6
@@ -76,7 +77,9 @@ class Polyhedron:
             tuple(names) if names is not None else tuple(f"face {k}" for k in range(len(loops)))
         )
         if len(called) != len(numbers):
-            raise GraspError(f"{len(numbers)} faces need as many names, not {len(called)}")
+            raise GraspError(
+                f"{count_of(len(numbers), 'face')} must have as many names, not {len(called)}"
+            )
         object.__setattr__(self, "vertices", corners)
         object.__setattr__(self, "loops", numbers)
         object.__setattr__(self, "names", called)

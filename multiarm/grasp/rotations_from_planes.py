@@ -43,6 +43,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import numbers_of, unit_vectors
+from multiarm.notation import count_of
 
 # Normals span space when the third singular value is above this part of the first.
 SPANNING = 1e-9
@@ -204,7 +205,9 @@ def _polygons(
     if polygons is None:
         return None
     if len(polygons) != count:
-        raise GraspError(f"{count} contacts need as many polygons, not {len(polygons)}")
+        raise GraspError(
+            f"{count_of(count, 'contact')} must have as many polygons, not {len(polygons)}"
+        )
     return tuple(table_of(polygon, "corners of a face") - origin for polygon in polygons)
 
 

@@ -2,8 +2,12 @@
 
 The columns are time, object position, quaternion (xyzw), joint positions, object twist, joint
 velocities, control torques, contact forces, free relative rates and coordinates of the joints,
-kinetic and potential energy, work of each effect and of all together, largest gap and largest gap
-rate; rank of the constraints, arms in the coupled system, relative residual.
+wrenches on the object, tips, kinetic and potential energy, work of each effect and of all together,
+largest gap and largest gap rate; rank of the constraints, arms in the coupled system, relative
+residual.
+
+A quaternion of a tip has the sign with which it continues that of the sample before; the first has
+``w >= 0``.
 """
 
 from __future__ import annotations
@@ -12,23 +16,27 @@ import math
 from collections.abc import Sequence
 
 from multiarm.contacts.joint import SINGLE_TURN, write_relative
-from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
+from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
+from multiarm.dynamics.arrays import TIP_WIDTH, open_system
+from multiarm.dynamics.equations import (
+    kinetic_energy,
+    largest,
+    potential_energy,
+    write_wrenches,
+)
 from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec
 from multiarm.results.channels import Channel, Columns, in_sequence
+from multiarm.spatial import quaternion_of
 
 
 def sample_width(data: Data) -> int:
     """Numbers a sample: see :func:`write_sample`."""
-    n, free, works = (
-        data.model.layout.joints,
-        len(data.model.constants.free),
-        data.arrays.power.size,
-    )
-    return 1 + 7 + n + 6 + n + n + data.arrays.shown.size + 2 * free + 7 + works
+    n, free, arrays = data.model.layout.joints, len(data.model.constants.free), data.arrays
+    of_arms = arrays.shown.size + 2 * free + arrays.wrenches.size + arrays.tips.size
+    return 1 + 7 + n + 6 + n + n + of_arms + 7 + arrays.power.size
 
 
 @kernel
@@ -45,10 +53,19 @@ def write_sample(struct, t, works, row):
     at = 14 + 3 * n
     if data.functions.contact_forces != 0:
         call_cfunc(data.functions.contact_forces, struct, t, 0.0)
+    else:
+        write_wrenches(data.Wo, work.rows, data.force, data.wrenches)
     copy(data.shown, row[at : at + m])
     at += m
     write_free(model, data, row[at:])
     at += 2 * model.free.shape[0]
+    for i in range(data.wrenches.shape[0]):
+        copy(data.wrenches[i], row[at : at + 6])
+        at += 6
+    write_tips(model, data)
+    for i in range(data.tips.shape[0]):
+        copy(data.tips[i], row[at : at + TIP_WIDTH])
+        at += TIP_WIDTH
     row[at] = kinetic_energy(data, work)
     row[at + 1] = potential_energy(model, data)
     at += 2
@@ -77,6 +94,22 @@ def write_free(model, data, out):
 
 
 @kernel
+def write_tips(model, data):
+    """Origins, quaternions and twists of the tips, in world axes, into ``data.tips``."""
+    for i in range(data.tips.shape[0]):
+        frame, link, tip = model.tip_frames[i], data.arms[i], data.tips[i]
+        R, omega = rotation(link, 0), vec(link, SPIN)
+        lever = rotate(R, vec(frame, 9))
+        x, y, z, w = quaternion_of(*compose(R, rotation(frame, 0)))
+        if x * tip[3] + y * tip[4] + z * tip[5] + w * tip[6] < 0.0:
+            x, y, z, w = -x, -y, -z, -w
+        put(tip, 0, add(vec(link, ORIGIN_AT), lever))
+        tip[3], tip[4], tip[5], tip[6] = x, y, z, w
+        put(tip, 7, add_cross(vec(link, VELOCITY), omega, lever))
+        put(tip, 10, omega)
+
+
+@kernel
 def follow_joints(model, data):
     """Store the free coordinates of all joints at the end of a step in ``data.coordinates``."""
     rates, coordinates = data.query[0:6], data.query[6:15]
@@ -102,17 +135,18 @@ def unwrapped(model, data, i, k, coordinates):
 def sample_columns(channels: Sequence[Channel]) -> Columns:
     """Where the channels of a run are in a row of :func:`write_sample`."""
     # names of channels, or their last parts: those of all arms, of the floor and of all effects
-    # stand together, in the order of the channels
+    # stand together, in the order of the channels; those of a tip stand together
     order = (
         "time", "object/position", "object/quaternion_xyzw", "joint_position", "object/twist",
         "joint_velocity", "joint_torque", "contact_force", "contact_state", "relative_rate",
-        "relative_position", "energy/kinetic", "energy/potential", "work", "energy/work",
-        "drift/position", "drift/velocity", "solver/rank", "solver/coupled_arms",
+        "relative_position", "wrench", "tip", "energy/kinetic", "energy/potential", "work",
+        "energy/work", "drift/position", "drift/velocity", "solver/rank", "solver/coupled_arms",
         "solver/residual",
     )  # fmt: skip
 
     def place(channel: Channel) -> int:
         name = channel.name
-        return order.index(name if name in order else name.rpartition("/")[2])
+        last = name.rpartition("/")[2]
+        return order.index(name if name in order else "tip" if last.startswith("tip_") else last)
 
     return in_sequence(sorted(channels, key=place))

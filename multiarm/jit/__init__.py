@@ -5,6 +5,7 @@
 - :mod:`~multiarm.jit.linking`: how their parts become one unit of machine code;
 - :mod:`~multiarm.jit.pointers`: calls through addresses, and callbacks into Python;
 - :mod:`~multiarm.jit.lazy`: functions that are compiled at their first call;
+- :mod:`~multiarm.jit.compilation`: how long threads wait for the compiler;
 - :mod:`~multiarm.jit.ahead`: compilation ahead of the first call, in several processes;
 - :mod:`~multiarm.jit.structs`: many arrays and numbers as one argument, read and set by name;
 - :mod:`~multiarm.jit.simd`: the numbers of four arms in one vector register;

@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit, types
+from numba.core import event
 
+from multiarm.jit.compilation import compiling, start_compiling, stop_compiling
 from multiarm.jit.linking import PART, WHOLE
 
 _PACKAGE = Path(__file__).parents[1]
@@ -101,7 +103,8 @@ class Kernel:
         """Numba's dispatcher of the function as a whole, cached while no kernel has changed."""
         with _MAKING:  # threads must not make two
             if self._wait is not None:
-                self._wait()
+                with compiling():
+                    self._wait()
                 self._wait = None
             if self._whole is None:
                 self._whole = njit(cache=True, **WHOLE, **self._options)(self.py_func)
@@ -122,6 +125,19 @@ class Kernel:
     def is_cached(self) -> bool:
         """Whether fresh machine code is in the cache."""
         return bool(_cache_file(self.whole)._load_index())
+
+
+class _CompilationListener(event.Listener):
+    """Counts the times of Numba's compilations; parts of a kernel are announced within its own."""
+
+    def on_start(self, event: event.Event) -> None:
+        start_compiling()
+
+    def on_end(self, event: event.Event) -> None:
+        stop_compiling()
+
+
+event.register("numba:compile", _CompilationListener())
 
 
 def _decorator(**options: Any) -> Callable[[Callable], Kernel]:

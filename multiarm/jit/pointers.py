@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from multiarm.jit.compilation import compiling
 from multiarm.jit.kernels import Kernel
 
 # Signature of functions called by address, decorated with `cfunc`: address and size of a struct,
@@ -29,7 +31,9 @@ def address_of(function: Kernel) -> int:
     """Address of a kernel decorated with `cfunc`, compiled if need be."""
     whole = function.whole
     if CFUNC.args not in whole.overloads:
-        whole.compile(CFUNC)
+        # a thread that needs what another one compiles waits for the compiler, too
+        with nullcontext() if function.is_cached() else compiling():
+            whole.compile(CFUNC)
     result = whole.overloads[CFUNC.args]
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 

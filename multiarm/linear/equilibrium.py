@@ -34,6 +34,7 @@ from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ModelError, SolverError
 from multiarm.linear.linearisation import LinearSystem, linearise
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 
 __all__ = ["Equilibrium", "find_equilibrium"]
@@ -78,7 +79,7 @@ class Equilibrium:
     __dir__ = public_names
 
     def __repr__(self) -> str:
-        return f"Equilibrium({self.stability}, after {self.steps} steps; {self.state})"
+        return f"Equilibrium({self.stability}, after {count_of(self.steps, 'step')}; {self.state})"
 
     def _repr_html_(self) -> str:
         facts = {

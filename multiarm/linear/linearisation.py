@@ -37,6 +37,7 @@ from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.linear.coordinates import Coordinates, minimal_coordinates
 from multiarm.linear.modes import Mode, modes_of, stability_of
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.scene.faults import unknown
 
@@ -83,8 +84,9 @@ class LinearSystem:
 
     def __repr__(self) -> str:
         return (
-            f"LinearSystem({len(self.state_names)} states, {len(self.input_names)} inputs, "
-            f"{len(self.output_names)} outputs; {self.stability})"
+            f"LinearSystem({count_of(len(self.state_names), 'state')}, "
+            f"{count_of(len(self.input_names), 'input')}, "
+            f"{count_of(len(self.output_names), 'output')}; {self.stability})"
         )
 
     def _repr_html_(self) -> str:

@@ -20,6 +20,7 @@ from multiarm.plots.run_figures import (
     joint_positions,
     joint_torques,
     object_pose,
+    wrenches,
 )
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ __all__ = [
     "joint_positions",
     "joint_torques",
     "object_pose",
+    "wrenches",
 ]
 
 
@@ -46,6 +48,7 @@ def figures(trajectory: Trajectory) -> dict[str, Figure]:
         "Object": object_pose(trajectory),
         "Joint positions": joint_positions(trajectory),
         "Joint torques": joint_torques(trajectory),
+        "Wrenches of the arms": wrenches(trajectory),
         "Contact forces": contact_forces(trajectory),
         "Contact states": contact_states(trajectory),
         "Energy": energy(trajectory),

@@ -26,6 +26,7 @@ from matplotlib.patches import FancyArrowPatch, PathPatch
 from matplotlib.path import Path
 
 from multiarm.grasp.seventh_contact import seventh_contact_region
+from multiarm.notation import count_of
 from multiarm.plots.style import INK, STYLE
 
 if TYPE_CHECKING:
@@ -195,4 +196,4 @@ def _dress(axes: Axes, grasp: Grasp) -> None:
         frameon=False, fontsize=9.5,
     )  # fmt: skip
     verdict = "form closure" if grasp.closure else "no form closure"
-    axes.set_title(f"{len(grasp.contacts)} contacts: {verdict}")
+    axes.set_title(f"{count_of(len(grasp.contacts), 'contact')}: {verdict}")

@@ -20,6 +20,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
+from multiarm.notation import count_of
 from multiarm.plots.style import INK, STYLE
 from multiarm.results.event_log import (
     ACTUATOR,
@@ -63,9 +64,9 @@ class EventMarks:
             self._times.setdefault(family_of(event["kind"]), []).append(float(event["time"]))
         kinds: dict[Family, dict[str, int]] = {}
         for count in counts(events):
-            kinds.setdefault(family_of(count.kind), {})[count.kind] = count.count
+            kinds.setdefault(family_of(count.kind), {})[count.words] = count.count
         self._labels = {
-            family: f"{', '.join(kinds[family])} ({sum(kinds[family].values()):,})"
+            family: f"{', '.join(kinds[family])}: {count_of(sum(kinds[family].values()), 'event')}"
             for family in FAMILIES
             if family in kinds
         }

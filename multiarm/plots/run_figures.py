@@ -7,6 +7,7 @@ resting, a hatched one for sliding, a full one for sticking.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from multiarm.notation import count_of, number
 from multiarm.plots.decimation import POINTS, RotationSinceStart, decimate
 from multiarm.plots.panels import DECADES, LEGEND_ROW, EventMarks, Panel, draw, sheet
 from multiarm.plots.style import (
@@ -23,11 +25,10 @@ from multiarm.plots.style import (
     DASHES,
     GRID,
     PALETTE,
-    PREFIXES,
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
+from multiarm.results.channels import CONTACT_STATES, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
 from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
@@ -41,6 +42,8 @@ _SHOWN = {
     ("joint_torque", "N m"): ("torque [N m]", 1.0),
     ("joint_torque", "N"): ("force [N]", 1.0),
     ("contact_force", "N"): ("force [N]", 1.0),
+    ("wrench", "N"): ("force [N]", 1.0),
+    ("wrench", "N m"): ("moment [N m]", 1.0),
 }
 
 
@@ -82,6 +85,17 @@ def contact_forces(trajectory: Trajectory) -> Figure:
     return draw(panels, zero_line=True, events=trajectory.events)
 
 
+def wrenches(trajectory: Trajectory) -> Figure | None:
+    """Force (N) and moment (N m) of each arm on the object, two panels per arm and for the floor.
+
+    In world axes, the moment about the object's centre of mass.  None where none were recorded.
+    """
+    panels = _arm_panels(trajectory, "wrench")
+    if not panels:
+        return None
+    return draw(panels, zero_line=True, events=trajectory.events)
+
+
 def energy(trajectory: Trajectory) -> Figure:
     """Kinetic energy, change of potential energy and work; below them the balance error.
 
@@ -97,11 +111,12 @@ def energy(trajectory: Trajectory) -> Figure:
     colours = tuple(ROLES.values())
     labels = ("kinetic", "potential, change", "work")
     peak = float(np.abs(values[:, 3]).max(initial=0.0))
-    scale = next((own for own in PREFIXES if peak >= own), 1)
+    scale = 10.0 ** (3 * math.floor(math.log10(peak) / 3)) if 0.0 < peak < 1.0 else 1.0
+    unit = "J" if scale == 1.0 else number(scale, "J")
     panels = [
         Panel("Energy and work", "energy [J]", time, values[:, :3], labels, colours[:3]),
         Panel(
-            "Energy gained less work done: 0 for an exact run", f"balance [{PREFIXES[scale]}J]",
+            "Energy gained less work done: 0 for an exact run", f"balance [{unit}]",
             time, values[:, 3:] / scale, ("",), colours[3:],
         ),
     ]  # fmt: skip
@@ -169,23 +184,21 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
     panels = []
     for arm, channel in zip(named, channels, strict=True):
         time, values = decimate(trajectory, [channel.name], points=points)
-        labels = _short(_labels(channel))
+        labels = _short(channel.column_labels)
         for unit in dict.fromkeys(channel.column_units):
             chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
             shown, factor = _SHOWN[quantity, unit]
+            colours = [PALETTE[i % len(PALETTE)] for i in chosen]
+            dashes = [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen]
+            if quantity == "wrench":
+                colours, dashes = list(AXIS_COLOURS), []
             panels.append(
                 Panel(
                     arm, shown, time, factor * values[:, chosen],
-                    tuple(labels[i] for i in chosen),
-                    [PALETTE[i % len(PALETTE)] for i in chosen],
-                    [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen],
+                    tuple(labels[i] for i in chosen), colours, dashes,
                 )
             )  # fmt: skip
     return panels
-
-
-def _labels(channel: Channel) -> tuple[str, ...]:
-    return channel.labels or tuple(str(i + 1) for i in range(int(np.prod(channel.shape))))
 
 
 def _short(labels: Sequence[str]) -> list[str]:
@@ -278,7 +291,7 @@ def _dress(axes: Axes, names: list[str], left_out: int) -> None:
     style: dict[str, Any] = {"va": "center", "fontsize": 8.5, "parse_math": False}
     for place, name in enumerate(names):
         axes.text(1.012, place + 0.5, name, transform=axes.get_yaxis_transform(), **style)
-    more = f"; {left_out} more contacts are not shown" if left_out > 0 else ""
+    more = f"; {count_of(left_out, 'more contact')} not shown" if left_out > 0 else ""
     axes.set_xlabel(f"time [s]{more}")
 
 

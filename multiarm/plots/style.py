@@ -59,11 +59,6 @@ STYLE: dict[Any, Any] = {
 }
 """Settings of matplotlib under which all figures are drawn."""
 
-PREFIXES = {
-    1e9: "G", 1e6: "M", 1e3: "k", 1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f",
-}  # fmt: skip
-"""Divisor -> the prefix of a unit, the largest first."""
-
 
 def inline_svg(figure: Figure, prefix: str) -> str:
     """The figure as inline SVG, on no ground and in the colours and the font of the page's theme.

@@ -7,16 +7,14 @@ scene is never markup; only figures, which are drawn here, are put in as they ar
 
 from __future__ import annotations
 
-import json
 import re
 from functools import cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from multiarm.plots.style import PREFIXES
+from multiarm.notation import NOTHING, count_of, number, value_text
 
-NOTHING = "\N{EN DASH}"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -41,26 +39,16 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {
+        "count_of": count_of,
         "heading": heading,
         "number": number,
-        "quantity": quantity,
         "scientific": scientific,
         "thousands": "{:,}".format,
         "unbroken": unbroken,
+        "value_text": value_text,
     }
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "ensure_ascii": False}
     return environment
-
-
-def quantity(value: float | None, unit: str) -> str:
-    """A number of three digits with the prefix that suits it: `quantity(2e-9, "m")` is `2 nm`."""
-    if value is None:
-        return NOTHING
-    value = float(f"{value:.3g}")  # 0.9999 m is 1 m, not 1000 mm
-    if value == 0 or abs(value) >= 1e4 or abs(value) < 1e-15:
-        return f"{value:.3g} {unit}"
-    scale = next(own for own in PREFIXES if own <= 1 and abs(value) >= own)
-    return f"{value / scale:.4g} {PREFIXES[scale]}{unit}"
 
 
 def scientific(value: float | None) -> str:
@@ -78,21 +66,6 @@ def scientific(value: float | None) -> str:
 def power_of_ten(exponent: int) -> str:
     """`power_of_ten(-14)` is `10⁻¹⁴`."""
     return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
-
-
-def number(value: Any) -> str:
-    """A JSON value as text."""
-    if value is None:
-        return NOTHING
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}".replace(",", "\u202f")
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
-        return ", ".join(number(item) for item in value)
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def heading(key: str) -> str:

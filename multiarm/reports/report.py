@@ -15,11 +15,13 @@ import yaml
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
+from multiarm.notation import number, value_text
 from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
-from multiarm.reports.pages import heading, number, quantity
+from multiarm.reports.pages import heading
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import atomic_file, printable, resolved
+from multiarm.results.limit_use import LIMITS
 from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
 
 SHOWN_EVENTS = 200
@@ -27,7 +29,8 @@ _STATISTICS = {
     "steps": "Steps",
     "rejected_steps": "Rejected steps",
     "evaluations": "Evaluations of the dynamics",
-    "wall_time_s": "Wall time [s]",
+    "wall_time_s": "Wall time without compilation [s]",
+    "compile_time_s": "Compiling kernels [s]",
     "realtime_factor": "Simulated time / wall time",
     "error_estimate": "Error estimate",
 }
@@ -102,12 +105,25 @@ def _scene_name(text: str) -> str:
 
 
 def _largest_force(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Any]:
-    """The largest contact force [N], and whose it is."""
+    """The largest force of an arm, or of the floor, on the object [N], and at a contact."""
     forces = {arm: f for arm, f in summary["contact_force_max_N"].items() if f is not None}
     if not forces:
-        return {"value": None, "bearer": ""}
-    arm = max(forces, key=lambda name: forces[name])
-    return {"value": forces[arm], "bearer": f"arm {arm}" if arm in trajectory.arm_names else arm}
+        return {"value": None, "note": ""}
+    at_contact = max(forces, key=lambda name: forces[name])
+    wrenches = {arm: w for arm, w in summary["wrench_max"].items() if w["force_N"] is not None}
+    if not wrenches:
+        note = f"{_bearer(trajectory, at_contact)}, at a contact; wrenches were not recorded"
+        return {"value": forces[at_contact], "note": note}
+    arm = max(wrenches, key=lambda name: wrenches[name]["force_N"])
+    force, when = wrenches[arm]["force_N"], number(wrenches[arm]["force_time_s"], "s")
+    whose = "" if arm == at_contact else f" of {_bearer(trajectory, at_contact)}"
+    contact_force = number(forces[at_contact], "N")
+    note = f"{_bearer(trajectory, arm)} at {when}; {contact_force} at a contact{whose}"
+    return {"value": force, "note": note}
+
+
+def _bearer(trajectory: Trajectory, arm: str) -> str:
+    return f"arm {arm}" if arm in trajectory.arm_names else arm
 
 
 def _course(certificate: Mapping[str, Any], events: Sequence[Event]) -> str:
@@ -126,17 +142,24 @@ def _works(trajectory: Trajectory) -> list[tuple[str, str]]:
     done = {name: float(trajectory.read(channel, end)[0]) for name, channel in works.items()}
     total = float(trajectory.read("energy/work", end)[0])
     done |= {"control": total - sum(done.values()), "all together": total}
-    return [(name, quantity(work, "J")) for name, work in done.items()]
+    return [(name, number(work, "J")) for name, work in done.items()]
 
 
 def _statistics(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Any]:
     counted = trajectory.statistics
     rows = {name: counted.get(key) for key, name in _STATISTICS.items() if key in counted}
-    rows |= {heading(key): value for key, value in counted.items() if key not in _STATISTICS}
+    rows |= {
+        heading(key): value
+        for key, value in counted.items()
+        if key not in _STATISTICS and value not in (None, {})
+    }
     rows["Object at the end, position [m]"] = summary["final_object_position"]
     rows["Object at the end, quaternion x y z w"] = summary["final_object_quaternion_xyzw"]
     for arm, force in summary["contact_force_max_N"].items():
         rows[f"Largest contact force of {arm} [N]"] = force
+    for arm, wrench in summary["wrench_max"].items():
+        rows[f"Largest force of {arm} on the object [N]"] = wrench["force_N"]
+        rows[f"Largest moment of {arm} on the object [N m]"] = wrench["moment_N_m"]
     return rows
 
 
@@ -150,7 +173,7 @@ def _events(events: Sequence[Event]) -> dict[str, Any]:
         "kinds": counts(events),
         "rows": [_row(group) for group in groups[:SHOWN_EVENTS]],
         "foreign": [
-            ", ".join(f"{name}: {number(value)}" for name, value in event.items())
+            ", ".join(f"{name}: {value_text(value)}" for name, value in event.items())
             for event in foreign[:SHOWN_EVENTS]
         ],
         "unlisted": sum(len(group.events) for group in groups[SHOWN_EVENTS:]),
@@ -160,9 +183,9 @@ def _events(events: Sequence[Event]) -> dict[str, Any]:
 def _row(group: Group) -> tuple[str, str, str, str]:
     """Time, kind, place and change of a group."""
     first, last = group.first, group.last
-    time = number(first["time"])
+    time = value_text(first["time"])
     if len(group.events) > 1:
-        time += f" to {number(last['time'])}"
+        time += f" to {value_text(last['time'])}"
     where, place = who(first), first.get("where")
     if isinstance(place, list | tuple):
         where += f" at ({', '.join(f'{value:.3g}' for value in place)}) m"
@@ -170,11 +193,14 @@ def _row(group: Group) -> tuple[str, str, str, str]:
 
 
 def _flat(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The values under headings; versions of dependencies by their own names, without the scene."""
+    """The values under headings; versions of dependencies by their own names.
+
+    Without the scene and the limits of joints, which have sections of their own.
+    """
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if key == "dependencies":
             flat |= value
-        elif key != "scene":
+        elif key not in ("scene", LIMITS):
             flat[heading(str(key))] = value
     return flat

@@ -57,6 +57,11 @@ class Channel:
         units = tuple(self.unit.split(", "))
         return units if len(units) == self.width else (self.unit,) * self.width
 
+    @property
+    def column_labels(self) -> tuple[str, ...]:
+        """Label of each column; its number where there is none."""
+        return self.labels or tuple(str(column + 1) for column in range(self.width))
+
 
 def in_sequence(channels: Iterable[Channel]) -> Columns:
     """Columns of rows in which the channels follow each other."""
@@ -124,20 +129,10 @@ def trajectory_channels(
         Names of the rows of the object's contacts with the floor.
     """
     free, states = free or {}, states or {}
-    xyz = ("x", "y", "z")
     channels = [
         Channel("time", (), "s", "", "time of the sample"),
-        Channel("object/position", (3,), "m", "world", "centre of mass of the object", xyz),
-        Channel(
-            "object/quaternion_xyzw", (4,), "1", "object axes in world axes",
-            "orientation of the object, unit quaternion, scalar last", (*xyz, "w"),
-        ),
-        Channel(
-            "object/twist", (6,), ", ".join(["m/s"] * 3 + ["rad/s"] * 3), "world",
-            "velocity of the object's centre of mass, then its angular velocity",
-            ("vx", "vy", "vz", "wx", "wy", "wz"),
-        ),
-    ]  # fmt: skip
+        *_motion_channels("object/", "object", "centre of mass"),
+    ]
     for arm, units in joints.items():
         channels += _arm_channels(f"arms/{arm}", units)
         channels += _contact_channels(
@@ -145,10 +140,12 @@ def trajectory_channels(
         )
         if free.get(arm):
             channels += _free_channels(f"arms/{arm}", free[arm])
+        channels += wrench_and_tip_channels(f"arms/{arm}")
     if environment:
         channels += _contact_channels(
             "environment", environment, states.get(FLOOR, ()), "force of the floor at each contact"
         )
+        channels.append(wrench_channel("environment"))
     scalars = [
         *((f"effects/{name}/work", "J", f"work done by {name} since the start") for name in works),
         ("energy/kinetic", "J", "kinetic energy of the arms and the object"),
@@ -165,6 +162,36 @@ def trajectory_channels(
     ]  # fmt: skip
     channels += [Channel(name, (), unit, "", text) for name, unit, text in scalars]
     return tuple(channels)
+
+
+def wrench_and_tip_channels(path: str) -> list[Channel]:
+    """The channels of an arm's wrench and tip, which have the same shapes for all arms."""
+    return [wrench_channel(path), *_motion_channels(f"{path}/tip_", "tip", "origin")]
+
+
+def wrench_channel(path: str) -> Channel:
+    """The channel of the wrench of an arm, or of the floor, on the object."""
+    return Channel(
+        f"{path}/wrench", (6,), ", ".join(["N"] * 3 + ["N m"] * 3), "world",
+        "resultant of the contact forces and friction on the object: force, then moment about the "
+        "object's centre of mass", ("fx", "fy", "fz", "mx", "my", "mz"),
+    )  # fmt: skip
+
+
+def _motion_channels(prefix: str, frame: str, point: str) -> list[Channel]:
+    xyz = ("x", "y", "z")
+    return [
+        Channel(f"{prefix}position", (3,), "m", "world", f"{point} of the {frame}", xyz),
+        Channel(
+            f"{prefix}quaternion_xyzw", (4,), "1", f"{frame} axes in world axes",
+            f"orientation of the {frame}, unit quaternion, scalar last", (*xyz, "w"),
+        ),
+        Channel(
+            f"{prefix}twist", (6,), ", ".join(["m/s"] * 3 + ["rad/s"] * 3), "world",
+            f"velocity of the {frame}'s {point}, then its angular velocity",
+            ("vx", "vy", "vz", "wx", "wy", "wz"),
+        ),
+    ]  # fmt: skip
 
 
 def _arm_channels(path: str, units: Mapping[str, str]) -> list[Channel]:

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from textwrap import shorten
 from typing import Any
 
+from multiarm.notation import count_of
+
 Event = dict[str, Any]
 START = "start"
 """Kind of the remarks on how a run was prepared; they are no events of the motion."""
@@ -93,6 +95,7 @@ MADE, LOST, SLIP, STICK, LIMIT, ACTUATOR, OTHER = FAMILIES = (
     Family("other", "+", "#7a8797"),
 )  # fmt: skip
 _FAMILY_OF = {kind: family for family in FAMILIES for kind in family.kinds}
+_IN_WORDS = {"method": "change of the method", "control": "end of the control's table or path"}
 
 
 class EventLog:
@@ -153,8 +156,8 @@ class EventLog:
             for (kind, arm), count in self.dropped.most_common()
         ]
         return (
-            f"{self.dropped.total():,} more events from t = {begin:.4g} s to {end:.4g} s are not "
-            f"listed: {_some(names)}"
+            f"not listed: {count_of(self.dropped.total(), 'event')} from t = {begin:.4g} s to "
+            f"{end:.4g} s: {_some(names)}"
         )
 
 
@@ -205,6 +208,11 @@ class Count:
     kind: str
     count: int
     first: Event
+
+    @property
+    def words(self) -> str:
+        """What the kind is called where the text of its events is not shown."""
+        return _IN_WORDS.get(self.kind, self.kind)
 
 
 def counts(events: Iterable[Event]) -> list[Count]:

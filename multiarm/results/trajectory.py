@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from multiarm.errors import SceneError, TrajectoryError
+from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import STATUSES, temporary_name
@@ -67,7 +68,7 @@ class Store(Protocol):
         """Release the samples; further reads are an error."""
 
 
-class _UnknownArmError(TrajectoryError, KeyError):
+class _MissingArmError(TrajectoryError, KeyError):
     """A KeyError whose text is a sentence."""
 
     __str__ = TrajectoryError.__str__
@@ -76,13 +77,18 @@ class _UnknownArmError(TrajectoryError, KeyError):
 class ByArm(Mapping[str, np.ndarray]):
     """One quantity of every arm, and of the floor where it has contacts; read on access."""
 
-    def __init__(self, names: dict[str, str], read: Callable[[str], np.ndarray]):
-        self._names, self._read = names, read
+    def __init__(self, quantity: str, names: dict[str, str], read: Callable[[str], np.ndarray]):
+        self._quantity, self._names, self._read = quantity, names, read
 
     def __getitem__(self, arm: str) -> np.ndarray:
+        if not self._names:
+            raise _MissingArmError(
+                f"this result has no channels '{self._quantity}': it is that of an earlier version "
+                "of multiarm; run the scene again"
+            )
         if arm not in self._names:
             known = ", ".join(map(repr, self._names))
-            raise _UnknownArmError(f"unknown arm {arm!r}; arms are {known}")
+            raise _MissingArmError(f"unknown arm {arm!r}; arms are {known}")
         return self._read(self._names[arm])
 
     def __iter__(self) -> Iterator[str]:
@@ -114,7 +120,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         span = f", t = {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else ""
-        return f"Trajectory({len(self)} samples{span}, {self.status})"
+        return f"Trajectory({count_of(len(self), 'sample')}{span}, {self.status})"
 
     def _repr_html_(self) -> str:
         span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else "none"
@@ -139,18 +145,9 @@ class Trajectory:
             One row a sample, with the time [s] as index; a column for each number, named
             ``channel/label``, such as ``arms/left/joint_position/elbow_joint``. ``attrs["units"]``
             maps columns to units.
-
-        Raises
-        ------
-        TrajectoryError
-            The package pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise TrajectoryError(
-                "to_pandas: the package pandas is not installed: pip install pandas"
-            ) from None
+        import pandas
+
         columns: dict[str, np.ndarray] = {}
         units: dict[str, str] = {}
         for channel in self._store.channels.values():
@@ -162,6 +159,39 @@ class Trajectory:
         frame = pandas.DataFrame(columns, index=time)
         frame.attrs["units"] = {name: unit for name, unit in units.items() if name != "time"}
         return frame
+
+    @property
+    def limit_use(self) -> Any:
+        r"""How much of its limits each joint uses: the largest shares and their times.
+
+        The limits are those of the robot's file, whether or not the scene enforces them. The share
+        is 1 at the limit: :math:`|\tau| / \hat\tau` of the effort, with the torque of the drive
+        (`joint_torques`: within limits and lag of the drive if the scene has any; friction is no
+        part of it), :math:`|v| / \hat v` of the speed, and
+        :math:`|q - (q_- + q_+)/2| / ((q_+ - q_-)/2)` of the range. Peaks between two stored samples
+        are not seen.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a joint, with the columns ``joint`` (``left/shoulder_pan_joint``), ``effort``,
+            ``speed``, ``range`` (shares), and ``effort_time``, ``speed_time``, ``range_time`` [s],
+            of the first such sample. NaN where the robot's file names no limit (an effort or a
+            speed of 0 is none), and everywhere in results of earlier versions, which do not store
+            the limits.
+
+        Raises
+        ------
+        TrajectoryError
+            The limits in the file cannot be read.
+        """
+        import pandas
+
+        from multiarm.results.limit_use import JointUse, joint_uses
+
+        columns = tuple(JointUse("", None, None, None).row())
+        frame = pandas.DataFrame([use.row() for use in joint_uses(self)], columns=columns)
+        return frame.astype(dict.fromkeys(columns[1:], float))
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -235,6 +265,34 @@ class Trajectory:
         ``"floor"`` has those of the object's contacts with the floor, in scenes that have one.
         """
         return self._by_arm("contact_force")
+
+    @property
+    def wrenches(self) -> Mapping[str, np.ndarray]:
+        """Arm -> resultant of its contact forces on the object, with friction, shape (K, 6).
+
+        Force [N] and moment [N m] about the object's centre of mass, world axes, as in
+        :attr:`multiarm.Evaluation.wrenches`; ``"floor"`` has that of the floor, in scenes that have
+        one.
+        """
+        return self._by_arm("wrench")
+
+    @property
+    def tip_positions(self) -> Mapping[str, np.ndarray]:
+        """Arm -> origin of its tip frame in world axes, shape (K, 3) [m]."""
+        return self._by_arm("tip_position")
+
+    @property
+    def tip_quaternions_xyzw(self) -> Mapping[str, np.ndarray]:
+        """Arm -> orientation of its tip frame, scalar last, shape (K, 4).
+
+        The first has ``w >= 0``; the others continue the one before, without jumps of the sign.
+        """
+        return self._by_arm("tip_quaternion_xyzw")
+
+    @property
+    def tip_twists(self) -> Mapping[str, np.ndarray]:
+        """Arm -> velocity of the tip's origin [m/s], angular velocity [rad/s], world, (K, 6)."""
+        return self._by_arm("tip_twist")
 
     @property
     def contact_states(self) -> Mapping[str, np.ndarray]:
@@ -358,8 +416,8 @@ class Trajectory:
         ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
         ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
         bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
-        evaluations, wall_time_s, errors, returned). The errors are estimates, from a rerun with
-        smaller tolerances.
+        evaluations, wall_time_s, compile_time_s, errors, returned). The errors are estimates, from
+        a rerun with smaller tolerances.
         """
         return self._outcome.certificate
 
@@ -404,17 +462,22 @@ class Trajectory:
         -------
         dict
             status, message, samples, duration_s; steps, rejected_steps, evaluations,
-            wall_time_s, realtime_factor, error_estimate as far as the run counted them;
+            wall_time_s (without compilation), compile_time_s (of all runs of its check
+            together), realtime_factor, error_estimate as far as the run counted them;
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
-            contact_force_max_N, the largest magnitude per arm, and of the floor; rank_lowest,
-            rank_highest and coupled_steps. Numbers are finite; unknown ones are None.
+            contact_force_max_N, the largest magnitude per arm, and of the floor; wrench_max, per
+            arm, and of the floor: force_N and moment_N_m, the largest magnitudes of force and
+            moment on the object, at force_time_s and moment_time_s; rank_lowest, rank_highest and
+            coupled_steps. Numbers are finite; unknown ones are None.
         """
         counted = (
-            "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
-            "error_estimate",
+            "steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
+            "realtime_factor", "error_estimate",
         )  # fmt: skip
-        forces = channels_of(self._store.channels, "contact_force")
+        forces, wrenches = (
+            channels_of(self._store.channels, quantity) for quantity in ("contact_force", "wrench")
+        )
         return {
             "status": self.status,
             "message": self.message,
@@ -427,6 +490,7 @@ class Trajectory:
             "final_object_position": self._last("object/position"),
             "final_object_quaternion_xyzw": self._last("object/quaternion_xyzw"),
             "contact_force_max_N": {arm: self._largest(name) for arm, name in forces.items()},
+            "wrench_max": {arm: self._largest_wrench(name) for arm, name in wrenches.items()},
             "rank_lowest": plain(self._outcome.statistics.get("lowest_rank")),
             "rank_highest": plain(self._outcome.statistics.get("highest_rank")),
             "coupled_steps": plain(self._outcome.statistics.get("coupled_steps")),
@@ -475,7 +539,11 @@ class Trajectory:
         names = channels_of(self._store.channels, quantity)
         if optional:
             names = dict.fromkeys(self.arm_names, "") | names
-        return ByArm(names, lambda name: self.channel(name) if name else np.empty((len(self), 0)))
+
+        def read(name: str) -> np.ndarray:
+            return self.channel(name) if name else np.empty((len(self), 0))
+
+        return ByArm(quantity, names, read)
 
     def _duration(self) -> float | None:
         if not len(self):
@@ -488,6 +556,28 @@ class Trajectory:
     def _largest(self, name: str) -> float | None:
         peaks = [np.abs(values).max() for (values,) in self.blocks(name) if values.size]
         return float(max(peaks)) if peaks else None
+
+    def _largest_wrench(self, name: str) -> dict[str, float | None]:
+        """The largest force and moment of a channel of wrenches, and their times."""
+        force, force_time = self._longest(name, slice(0, 3))
+        moment, moment_time = self._longest(name, slice(3, 6))
+        return {
+            "force_N": force,
+            "force_time_s": force_time,
+            "moment_N_m": moment,
+            "moment_time_s": moment_time,
+        }
+
+    def _longest(self, name: str, part: slice) -> tuple[float | None, float | None]:
+        """The largest length of a vector in a channel, and its time."""
+        longest, when = -1.0, 0.0
+        for time, values in self.blocks("time", name):
+            with np.errstate(over="ignore"):
+                lengths = np.hypot.reduce(values[:, part], axis=1)  # without overflow of squares
+            k = int(lengths.argmax())
+            if lengths[k] > longest:
+                longest, when = float(lengths[k]), float(time[k])
+        return (plain(longest), when) if len(self) else (None, None)
 
     def _largest_imbalance(self) -> float | None:
         if not len(self):

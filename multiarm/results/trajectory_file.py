@@ -24,6 +24,7 @@ earlier ones; `amended` names the valid pieces and is written last.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -36,7 +37,14 @@ import h5py
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, arm_names, trajectory_channels
+from multiarm.notation import count_of
+from multiarm.results.channels import (
+    Channel,
+    arm_names,
+    trajectory_channels,
+    wrench_and_tip_channels,
+    wrench_channel,
+)
 from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
 from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
 
@@ -109,7 +117,7 @@ class TrajectoryReader(StoredFile):
         width = math.prod(stored.shape[1:])
         here = stored.id.get_storage_size() // (stored.dtype.itemsize * max(width, 1))
         if min(len(stored), here if width else self.samples) < self.samples:
-            raise self.broken(f"'{name}' has not all of its {self.samples:,} samples")
+            raise self.broken(f"'{name}' has not all of its {count_of(self.samples, 'sample')}")
         self.require(name, self.samples)
         words = {key: self.attribute(key, str, stored) for key in ("unit", "frame", "description")}
         labels: tuple[Any, ...] = ()
@@ -138,7 +146,10 @@ class TrajectoryReader(StoredFile):
         """Refuse channels of another shape, and times that do not go on."""
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
-        for channel in trajectory_channels({}, {}):  # those that all runs have
+        of_arms = [wrench_and_tip_channels(f"arms/{arm}") for arm in arm_names(self.channels)]
+        floor = wrench_channel("environment")
+        # those that runs have, with a shape that does not depend on the scene
+        for channel in (*trajectory_channels({}, {}), *itertools.chain(*of_arms), floor):
             if self.channels.get(channel.name, channel).shape != channel.shape:
                 raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.notation import count_of
 from multiarm.scene.faults import fault, listed, place, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
 from multiarm.scene.functions import located
@@ -466,8 +467,8 @@ def _package_dirs(
     missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
     if missing:
         found.warnings.append(
-            f"{len(missing)} of {len(outline.meshes)} meshes of {outline.path.name} are missing "
-            f"(first: {missing[0]}); the motion is not affected, the replay shows stand-ins; "
-            "'package_dirs' says where to look"
+            f"missing of {outline.path.name}: {len(missing)} of "
+            f"{count_of(len(outline.meshes), 'mesh', 'meshes')} (first: {missing[0]}); the motion "
+            "is not affected, the replay shows stand-ins; 'package_dirs' says where to look"
         )
     return folders

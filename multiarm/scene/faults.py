@@ -19,6 +19,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from multiarm.notation import count_of
 from multiarm.scene.parameters import brief_description
 
 Parts = tuple[str | int, ...]
@@ -149,7 +150,7 @@ def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$")
     lines = [f"{place(parts, root_name)}: {text}" for parts, text, _ in sentences(error, root)]
     left_out = error.error_count() - _MAX_FAULTS
     if left_out > 0:
-        lines.append(f"{root_name}: and {left_out:,} more faults")
+        lines.append(f"{root_name}: and {count_of(left_out, 'more fault')}")
     return list(dict.fromkeys(lines))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import field_validator
 
 from multiarm.scene.faults import fault
-from multiarm.scene.values import Pose, Positive, Spec, Vec3
+from multiarm.scene.values import Pose, Positive, Spec, Vec3, roll_pitch_yaw
 
 # The palm stands at this part of the way from the mount to the corner.
 PALM = 0.3
@@ -100,7 +100,7 @@ def _about(mass: float, arm: np.ndarray) -> np.ndarray:
 
 
 def _fixed(child: str, parent: str, xyz: tuple[float, ...], pose: Pose) -> str:
-    rpy = _roll_pitch_yaw(pose.matrix()[:3, :3])
+    rpy = roll_pitch_yaw(pose.matrix()[:3, :3])
     ends = f'<parent link="{parent}"/><child link="{child}"/>'
     origin = f'<origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/>'
     return f'<joint name="{child}_joint" type="fixed">{ends}{origin}</joint>'
@@ -134,13 +134,3 @@ def _origin(xyz: np.ndarray) -> str:
 
 def _text(numbers: np.ndarray | tuple[float, ...]) -> str:
     return " ".join(repr(float(number)) for number in numbers)
-
-
-def _roll_pitch_yaw(R: np.ndarray) -> tuple[float, float, float]:
-    """Angles of URDF's convention, R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:  # yaw and roll turn about one axis: one is enough
-        return float(np.arctan2(-R[1, 2], R[1, 1])), float(pitch), 0.0
-    return (
-        float(np.arctan2(R[2, 1], R[2, 2])), float(pitch), float(np.arctan2(R[1, 0], R[0, 0])),
-    )  # fmt: skip

@@ -33,6 +33,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
+from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import Parts, explain, fault, listed, path_fault, shown, unknown
 from multiarm.scene.urdf import JointOutline
@@ -329,6 +330,21 @@ def rotation_matrix(
     )
 
 
+def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Angles [rad] of a rotation (3, 3): the inverse of :func:`rotation_matrix`.
+
+    Where yaw and roll turn about one axis, the yaw is 0.
+    """
+    import numpy as np
+
+    R = rotation
+    cosine = np.hypot(R[0, 0], R[1, 0])
+    pitch = float(np.arctan2(-R[2, 0], cosine))
+    if cosine < 1e-9:
+        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
+    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
+
+
 class Pose(Spec):
     """A placement: where a frame's origin is and how its axes are turned."""
 
@@ -503,7 +519,7 @@ def joint_value_faults(
     if values is None or isinstance(values, (float, Real)) or len(values) == len(names):
         return []
     message = (
-        f"{len(values)} values for {len(names)} movable joints; "
+        f"{count_of(len(values), 'value')} for {count_of(len(names), 'movable joint')}; "
         f"give one each, base to tip: {listed(names)}"
     )
     return [((), message)]

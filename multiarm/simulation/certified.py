@@ -277,6 +277,8 @@ class Attempts:
                 {**attempt.row, "returned": attempt is chosen} for attempt in self._made
             ]  # fmt: skip
             changes["certificate"] = certificate(finding, self._accuracy, reason, words, rows)
+        waited = sum(attempt.row["compile_time_s"] for attempt in self._made)
+        changes["statistics"] = {**chosen.trajectory.statistics, "compile_time_s": waited}
         if chosen.path is None:
             return chosen.trajectory.with_outcome(**changes)
         return self._store(chosen, changes)
@@ -329,5 +331,5 @@ def _most(coarser: Attempt, tolerance: float) -> float:
 
 def _row(run: Trajectory) -> dict[str, Any]:
     counted = run.statistics
-    keys = ("tolerance", "integrator", "steps", "evaluations", "wall_time_s")
+    keys = ("tolerance", "integrator", "steps", "evaluations", "wall_time_s", "compile_time_s")
     return {**{key: counted.get(key) for key in keys}, **dict.fromkeys(KINDS)}

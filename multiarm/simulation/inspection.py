@@ -40,6 +40,7 @@ from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
+from multiarm.notation import count_of
 from multiarm.results.trajectory import plain
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation.setup import method_and_tolerance
@@ -392,7 +393,7 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
     if spec.robot is not None:
         return spec.robot
     if isinstance(spec, ToolSpec) and spec.fingers is not None:
-        return f"hand of {len(spec.fingers.tips)} fingers"
+        return f"hand of {count_of(len(spec.fingers.tips), 'finger')}"
     assert spec.file is not None, "a model has a name or a file"
     return spec.file.name
 

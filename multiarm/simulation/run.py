@@ -17,7 +17,9 @@ from multiarm.dynamics.system import System
 from multiarm.errors import TrajectoryError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED, STIFF_AFTER
+from multiarm.jit.compilation import compile_time, running_time
 from multiarm.results.event_log import EventLog
+from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, dump_scene
@@ -78,6 +80,7 @@ def carry_out(
         When the sink cannot be opened.
     """
     system, spec, given = task.system, task.spec, task.state is not None
+    compiled_before = compile_time()
     check_control_span(task.data.model, task.begin, task.end)
     driver = begin(task, sink, tighten)
     run, log = driver.run, driver.run.log
@@ -91,12 +94,12 @@ def carry_out(
         # the error passes through, but the samples are kept
         with suppress(TrajectoryError):
             _flush(run)
-        statistics = run_statistics(driver, task, 0.0)
+        statistics = run_statistics(driver, task, 0.0, compile_time() - compiled_before)
         run.sink.finish("failed", f"{where_of(run)}: {error!r}", statistics, log.all())
         raise
     message += _stiffness_remark(run)
     message += log.summary(MESSAGE_LENGTH - len(message))
-    statistics = run_statistics(driver, task, wall)
+    statistics = run_statistics(driver, task, wall, compile_time() - compiled_before)
     trajectory = run.sink.finish(status, message, statistics, log.all())
     interrupt.deliver()
     return trajectory
@@ -200,10 +203,15 @@ def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dic
         {} if sampling is None else {"sample_time": sampling.time, "sample_delay": sampling.delay}
     )
     start, created = "given state" if given else "scene", time.time()
+    limits = {
+        name: limits_record(arm.effort_limits, arm.velocity_limits, arm.position_limits)
+        for name, arm in system.arms.items()
+    }
 
     def metadata() -> dict[str, Any]:
         text = dump_scene(scene.model_copy(update={"run": spec}))
-        return {**provenance(text, created), "control": control, **times, "start": start}
+        about = {"control": control, **times, "start": start, LIMITS: limits}
+        return {**provenance(text, created), **about}
 
     return metadata
 
@@ -215,15 +223,13 @@ def _drive(
     pace: Pace,
     interrupt: Interrupt,
 ) -> tuple[str, str, float]:
-    """Call the compiled loop until the end; returns status, message and wall time [s].
+    """Call the compiled loop until the end; returns status, message and time without compilation.
 
     A Ctrl-C that came too late to end the run is left in ``interrupt``.
     """
     run = driver.run
-    # may compile the loop, which does not count as time of the run
-    reason, fault = driver.advance(0)
-    started = time.perf_counter()
-    next_checkpoint = started + CHECKPOINT_INTERVAL
+    reason, fault = driver.advance(0)  # the loop is loaded, which is no part of the run
+    started, next_checkpoint = running_time(), time.perf_counter() + CHECKPOINT_INTERVAL
     with deferred_interrupt(interrupt):
         while True:
             try:
@@ -256,7 +262,7 @@ def _drive(
             except TrajectoryError as error:
                 ended = "failed", f"{where_of(run)}: {error}"
             if ended:
-                return *ended, time.perf_counter() - started
+                return *ended, running_time() - started
             reason, fault = driver.advance(BUDGET)
 
 
@@ -270,8 +276,18 @@ def _flush(run: Run) -> None:
     run.sink.append(run.block[:rows])
 
 
-def run_statistics(driver: Driver, task: Task, wall: float) -> dict:
-    """What a run took, for its result; ``wall`` [s] is its time."""
+def run_statistics(driver: Driver, task: Task, wall: float, compilation: float) -> dict:
+    """What a run took, for its result.
+
+    Parameters
+    ----------
+    driver : Driver
+    task : Task
+    wall : float
+        [s] that it took without compilation.
+    compilation : float
+        [s] for which it waited for the compiler.
+    """
     run, events, sampling = driver.run, driver.events, task.data.model.sampling
     clock, settings, spec = run.clock, run.settings, task.spec
     backends = task.data.model.backends
@@ -301,5 +317,6 @@ def run_statistics(driver: Driver, task: Task, wall: float) -> dict:
         **({} if events is None else events.statistics()),
         **({} if sampling is None else {"control_samples": clock.control_samples}),
         "wall_time_s": wall,
+        "compile_time_s": compilation,
         "realtime_factor": simulated / wall if wall > 0.0 else None,
     }

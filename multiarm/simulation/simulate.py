@@ -143,14 +143,19 @@ def simulate(
         system = system.with_control(control, sample_time, sample_delay)
     if max_step is None:
         max_step = spec.output_step if system.model.calls_user else np.inf
-    own = partial(RunProgress, spec.duration, integrator=spec.integrator, begin=start_time)
-    with displayed(progress, own) as show, system.borrow() as data:
+    is_checked = certificate and spec.accuracy is not None
+    with (
+        displayed(progress, partial(RunProgress, spec.duration, begin=start_time)) as show,
+        system.borrow() as data,
+    ):
+        if isinstance(show, RunProgress):
+            show.checked = is_checked
         for callback in data.user_callbacks:
             callback.forget()
         task = Task(system, data, spec, state, max_step, start_time, times)
         place = None if out is None else resolved(out, TrajectoryError)
         attempts = Attempts(task, place, show)
         trajectory = attempts.first()
-        if certificate and spec.accuracy is not None and trajectory.status == "completed":
+        if is_checked and trajectory.status == "completed":
             trajectory = attempts.certify()
     return trajectory.of(system.scene)

@@ -7,7 +7,6 @@ has the steps, events and numbers of a run whose control is sampled where the ca
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
@@ -21,7 +20,9 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED
+from multiarm.jit.compilation import compile_time, running_time
 from multiarm.public import public_names
+from multiarm.results.channels import channels_of
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
@@ -92,7 +93,8 @@ class Stepper:
         held = replace(system, model=system.model.with_held_control())
         self._task = Task(held, held.model.data(), spec, state, max_step)
         self._records = record
-        self._layout = system.model.layout
+        self._layout, self._channels = system.model.layout, held.channels
+        self._places: dict[str, dict[str, slice]] = {}  # quantity -> arm -> columns of samples
         self._torques = np.zeros(self._layout.joints)
         self._by_arm = self._layout.split_joints(self._torques)
         self.reset()
@@ -118,11 +120,29 @@ class Stepper:
     def contact_forces(self) -> dict[str, np.ndarray]:
         """Contact forces of each arm's joint [N] there, under the torques of the last call.
 
-        As in :attr:`multiarm.Evaluation.contact_forces`; those of open contacts are zero.
+        As in :attr:`multiarm.Trajectory.contact_forces`; those of open contacts are zero.
         """
-        self._observe()
-        shown = self._run.data.arrays.shown[: self._layout.contacts]
-        return self._layout.split_contacts(shown.copy())
+        return self._present("contact_force")
+
+    @property
+    def wrenches(self) -> dict[str, np.ndarray]:
+        """Wrench of each arm on the object there, as in :attr:`multiarm.Trajectory.wrenches`."""
+        return self._present("wrench")
+
+    @property
+    def tip_positions(self) -> dict[str, np.ndarray]:
+        """Origin of each arm's tip frame there, world axes, shape (3,) [m]."""
+        return self._present("tip_position")
+
+    @property
+    def tip_quaternions_xyzw(self) -> dict[str, np.ndarray]:
+        """Orientation of each arm's tip frame there, scalar last, shape (4,)."""
+        return self._present("tip_quaternion_xyzw")
+
+    @property
+    def tip_twists(self) -> dict[str, np.ndarray]:
+        """Velocity of each tip's origin [m/s] and angular velocity [rad/s] there, world, (6,)."""
+        return self._present("tip_twist")
 
     @property
     def events(self) -> list[dict]:
@@ -141,12 +161,12 @@ class Stepper:
             raise SolverError("trajectory: nothing was recorded; make it `Stepper(record=True)`")
         run, task, clock = self._run, self._task, self._run.clock
         sink = MemorySink()
-        sink.open(task.system.channels, self._metadata(), sample_columns)
+        sink.open(self._channels, self._metadata(), sample_columns)
         rows = run.block[: clock.sample - clock.block_first]
         for block in (*self._blocks, rows, self._observe()[None]):
             sink.append(block)
         message = f"advanced to t = {self.time:.9g} s"
-        statistics = run_statistics(self._driver, task, self._wall)
+        statistics = run_statistics(self._driver, task, self._wall, self._compilation)
         return sink.finish("completed", message, statistics, run.log.all()).of(task.system.scene)
 
     def _metadata(self) -> dict[str, Any]:
@@ -207,15 +227,17 @@ class Stepper:
             check_control_span(self._task.data.model, 0.0, end)
         self._control(torques)
         self._extend(end)
-        started = time.perf_counter()
+        started, compiled_before = running_time(), compile_time()
         try:
             self._drive()
         finally:
-            self._wall += time.perf_counter() - started
+            self._wall += running_time() - started
+            self._compilation += compile_time() - compiled_before
         return state_of(self._run, self._layout)
 
     def _begin(self, torques: np.ndarray | None) -> None:
         """Bring the task to its start, where ``torques`` are held, or those of its own control."""
+        compiled_before = compile_time()
         self._task.data.hold(torques)
         self._driver: Driver = begin(self._task, MemorySink())
         run = self._driver.run
@@ -228,7 +250,7 @@ class Stepper:
         self._pace = Pace(run, self._task.spec)
         self._blocks: list[np.ndarray] = []
         self._row = np.zeros(run.block.shape[1])
-        self._wall = 0.0
+        self._wall, self._compilation = 0.0, compile_time() - compiled_before
 
     def _end_after(self, duration: float) -> float:
         t = self._run.clock.t
@@ -318,6 +340,15 @@ class Stepper:
         clock = self._run.clock
         self._blocks.append(self._run.block[: clock.sample - clock.block_first].copy())
         clock.block_first = clock.sample
+
+    def _present(self, quantity: str) -> dict[str, np.ndarray]:
+        """A quantity of each arm, and of the floor where it has one, there; copies."""
+        if quantity not in self._places:
+            names = channels_of((channel.name for channel in self._channels), quantity)
+            columns = sample_columns(self._channels)
+            self._places[quantity] = {arm: columns[name] for arm, name in names.items()}
+        row = self._observe()
+        return {arm: row[place].copy() for arm, place in self._places[quantity].items()}
 
     def _observe(self) -> np.ndarray:
         """The present as a row of samples."""

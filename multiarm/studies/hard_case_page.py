@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from multiarm.notation import count_of, number
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
@@ -30,7 +31,7 @@ def rank_text(case: CaseResult) -> str:
     low, high = (case.statistics.get(key) for key in ("lowest_rank", "highest_rank"))
     text = "-" if low is None else f"{low}" if low == high else f"{low} to {high}"
     count = len(case.events)
-    return text if not count else f"{text}, {count} event{'s' if count > 1 else ''}"
+    return text if not count else f"{text}, {count_of(count, 'event')}"
 
 
 def path_text(case: CaseResult) -> str:
@@ -40,7 +41,7 @@ def path_text(case: CaseResult) -> str:
         return "-"
     if not coupled:
         return "linear"
-    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
+    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {count_of(steps, 'step')}"
 
 
 # --- figure and page ------------------------------------------------------------------------------
@@ -156,10 +157,10 @@ def _run(case: CaseResult) -> list[str]:
     counted = case.statistics
     if not counted:
         return []
-    wall = pages.quantity(case.wall_time_s, "s")
+    wall = number(case.wall_time_s, "s")
     return [
-        f"{pages.quantity(counted['simulated_s'], 's')} simulated in {wall}",
-        f"{counted['integrator']}, {counted['steps']:,} steps "
+        f"{number(counted['simulated_s'], 's')} simulated in {wall}",
+        f"{counted['integrator']}, {count_of(counted['steps'], 'step')} "
         f"({counted['rejected_steps']:,} rejected)",
         f"solver {counted['solver']}, {counted['stabilization']}",
         f"rank {rank_text(case)}",

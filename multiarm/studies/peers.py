@@ -36,7 +36,7 @@ PEERS = {
 """Name -> module, which need not be importable here, and class of the peer."""
 EXPRESSIBLE = ("weld", "ball", "revolute")
 """Kinds of joint that the peers have constraints for."""
-NOT_INSTALLED = "not installed: pip install multiarm[peers]"
+NOT_INSTALLED = "not installed: pip install mujoco"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from multiarm.reports.pages import NOTHING
+from multiarm.notation import NOTHING
 
 NUMBER, TEXT, REMARK = "n", "t", "e"
 """Kinds of column, as the pages' style sheet names them; terminals print remarks below a table."""
@@ -109,7 +109,7 @@ class Table:
             if column.wide and span == 1 and not on_page:
                 continue
             if cell.value is None:
-                text = NOTHING if on_page else "-"
+                text = NOTHING
             elif isinstance(cell.value, str):
                 text = cell.value
             else:

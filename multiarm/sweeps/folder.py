@@ -27,12 +27,12 @@ import pandas
 import pyarrow as pa
 from pandas.api.types import is_object_dtype
 from pyarrow import parquet
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from multiarm.errors import SweepError
 from multiarm.results.files import atomic_file, resolved
 from multiarm.results.sinks import provenance
-from multiarm.scene.faults import place
+from multiarm.scene.faults import fault, place
 from multiarm.sweeps.plan import SweepPlan
 
 __all__ = ["About", "Column", "PartWriter", "create", "is_sweep", "read_about", "read_rows"]
@@ -81,6 +81,13 @@ _TYPES = {
 }  # fmt: skip
 
 
+def _of_a_table(columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    names = [column.name for column in columns]
+    if len(set(names)) < len(names) or not {*FIXED, *MEASURED}.issubset(columns):
+        raise fault("must have run, status, message, wall_time and worker, and no name twice")
+    return columns
+
+
 class About(BaseModel):
     """What the folder says of its sweep, besides the texts of scene and sweep."""
 
@@ -90,7 +97,7 @@ class About(BaseModel):
     version: Literal[3] = 3
     fingerprint: str
     count: Annotated[int, Field(strict=True, ge=0)]
-    columns: tuple[Column, ...]
+    columns: Annotated[tuple[Column, ...], AfterValidator(_of_a_table)]
     folder: str
     files: dict[str, str]
     provenance: dict[str, Any]

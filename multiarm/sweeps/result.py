@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas
 
+from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.sweeps.folder import About, Column, read_about, read_rows
 from multiarm.sweeps.plan import SweepPlan, plan_of, program_version, require_run
@@ -57,7 +58,8 @@ class Sweep:
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
-        return f"Sweep({len(self)} of {self.count} runs{': ' if counts else ''}{counts})"
+        done = f"{len(self)} of {count_of(self.count, 'run')}"
+        return f"Sweep({done}{': ' if counts else ''}{counts})"
 
     @property
     def count(self) -> int:
@@ -231,7 +233,7 @@ def _changed_lines(what: str, there: str, here: str) -> list[str]:
     changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
     shown = [f"{what}: {line}" for line in changed[:6]]
     more = len(changed) - len(shown)
-    return [*shown, f"{what}: and {more} more lines"] if more > 0 else shown
+    return [*shown, f"{what}: and {count_of(more, 'more line')}"] if more > 0 else shown
 
 
 # --- the summary ----------------------------------------------------------------------------------

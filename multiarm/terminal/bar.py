@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TimeElapsedColumn,
+)
 from rich.text import Text
 
 __all__ = ["Bar"]
@@ -13,6 +20,13 @@ __all__ = ["Bar"]
 
 class Bar(Progress):
     """Words, a bar, an amount, the time so far; on terminals only, and removed at the end.
+
+    Parameters
+    ----------
+    console : Console
+    words, amount : callable
+        What is being done, and how much of it is done; both are asked whenever the bar is drawn.
+    hidden : bool
 
     Attributes
     ----------
@@ -22,27 +36,39 @@ class Bar(Progress):
 
     note = ""
 
-    def __init__(self, console: Console, words: str, hidden: bool) -> None:
+    def __init__(
+        self, console: Console, words: Callable[[], str], amount: Callable[[], str], hidden: bool
+    ) -> None:
         super().__init__(
             SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
+            _TextNow(words),
             BarColumn(),
-            TextColumn("{task.fields[amount]}", style="cyan", markup=False),
+            _TextNow(amount, "cyan"),
             TimeElapsedColumn(),
             console=console,
             transient=True,
             disable=hidden or not console.is_terminal,
         )
-        self._only = self.add_task(words, total=None, amount="")
+        self._work = self.add_task("", total=None)
 
-    def show(self, words: str, done: float, total: float, amount: str) -> None:
-        """Show what is being done, how much of how much, and that in words."""
-        self.update(
-            self._only, description=words, completed=done, total=total or None, amount=amount
-        )
+    def show(self, done: float, total: float) -> None:
+        """Show how much of how much is done; 0 of 0: not known."""
+        self.update(self._work, completed=done, total=total or None)
 
     def get_renderables(self) -> Iterable[RenderableType]:
         """What is drawn: the bar, and the sentence."""
         yield from super().get_renderables()
         if self.note:
             yield Text(self.note, "green")
+
+
+class _TextNow(ProgressColumn):
+    """A text that is asked for whenever the bar is drawn."""
+
+    def __init__(self, text: Callable[[], str], style: str = "") -> None:
+        super().__init__()
+        self._text, self._style = text, style
+
+    def render(self, task: Task) -> Text:
+        """The text as it is now."""
+        return Text(self._text(), self._style)

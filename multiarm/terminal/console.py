@@ -1,4 +1,4 @@
-"""Output of all commands: messages on stderr, tables on stdout, numbers in one style.
+"""Output of all commands: messages on stderr, tables on stdout.
 
 Texts from users (names, paths, messages) are never read as markup, and control characters are
 escaped.
@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.errors import shortened
+from multiarm.notation import number
 from multiarm.results.files import printable
 
 if TYPE_CHECKING:
@@ -30,13 +31,11 @@ __all__ = [
     "columns",
     "facts",
     "messages",
-    "number",
     "output",
     "print_error",
     "print_loaded",
     "print_warnings",
     "print_written",
-    "vector",
 ]
 
 WHOLE = 28
@@ -96,27 +95,12 @@ def print_written(what: str, path: Path) -> None:
     )
 
 
-def number(value: float | None, unit: str = "") -> str:
-    """Three digits and the unit: ``number(2.5e-9, "m")`` is ``2.5e-09 m``; a dash for None."""
-    if value is None:
-        return "-"
-    text = f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
-    return f"{text} {unit}".rstrip()
-
-
 def accuracy(requested: float | dict[str, float]) -> str:
     """``1e-06 m or rad``, or the named parts: ``position 1e-06 m, ...``."""
     if not isinstance(requested, dict):
         return f"{number(requested)} m or rad"
     units = {"position": "m", "rotation": "rad", "force": "N"}
     return ", ".join(f"{name} {number(value, units[name])}" for name, value in requested.items())
-
-
-def vector(values: Sequence[float], unit: str = "", digits: int = 4) -> str:
-    """Comma-separated numbers and the unit; roundings of zero are shown as 0."""
-    largest = max((abs(value) for value in values), default=0.0)
-    shown = [0.0 if abs(value) < 1e-12 * max(largest, 1.0) else value for value in values]
-    return f"{', '.join(f'{value:.{digits}g}' for value in shown)} {unit}".rstrip()
 
 
 def facts(title: str, rows: dict[str, RenderableType]) -> Table:

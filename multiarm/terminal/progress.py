@@ -2,7 +2,8 @@
 
 On a terminal it is a bar that goes away at the end.  Elsewhere it is a plain line on stderr every
 few seconds, so that work that takes less prints nothing.  Both say the same: what is being done,
-how much of it is done, and how long it will take at the pace so far.
+how much of it is done, and how long it will take at the pace so far.  While kernels are compiled,
+both say so; that time is no part of any pace.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from typing_extensions import Self
 
 from multiarm.errors import MultiarmError
-from multiarm.tableaus import METHODS
+from multiarm.jit.compilation import is_compiling, process_running_time
+from multiarm.notation import count_of
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -30,7 +32,6 @@ __all__ = [
     "RunProgress",
     "SweepProgress",
     "displayed",
-    "kernels_are_cached",
     "span",
 ]
 
@@ -41,21 +42,15 @@ Report = Callable[[float, float, str], None]
 LINES, SLOWEST, SHARE = 5.0, 30.0, 0.1
 """Where there is no terminal, a line comes after so long [s] at least and at most; between the two
 after such a share of the time so far."""
-SETTLED = 1.0
-"""The time left is estimated when the pace has been watched for so long [s]."""
+SETTLED, STEADY = 1.0, 2.0
+"""The time left is estimated when the pace has been watched for so long [s], and as long as the
+latest pace and the average differ by such a factor at most."""
+SHORTEST = 1e-9
+"""[s] No pace is taken over less, as clocks may show equal times."""
 CLOCK_TIMES = 90.0
 """Where more time is left [s], the end is given as a time of day too."""
-PREPARING, COMPILING = "preparing", "compiling kernels (only the first time on this machine)"
-
-
-def kernels_are_cached(integrator: str | None = None) -> bool:
-    """Whether the compiled loop, and this method's step, are in Numba's cache and fresh."""
-    from multiarm.integration.time_loop import IMPLICIT_STEPS, advance
-
-    kernels = [advance]
-    if integrator is not None and METHODS[integrator].kind in IMPLICIT_STEPS:
-        kernels.append(IMPLICIT_STEPS[METHODS[integrator].kind])
-    return all(kernel.is_cached() for kernel in kernels)
+PREPARING, SIMULATING = "preparing", "simulating"
+COMPILING = "compiling kernels (only the first time on this machine)"
 
 
 def displayed(progress: bool | Callable[..., None] | None, own: Callable[[], Shown]) -> Shown:
@@ -86,24 +81,15 @@ class _Display:
     ----------
     quiet : bool
         Show nothing.
-    integrator : str, optional
-        The method that runs use.
-
-    Attributes
-    ----------
-    compiling : bool
-        The kernels are not in the cache: the work begins by compiling them.
     """
 
-    def __init__(self, quiet: bool = False, integrator: str | None = None) -> None:
+    def __init__(self, quiet: bool = False) -> None:
         from multiarm.terminal.bar import Bar
         from multiarm.terminal.console import messages
 
         self._console = messages()
-        self.compiling = not kernels_are_cached(integrator)
-        self._words = COMPILING if self.compiling else PREPARING
-        self._amount, self._pace = "", _Pace()
-        self._bar = Bar(self._console, self._words, hidden=quiet)
+        self._work, self._amount, self._pace = PREPARING, "", _Pace()
+        self._bar = Bar(self._console, self._words, self._amount_and_left, hidden=quiet)
         self._lines = not (quiet or self._console.is_terminal)
         self._ended = threading.Event()
         self._printer = threading.Thread(target=self._print_lines, daemon=True)
@@ -111,8 +97,6 @@ class _Display:
     def __enter__(self) -> Self:
         self._bar.start()
         if self._lines:
-            if self.compiling:
-                self._console.print(f"{COMPILING} ...", soft_wrap=True)
             self._printer.start()
         return self
 
@@ -137,18 +121,48 @@ class _Display:
 
     def _show(self, words: str, done: float, total: float, amount: str) -> None:
         self._pace.note(done, total)
-        self._words, self._amount = words, amount
-        self._bar.show(words, done, total, ", ".join(filter(None, (amount, self._pace.left()))))
+        self._work, self._amount = words, amount
+        self._bar.show(done, total)
+
+    def _show_simulated(self, words: str, t: float, duration: float) -> None:
+        """Show what is being done until a simulated time [s], and the pace of that."""
+        self._show(words, t, duration, f"{t:.4g} of {duration:g} s")
+        rate = self._pace.rate()
+        if rate is not None:
+            self._amount += f", {rate:.3g} x real time"
+
+    def _words(self) -> str:
+        return COMPILING if is_compiling() else self._work
+
+    def _amount_and_left(self) -> str:
+        return ", ".join(filter(None, (self._amount, self._left())))
+
+    def _left(self) -> str:
+        """How long the work will take, and when it ends; empty if that is not known."""
+        seconds = self._pace.left()
+        if seconds is None:
+            return ""
+        if seconds < CLOCK_TIMES:
+            return f"about {span(seconds)} left"
+        ends = datetime.now() + timedelta(seconds=seconds)
+        return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
 
     def _line(self) -> str:
-        end = self._pace.left() or f"{span(self._pace.passed())} so far"
-        return ", ".join(filter(None, (self._words, self._amount, end)))
+        end = self._left() or f"{span(self._pace.passed())} so far"
+        return ", ".join(filter(None, (self._words(), self._amount, end)))
 
     def _print_lines(self) -> None:
         pause = LINES
         while not self._ended.wait(pause):
             self._console.print(self._line(), soft_wrap=True)
             pause = min(max(LINES, SHARE * self._pace.passed()), SLOWEST)
+
+
+class _Mark(NamedTuple):
+    """How much was done at a time [s] of the clock that stands still during compilation."""
+
+    done: float
+    time: float
 
 
 class _Pace:
@@ -158,33 +172,48 @@ class _Pace:
         self._began = time.monotonic()
         self._done = self._total = 0.0
         self._start: float | None = None  # what is done before does not count
-        self._first: tuple[float, float] | None = None
+        self._marks: list[_Mark] = []  # the first one, and two within the latest part of the time
 
     def note(self, done: float, total: float) -> None:
         """Note how much is done."""
         if self._start is None or done < self._done:  # another stage begins
-            self._start, self._first = done, None
-        if self._first is None and done > self._start:
-            self._first = done, time.monotonic()  # before that, code was compiled and loaded
+            self._start, self._marks = done, []
+        now = process_running_time()
+        if not self._marks and done > self._start:
+            self._marks = 3 * [_Mark(done, now)]  # before that, code was loaded
         self._done, self._total = done, total
+        if self._marks:
+            first, _, latest = self._marks
+            if now - first.time >= 2.0 * (latest.time - first.time):
+                self._marks = [first, latest, _Mark(done, now)]
 
     def passed(self) -> float:
         """How long the work has taken [s]."""
         return time.monotonic() - self._began
 
-    def left(self) -> str:
-        """How long it will take at the pace so far, and when it ends; empty if not known."""
-        if self._first is None or not self._first[0] < self._done < self._total:
-            return ""
-        first, since = self._first
-        watched = time.monotonic() - since
-        if watched < SETTLED:
-            return ""
-        seconds = (self._total - self._done) * watched / (self._done - first)
-        if seconds < CLOCK_TIMES:
-            return f"about {span(seconds)} left"
-        ends = datetime.now() + timedelta(seconds=seconds)
-        return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
+    def rate(self) -> float | None:
+        """How much was done in a second on average; None if not known."""
+        if not self._marks or not self._done > self._marks[0].done:
+            return None
+        first = self._marks[0]
+        return (self._done - first.done) / max(process_running_time() - first.time, SHORTEST)
+
+    def left(self) -> float | None:
+        """How long it will take at the pace so far [s].
+
+        None if that is not known, and where the pace changes much: parts of the work that take
+        longer than those before would prove every estimate wrong.
+        """
+        average = self.rate()
+        if average is None or not self._done < self._total:
+            return None
+        now, (first, recent, _) = process_running_time(), self._marks
+        if now - first.time < SETTLED:
+            return None
+        latest = (self._done - recent.done) / max(now - recent.time, SHORTEST)
+        if not average < STEADY * latest < STEADY**2 * average:
+            return None
+        return (self._total - self._done) / min(average, latest)
 
 
 class Progress(_Display):
@@ -202,32 +231,36 @@ class RunProgress(_Display):
     ----------
     duration : float
         [s] of simulated time.
-    quiet, integrator
+    quiet : bool
         As of every display.
     begin : float
         Time at which the run begins [s].
+
+    Attributes
+    ----------
+    checked : bool
+        The accuracy of the run will be checked, which takes about as long again.
     """
 
-    def __init__(
-        self,
-        duration: float,
-        quiet: bool = False,
-        integrator: str | None = None,
-        begin: float = 0.0,
-    ) -> None:
-        super().__init__(quiet, integrator)
-        self._simulated, self._begin = _SimulatedTime(duration), begin
+    def __init__(self, duration: float, quiet: bool = False, begin: float = 0.0) -> None:
+        super().__init__(quiet)
+        self._duration, self._begin, self.checked = duration, begin, False
 
     def __call__(self, t: float) -> None:
         """Show that the run has come to time ``t`` [s]; what ``simulate`` calls."""
-        t -= self._begin
-        self._show("simulating", t, self._simulated.duration, self._simulated.text(t))
+        self._show_simulated(SIMULATING, t - self._begin, self._duration)
 
     def checking(self, t: float, number: int) -> None:
         """Show that a rerun has come to time ``t`` [s]: the second, third, ... run."""
         repeated = "" if number < 2 else f" (run {number + 1})"
-        duration, t = self._simulated.duration, t - self._begin
-        self._show(f"checking the accuracy{repeated}", t, duration, f"{t:.4g} of {duration:g} s")
+        words = f"checking the accuracy{repeated}"
+        self._show_simulated(words, t - self._begin, self._duration)
+
+    def _left(self) -> str:
+        seconds = self._pace.left()
+        if seconds is None or not self.checked or self._work != SIMULATING:
+            return super()._left()
+        return f"about {span(seconds)} until its accuracy is checked"
 
 
 class ManyRunsProgress(_Display):
@@ -242,13 +275,12 @@ class ManyRunsProgress(_Display):
 
     def __init__(self, runs: int, duration: float) -> None:
         super().__init__()
-        self._runs, self._simulated = runs, _SimulatedTime(duration)
+        self._runs, self._duration = runs, duration
 
     def __call__(self, t: float, done: int) -> None:
         """Show that the runs have come to ``t`` seconds together, and that some are done."""
         if t > 0.0:  # before, the first one may still wait for its kernels
-            words = f"{done} of {self._runs} runs"
-            self._show(words, t, self._simulated.duration, self._simulated.text(t))
+            self._show_simulated(f"{done:,} of {count_of(self._runs, 'run')}", t, self._duration)
 
 
 class PartProgress(_Display):
@@ -264,33 +296,8 @@ class SweepProgress(_Display):
 
     def __call__(self, done: int, total: int, failed: int = 0) -> None:
         """Show how many runs are done, and how many of them failed."""
-        self._show(
-            f"{done} of {total} runs{f', {failed} failed' if failed else ''}", done, total,
-            f"{100 * done // max(total, 1)} %",
-        )  # fmt: skip
-
-
-class _SimulatedTime:
-    """``3.20 of 5.00 s, 24 x real time``.
-
-    Parameters
-    ----------
-    duration : float
-        [s]
-    """
-
-    def __init__(self, duration: float) -> None:
-        self.duration = duration
-        self._first: tuple[float, float] | None = None
-
-    def text(self, t: float) -> str:
-        """The text at a time [s]; the pace counts from the first one on."""
-        now = time.perf_counter()
-        if self._first is None:  # a step has just been made: all kernels are compiled
-            self._first = t, now
-        first, since = self._first
-        pace = f", {(t - first) / (now - since):.3g} x real time" if t > first else ""
-        return f"{t:.4g} of {self.duration:g} s{pace}"
+        words = f"{done:,} of {count_of(total, 'run')}{f', {failed} failed' if failed else ''}"
+        self._show(words, done, total, f"{100 * done // max(total, 1)} %")
 
 
 def span(seconds: float) -> str:

@@ -1,15 +1,17 @@
-"""Replays in the browser: a trajectory as a live Meshcat scene, or as one HTML file.
+"""Replays in the browser: a trajectory as one HTML page, with Meshcat's viewer inside.
 
-    trajectory --animate--> Animation --drawing--> Meshcat commands --page--> HTML file
-                                                                   --server--> live viewer
+    trajectory --animate--> Animation --drawing--> Meshcat commands --page--> HTML page
 
-The animation is independent of robots and browsers; the drawing reads only the animation.
+The animation is independent of robots and browsers; the drawing reads only the animation.  The
+page is written to a file, shown from a temporary one (`browser`), served (`server`) or shown in
+a notebook.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +22,6 @@ from multiarm.public import in_notebook
 from multiarm.results.files import atomic_file, printable_texts, resolved
 
 if TYPE_CHECKING:
-    from meshcat import Visualizer
-
     from multiarm.results.trajectory import Trajectory
 
 __all__ = ["replay"]
@@ -35,10 +35,10 @@ def replay(
     fps: float = 30,
     speed: float = 1.0,
     meshes: bool = True,
-    host: str = "127.0.0.1",
-    port: int = 0,
+    host: str | None = None,
+    port: int | None = None,
     code: bool = False,
-) -> Path | Visualizer | InlineReplay:
+) -> Path | InlineReplay | None:
     """Show a trajectory in the browser.
 
     The replay shows the arms, each in its colour, the translucent object, the contacts with their
@@ -54,36 +54,41 @@ def replay(
     ----------
     trajectory : Trajectory
     path : path-like, optional
-        Write one HTML file, which needs no network. By default a live Meshcat server, which ends
-        with the program; in a Jupyter notebook the page itself, below the cell.
+        Write the page, which needs no network, to this HTML file. By default it is opened in the
+        browser from a temporary file, which is kept for a day at least; in a Jupyter notebook it
+        is shown below the cell.
     open_browser : bool
-        Open the live scene in the browser; a file is only written.
+        Open the page in the browser; one that is written to `path` is not opened.
     fps : float
         Frames per second of the viewer; frames are samples of the trajectory.
     speed : float
         Seconds of the trajectory per second of the viewer.
     meshes : bool
         False shows simple bars in place of the robots' mesh files: a small file.
-    host : str
-        Address of this computer at which a live server listens. Only this computer reaches the
-        default; every computer that reaches another address can watch. ``"0.0.0.0"``: all
-        addresses.
-    port : int
-        Of a live server; 0 takes a free one.
+    host, port : str and int, optional
+        Serve the page to browsers elsewhere until Ctrl-C: at an address of this computer, by
+        default 127.0.0.1, which only this computer (or an SSH tunnel to it) reaches; every
+        computer that reaches another address can watch. ``"0.0.0.0"``: all addresses. Port 0, the
+        default where only `host` is given, takes a free one.
     code : bool
         Load the functions that the scene of a stored run names, to draw their surfaces. Without it,
         a warning lists what is not drawn.  A run of this process has its functions already.
 
     Returns
     -------
-    Path, meshcat.Visualizer or InlineReplay
-        The file written; the live visualizer, whose address is ``url()``; in a notebook the page.
+    Path, InlineReplay or None
+        The file written; in a notebook the page; None after serving.
 
     Raises
     ------
     ReplayError
         The trajectory has no samples, the file cannot be written, nothing can listen at `host` and
-        `port`, or `fps` or `speed` is not a number greater than 0.
+        `port`, these are given beside `path`, or `fps` or `speed` is not a number greater than 0.
+
+    Warns
+    -----
+    UserWarning
+        No browser can be opened here; says where the page is.
     """
     from multiarm.results.trajectory import require_trajectory
 
@@ -92,24 +97,37 @@ def replay(
         if not (math.isfinite(value) and value > 0):
             raise ReplayError(f"{name} must be a number greater than 0, got {value}")
     from multiarm.viewer.animate import animate
+    from multiarm.viewer.browser import open_in_browser, temporary_page
     from multiarm.viewer.drawing import draw
+    from multiarm.viewer.page import page_facts, render
+    from multiarm.viewer.server import LOOPBACK, serve
 
+    served = host is not None or port is not None
+    if served and path is not None:
+        raise ReplayError(
+            "a replay is either written to a file or served; leave out the file, or the address "
+            "and port"
+        )
     target = None if path is None else _target(path)
     animation = animate(trajectory, fps=fps, speed=speed, meshes=meshes, code=code)
     commands = printable_texts(draw(animation, speed))
-    if target is None and not in_notebook():
-        from multiarm.viewer.server import serve
-
-        visualizer = serve(commands, host, port)
-        if open_browser:
-            visualizer.open()
-        return visualizer
-    from multiarm.viewer.page import page_facts, render
-
     page = render(commands, printable_texts(page_facts(animation, speed)))
-    if target is None:
+    if target is not None:
+        _write(target, page)
+        return target
+    if served:
+        serve(page, LOOPBACK if host is None else host, port or 0, open_browser)
+        return None
+    if in_notebook():
         return InlineReplay(page)
-    _write(target, page)
+    target = temporary_page(page)
+    if open_browser and not open_in_browser(target.as_uri()):
+        warnings.warn(
+            f"no browser can be opened here; open {target} in one, or serve the replay to a "
+            "browser on another computer: multiarm replay RESULT.h5 --port 8000 "
+            "(`port=8000` in Python)",
+            stacklevel=2,
+        )
     return target
 
 

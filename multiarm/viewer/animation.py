@@ -46,6 +46,7 @@ class ContactTracks:
     names: tuple[str, ...] = ()  # as in events
     # True for a row of friction at another contact's point: an arrow without a mark
     friction: tuple[bool, ...] = ()
+    total: np.ndarray | None = None  # force of all contacts on the object, world [N], shape (K, 3)
 
 
 @dataclass(frozen=True)

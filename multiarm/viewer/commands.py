@@ -1,8 +1,8 @@
 """Meshcat's protocol: commands as plain data, with NumPy arrays as leaves.
 
 A command is a dictionary as the Meshcat viewer takes it.  Typed arrays stay NumPy arrays until
-one of two encoders writes them: MessagePack for a live server (`server`), shared binary blocks for
-a page (`page`).  Animations are written as whole tracks, not key by key.
+the page stores them in a block of bytes (`page`).  Animations are written as whole tracks, not
+key by key.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def contacts_of(
     """Return the contacts of each arm, and of the floor, at some samples (`rows`) of a run."""
     places = [_places(system, trajectory, row) for row in rows]
     points, normals = (np.array(side) for side in zip(*places, strict=True))  # (K, N, 3)
-    tracks = []
+    tracks, wrenches = [], channels_of(trajectory.channels, "wrench")
     for owner, channel in channels_of(trajectory.channels, "contact_force").items():
         own = rows_of(system, owner)
         shown = {k: r for k in own if isinstance(r := system.model.records[k], Contact)}
@@ -67,6 +67,7 @@ def contacts_of(
                 state=row_states(trajectory, owner, records, rows),
                 names=tuple(record.name for record in records),
                 friction=tuple(_is_friction(trajectory, owner, record) for record in records),
+                total=trajectory.read(wrenches[owner])[rows, :3] if owner in wrenches else None,
             )
         )
     return tracks

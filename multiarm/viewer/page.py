@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import ReplayError
+from multiarm.notation import count_of
 from multiarm.reports import pages
 from multiarm.results.channels import CONTACT_STATES
 from multiarm.results.event_log import (
@@ -36,7 +37,7 @@ from multiarm.results.event_log import (
     timed,
     who,
 )
-from multiarm.viewer.animation import Animation, Dial, HingeTracks
+from multiarm.viewer.animation import Animation, ContactTracks, Dial, HingeTracks
 from multiarm.viewer.commands import Command, array_type, hexadecimal, lowered
 from multiarm.viewer.drawing import ASPECT
 
@@ -62,10 +63,11 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
 def page_facts(animation: Animation, speed: float) -> dict[str, Any]:
     """Return what the player shows besides the commands.
 
-    ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``, ``legend`` (pairs of name and
-    colour), ``force_scale`` and ``peak_force`` [N], ``times`` (K,) [s], ``states`` of contacts
-    (name, sign, colour), ``events`` (see :func:`time_line`) and ``dials``: coordinates with
-    limits, each a table of ``arm``, ``unit``, ``limits`` and ``values`` (K,).
+    ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``, ``legend`` (name and colour of each
+    arm, and its largest force on the object [N], null where unknown), ``force_scale`` and
+    ``peak_force`` [N], ``times`` (K,) [s], ``states`` of contacts (name, sign, colour), ``events``
+    (see :func:`time_line`) and ``dials``: coordinates with limits, each a table of ``arm``,
+    ``unit``, ``limits`` and ``values`` (K,).
     """
     return {
         "title": animation.title,
@@ -73,7 +75,9 @@ def page_facts(animation: Animation, speed: float) -> dict[str, Any]:
         "start": float(animation.time[0]),
         "speed": speed,
         "aspect": ASPECT,
-        "legend": [[c.arm, f"#{hexadecimal(c.color):06x}"] for c in animation.contacts],
+        "legend": [
+            [c.arm, f"#{hexadecimal(c.color):06x}", _largest_total(c)] for c in animation.contacts
+        ],
         "force_scale": animation.force_scale,
         "peak_force": animation.peak_force,
         "times": animation.time - animation.time[0],
@@ -81,6 +85,13 @@ def page_facts(animation: Animation, speed: float) -> dict[str, Any]:
         "events": time_line(animation.events, animation.time, speed),
         "dials": [_dial(hinge, dial) for hinge in animation.hinges for dial in hinge.dials],
     }
+
+
+def _largest_total(contacts: ContactTracks) -> float | None:
+    """Return the largest force of an arm on the object [N]."""
+    if contacts.total is None:
+        return None
+    return float(np.linalg.norm(contacts.total, axis=1).max())
 
 
 def _states(animation: Animation) -> list[list[str]]:
@@ -162,7 +173,7 @@ def _ticks(events: Sequence[Event], at: np.ndarray, duration: float) -> list[dic
     for interval in np.unique(part):
         inside = [int(i) for i in np.flatnonzero(part == interval)]
         kinds = list(dict.fromkeys(events[i]["kind"] for i in inside))
-        more = f" and {len(kinds) - NAMED} more kinds" if len(kinds) > NAMED else ""
+        more = f" and {count_of(len(kinds) - NAMED, 'more kind')}" if len(kinds) > NAMED else ""
         number = f"{len(inside)} events: " if len(inside) > 1 else ""
         when = f"{events[inside[0]]['time']:.4g} s"
         ticks.append(

@@ -119,7 +119,7 @@ def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
     monkeypatch.delitem(sys.modules, "mujoco_solver", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     answer = peer_trials.all_answers(healthy_trial)[-1]
-    assert answer.refusal == "not installed: pip install multiarm[peers]"
+    assert answer.refusal == "not installed: pip install mujoco"
 
 
 @pytest.mark.slow

@@ -19,8 +19,8 @@ from rich.console import Console
 from study_samples import sample_accuracy
 
 from multiarm.cli import accuracy as command
+from multiarm.notation import number
 from multiarm.plots.style import PALETTE
-from multiarm.reports.pages import quantity
 from multiarm.results.files import save_page
 from multiarm.studies.peers import PEERS
 from multiarm.studies.work_precision import study as studies
@@ -226,7 +226,7 @@ def test_a_study_is_looked_at_without_measuring(study_file, monkeypatch, tmp_pat
     assert result.exit_code == 0, result.output
     assert "arms & <disc>" in result.stdout
     assert "rk4, projection" in result.stdout
-    assert "MuJoCo: not installed: pip install multiarm[peers]" in result.stdout
+    assert "MuJoCo: not installed: pip install mujoco" in result.stdout
     assert "0.5 s" not in result.stdout, "points are shown on demand"
     assert (tmp_path / "plot.pdf").read_bytes().startswith(b"%PDF")
 
@@ -242,7 +242,7 @@ def test_all_points_are_printed_on_demand(study_file, results):
 def test_the_table_is_that_of_the_decades(study_file, results):
     stdout = accuracy("--from", study_file).stdout
     for decade in decades(results):
-        wall = quantity(decade.ours.wall_time_s, "s")
+        wall = number(decade.ours.wall_time_s, "s")
         row = (short(decade.level), described(decade.ours), wall)
         assert re.search(r"\s+".join(re.escape(cell) for cell in row), stdout), row
 
@@ -312,8 +312,8 @@ def test_marks_are_where_their_numbers_are_on_logarithmic_axes(page, results):
         place = [float(mark.get_attribute(name)) for name in ("cx", "cy")]
         found.append([np.log10(point.wall_time_s), np.log10(point.error("motion")), *place])
     found = np.array(found)
-    for number, place in ((0, 2), (1, 3)):
-        slope = np.diff(found[:, place]) / np.diff(found[:, number])
+    for column, place in ((0, 2), (1, 3)):
+        slope = np.diff(found[:, place]) / np.diff(found[:, column])
         assert slope == pytest.approx(np.full(len(slope), slope[0]), rel=1e-6)
     assert slope[0] < 0.0, "small errors are at the bottom"
 

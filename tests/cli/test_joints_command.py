@@ -34,7 +34,7 @@ FREE_MOTIONS = {
     "universal": ["turn about x and y"],
     "planar": ["slide along x and y", "turn about z"],
     "point_on_plane": ["slide along x and y", "turn about x, y and z"],
-    "corner_gripper": ["2 along several axes at once"],
+    "corner_gripper": ["2 motions along several axes at once"],
 }
 LENGTHS = {"size", "radius", "tip_radius", "circle_radius", "tube_radius", "length"}
 
@@ -107,7 +107,7 @@ def test_a_fingertip_on_a_round_face_slides_across_its_normal(cards):
 def test_wrenches_of_a_screw_leave_one_motion_along_and_about_its_axis(cards):
     screw = cards["wrenches"].further
     assert (screw["rows"], screw["rank"]) == (5, 5)
-    assert screw["free"] == ["1 along several axes at once"]
+    assert screw["free"] == ["1 motion along several axes at once"]
 
 
 def test_free_motions_are_found_in_any_frame_and_unit(rng):

@@ -168,7 +168,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(made, tmp_path, monkeyp
     assert called.exit_code == 1
     safe = len(load_sweep(out))
     assert 1 <= safe < 6
-    told = f"interrupted: {safe} of 6 runs are in '{out}'; the same command resumes from there"
+    told = f"interrupted: {safe} of 6 runs in '{out}'; the same command resumes from there"
     assert told in called.output
     assert multiarm(*words).exit_code == 0
     assert same_table(out, folder / "m.sweep")
@@ -323,15 +323,16 @@ def test_a_sweep_with_faults_is_one_message_with_all_of_them(tmp_path):
 def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
     clock, printed = [100.0], []
     monkeypatch.setattr("multiarm.terminal.progress.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("multiarm.terminal.progress.process_running_time", lambda: clock[0])
     bar = SweepProgress()
     for seconds, done in [(0, 500), (60, 510), (100, 610), (140, 710), (180, 1000)]:
         clock[0] = 100.0 + seconds
         bar(done, 1000, 3)
         printed.append(bar._line())
     # 200 runs in the 80 s after the first ten, which came with compiling: 290 take 116 s
-    assert printed[0] == "500 of 1000 runs, 3 failed, 50 %, 0 s so far"
-    assert printed[3].startswith("710 of 1000 runs, 3 failed, 71 %, about 2 min left, ends ")
-    assert printed[4] == "1000 of 1000 runs, 3 failed, 100 %, 3 min so far"
+    assert printed[0] == "500 of 1,000 runs, 3 failed, 50 %, 0 s so far"
+    assert printed[3].startswith("710 of 1,000 runs, 3 failed, 71 %, about 2 min left, ends ")
+    assert printed[4] == "1,000 of 1,000 runs, 3 failed, 100 %, 3 min so far"
     assert all(
         text.startswith(f"{n} of") for text, n in zip(printed, (500, 510, 610), strict=False)
     )

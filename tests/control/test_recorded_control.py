@@ -281,7 +281,7 @@ GOOD = "time,cart/slide\n0,1\n1,2\n"
         ("time\n0\n1\n", "has no column of numbers but 'time'; add one named 'arm/joint'"),
         ("time,cart/slid\n0,1\n1,2\n", "column 'cart/slid': unknown joint .*did you mean 'cart/sl"),
         ("time,a,a\n0,1,2\n", "two columns have the name 'a'"),
-        ("time,cart/slide\n0,1\n\n1\n", "line 4: has 1 columns, the first line 2"),
+        ("time,cart/slide\n0,1\n\n1\n", "line 4: has 1 column, the first line 2"),
         (
             "time,cart/slide\n0,1\n1,nan\n",
             "'cart/slide', line 3: .*finite number, got 'nan'",
@@ -319,7 +319,7 @@ def test_faults_of_other_files(tmp_path):
     gap = write_hdf5(tmp_path / "gap.h5", {"time": [0.0, 1.0], "cart/slide": [1.0, math.nan]})
     assert "column 'cart/slide', row 2: must be a finite number" in fault(gap)
     short = write_hdf5(tmp_path / "s.h5", {"time": [0.0, 1.0], "cart/slide": [1.0]})
-    assert "column 'cart/slide' has 1 rows, 'time' has 2" in fault(short)
+    assert "column 'cart/slide' has 1 row, 'time' has 2" in fault(short)
     (tmp_path / "good.csv").write_text(GOOD)
     assert "$.control.columns['cart/slide']" in fault(
         tmp_path / "good.csv", columns={"cart/slide": "tau"}

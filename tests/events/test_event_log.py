@@ -21,6 +21,7 @@ from multiarm.cli.run import SHOWN_KINDS, run_figures, summary_table
 from multiarm.errors import TrajectoryError
 from multiarm.plots.panels import DISTINCT
 from multiarm.plots.run_figures import MOST_ROWS, spans
+from multiarm.reports.pages import quantity
 from multiarm.reports.report import SHOWN_EVENTS, render
 from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
 from multiarm.results.event_log import (
@@ -76,6 +77,7 @@ def eventful(events=(), channels=FULL, sink=None, step=0.01, **outcome):
         "arms/right/contact_state": np.where(late, OPEN, [[1, 2, 3]]),
         "environment/contact_state": np.where(block["time"][:, None] >= 3.0, SLIDING, [[3, 4]]),
         "environment/contact_force": np.where(late, 70.0, [[20.0, -5.0]]),
+        "environment/wrench": np.where(late, 0.0, [[0.0, 0.0, 15.0, 1.0, 0.0, 0.0]]),
         "effects/joint_damping/work": -2.0 * block["time"],
         "effects/drag/work": -0.1 * block["time"] ** 2,
     }
@@ -102,7 +104,7 @@ def test_states_and_floor_have_channels_with_the_names_of_the_contacts():
     added = {c.name: c for c in FULL if c not in CHANNELS}
     assert set(added) == {
         "arms/right/contact_state", "environment/contact_state", "environment/contact_force",
-        "effects/joint_damping/work", "effects/drag/work",
+        "environment/wrench", "effects/joint_damping/work", "effects/drag/work",
     }  # fmt: skip
     assert added["environment/contact_force"].labels == CORNERS
     assert added["environment/contact_force"].unit == "N"
@@ -115,12 +117,18 @@ def test_trajectory_has_the_floor_beside_the_arms(tmp_path):
     eventful(sink=Hdf5Sink(tmp_path / "run.h5"))
     run = load_trajectory(tmp_path / "run.h5")
     assert list(run.contact_forces) == list(run.contact_states) == ["left", "right", "floor"]
+    assert list(run.wrenches) == ["left", "right", "floor"]
+    assert list(run.tip_positions) == ["left", "right"]
     assert len(run.contact_states) == 3
     assert run.contact_states["left"].shape == (len(run), 0)
     assert run.contact_states["right"][0].tolist() == [1, 2, 3]
     assert run.contact_states["floor"][-1].tolist() == [SLIDING, SLIDING]
     assert run.contact_forces["floor"][0].tolist() == [20.0, -5.0]
-    assert run.summary()["contact_force_max_N"]["floor"] == 70.0
+    summary = run.summary()
+    assert summary["contact_force_max_N"]["floor"] == 70.0
+    assert summary["wrench_max"]["floor"] == {
+        "force_N": 15.0, "force_time_s": 0.0, "moment_N_m": 1.0, "moment_time_s": 0.0
+    }  # fmt: skip
     assert run.arm_names == ("left", "right")
 
 
@@ -259,7 +267,7 @@ def test_every_time_plot_marks_the_events():
             assert found["contact lost"].tolist() == [2.5]
         (legend,) = figure.legends
         words = [text.get_text() for text in legend.get_texts()]
-        assert words == ["touches (1)", "lets go (1)", "slides (1)"]
+        assert words == ["touches: 1 event", "lets go: 1 event", "slides: 1 event"]
 
 
 def test_families_differ_in_their_dashes_too():
@@ -276,7 +284,7 @@ def test_lines_of_many_events_are_bounded_and_cover_all_of_them():
     (times,) = marks(figure.axes[0]).values()
     assert 100 < len(times) <= DISTINCT + 1
     assert np.diff(times).max() < 2.1 * 6.0 / DISTINCT
-    assert figure.legends[0].get_texts()[0].get_text() == "bounces (5,000)"
+    assert figure.legends[0].get_texts()[0].get_text() == "bounces: 5,000 events"
 
 
 def test_events_leave_the_axes_as_they_are():
@@ -344,11 +352,12 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     sink, block = MemorySink(), samples(step=0.1)
     for name in ("contact_state", "contact_force"):
         block[f"environment/{name}"] = np.full((len(block["time"]), len(corners)), STICKING)
+    block["environment/wrench"] = np.zeros((len(block["time"]), 6))
     sink.open(channels, {"scene": SCENE})
     sink.append(rows_of(channels, block))
     axes = plots.contact_states(sink.finish("completed", "", {})).axes[0]
     assert len(axes.texts) == MOST_ROWS
-    assert "9 more contacts are not shown" in axes.get_xlabel()
+    assert "9 more contacts not shown" in axes.get_xlabel()
 
 
 @pytest.mark.slow
@@ -381,6 +390,19 @@ def test_forces_of_the_floor_have_a_panel_of_their_own():
     assert [a.get_title(loc="left") for a in axes] == ["left", "right", "floor"]
     assert [t.get_text() for t in axes[2].texts] == ["1", "2"]  # what all names share is left out
     assert axes[2].lines[-1].get_ydata()[0] == -5.0
+
+
+def test_wrenches_have_panels_of_force_and_moment_for_arms_and_floor():
+    run = eventful()
+    axes = plots.wrenches(run).axes
+    panels = [(a.get_title(loc="left"), a.get_ylabel()) for a in axes]
+    quantities = ("force [N]", "moment [N m]")
+    assert panels == [(who, what) for who in ("left", "right", "floor") for what in quantities]
+    drawn = np.column_stack(
+        [line.get_ydata() for line in axes[0].lines if len(line.get_xdata()) > 2]
+    )
+    np.testing.assert_allclose(drawn[0], run.wrenches["left"][0, :3])
+    np.testing.assert_allclose(drawn[-1], run.wrenches["left"][-1, :3])
 
 
 def test_work_of_each_effect_is_drawn_and_named():
@@ -493,15 +515,20 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
 
 
 @pytest.mark.slow
-def test_report_says_whose_the_largest_contact_force_is():
-    assert "largest contact force 135 n arm left" in Page(render(eventful())).text.lower()
+def test_report_says_whose_the_largest_forces_are_and_when():
+    run = eventful()
+    force = np.linalg.norm(run.wrenches["left"][:, :3], axis=1)
+    when = quantity(run.time[force.argmax()], "s")
+    told = f"largest force {force.max():.3g} n arm left at {when}; 135 n at a contact"
+    assert told in Page(render(run)).text.lower()
     block = samples(step=0.5)
     block["environment/contact_force"] = np.full((len(block["time"]), 2), 1e3)
+    block["environment/wrench"] = np.outer(block["time"], [0.0, 0.0, 400.0, 0.0, 0.0, 0.0])
     sink, channels = MemorySink(), trajectory_channels(JOINTS, CONTACTS, environment=CORNERS)
     sink.open(channels, {"scene": SCENE})
     sink.append(rows_of(channels, block))
     text = Page(render(sink.finish("completed", "", {}))).text.lower()
-    assert "largest contact force 1000 n floor" in text
+    assert "largest force 2400 n floor at 6 s; 1000 n at a contact" in text
 
 
 # Terminal
@@ -510,7 +537,7 @@ def test_report_says_whose_the_largest_contact_force_is():
 def printed(run):
     figures = run_figures("swing", run, {}, False)
     console = Console(width=200, file=io.StringIO())
-    console.print(summary_table(figures))
+    console.print(summary_table(figures, 0.0))
     assert json.loads(json.dumps(figures))["events"] == run.events
     return [line.strip() for line in console.file.getvalue().splitlines()]
 

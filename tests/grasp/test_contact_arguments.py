@@ -90,7 +90,7 @@ def test_contacts_are_chosen_by_numbers_or_by_truth_values():
     [
         ([9], r"numbers 0 to 6; got \[9\]"),
         ([-1], r"numbers 0 to 6; got \[-1\]"),
-        ([True, False], "7 contacts are chosen by as many truth values, not 2"),
+        ([True, False], "7 contacts must have as many truth values, not 2"),
         ([False] * 7, "none was chosen"),
         ([], "none was chosen"),
         ([1.0], "whole numbers"),

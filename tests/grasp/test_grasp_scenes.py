@@ -239,7 +239,7 @@ def test_a_grasp_that_does_not_hold_is_refused_in_words():
 
 
 def test_another_number_of_arms_is_refused():
-    with pytest.raises(GraspError, match=r"2 grippers, which need as many arms, not 3; robots are"):
+    with pytest.raises(GraspError, match=r"2 grippers and takes as many arms, not 3; robots are"):
         grasp_scene(block_grasp(), ("panda",) * 3)
 
 

@@ -304,7 +304,7 @@ def test_meshes_that_are_no_solids_are_refused_with_a_remedy(tmp_path):
     opened = refusal(rest)
     assert f"{3 * len(alone)} open edges" in opened and "repair" in opened
     assert "inside out" in refusal(T[:, ::-1])
-    assert "3 edges are run along twice" in refusal(np.vstack([T, T[:1]]))
+    assert "run along twice in one direction: 3 edges" in refusal(np.vstack([T, T[:1]]))
     wrong = T.copy()
     wrong[0] = wrong[0, ::-1]
     assert "turned the wrong way round" in refusal(wrong)

@@ -23,10 +23,10 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts",
-    "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly", "events",
-    "simulation", "linear", "gradients", "grasp", "sweeps",
-    "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
+    "notation", "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results",
+    "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly",
+    "events", "simulation", "linear", "gradients", "grasp", "sweeps", "plots", "reports", "viewer",
+    "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
@@ -48,7 +48,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.effect_costs.page",
         "studies.work_precision.page",
     ),
-    "meshcat": ("viewer",),
     "mujoco": ("studies.mujoco_peer",),
     "numba": ("jit", "studies.mujoco_peer"),
     "pinocchio": (
@@ -60,6 +59,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pandas": ("results.trajectory", "sweeps.folder", "sweeps.plan", "sweeps.result"),
     "pyarrow": ("control.tables", "sweeps.folder"),
+    "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "rich": ("cli", "terminal"),
@@ -85,15 +85,13 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
-    "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
-    "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
 }
 
-HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
+HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "scipy", "pydantic"}
 
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
@@ -103,10 +101,11 @@ PUBLIC_ATTRIBUTES = {
     "Effect": "name Spec forces build",
     "Equilibrium": "state torques linear stability steps acceleration",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
-    "contact_points contact_normals position_residual velocity_residual residuals",
+    "contact_points contact_normals wrenches position_residual velocity_residual residuals",
     "Gradient": "value start parameters error trajectory times weights torque_density "
     "by_torque_table",
     "Joint": "kind arm name at at_tip records",
+    "Kinematics": "tips",
     "LinearSystem": "A B C D rate state state_names input_names output_names modes controllable "
     "stability coordinates_of state_at to_scipy to_control",
     "Loads": "object_wrench joint_torques",
@@ -115,14 +114,17 @@ PUBLIC_ATTRIBUTES = {
     "joint_positions joint_velocities",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
-    "Stepper": "advance reset time state contact_forces events trajectory",
+    "Stepper": "advance reset time state contact_forces wrenches tip_positions "
+    "tip_quaternions_xyzw tip_twists events trajectory",
     "Surface": "name patch record",
     "Sweep": "scene plan count complete runs paths quantities columns table status_counts "
     "summary values_of scene_of trajectory provenance",
-    "System": "scene arm_names arms initial_state state",
+    "System": "scene arm_names arms initial_state state kinematics",
+    "TipKinematics": "position rotation twist jacobian joint_names",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "
-    "joint_velocities joint_torques contact_forces contact_states energy kinetic_energy "
-    "potential_energy work energy_balance position_drift velocity_drift status message "
+    "joint_velocities joint_torques contact_forces contact_states wrenches tip_positions "
+    "tip_quaternions_xyzw tip_twists energy kinetic_energy potential_energy "
+    "work energy_balance position_drift velocity_drift status message "
     "certificate events statistics provenance scene save arm_names",
 }
 PUBLIC_PARAMETERS = {
@@ -333,13 +335,14 @@ def objects(welded_ur5_system):
     with system.borrow() as data:
         found = (
             system, system.model, data, system.initial_state(), ma.evaluate(system),
-            ma.Stepper(system), ma.simulate(system, 0.01, certificate=False),
+            ma.Stepper(system), ma.simulate(system, 0.01, certificate=False), system.kinematics(),
         )  # fmt: skip
     return {type(one).__name__: one for one in found}
 
 
 @pytest.mark.parametrize(
-    "name", ["System", "Model", "Data", "State", "Evaluation", "Stepper", "Trajectory"]
+    "name",
+    ["System", "Model", "Data", "State", "Evaluation", "Stepper", "Trajectory", "Kinematics"],
 )
 def test_an_object_shows_itself_in_a_line_or_two(objects, name):
     text = repr(objects[name])
@@ -347,7 +350,9 @@ def test_an_object_shows_itself_in_a_line_or_two(objects, name):
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
-@pytest.mark.parametrize("name", ["System", "State", "Evaluation", "Stepper", "Trajectory"])
+@pytest.mark.parametrize(
+    "name", ["System", "State", "Evaluation", "Stepper", "Trajectory", "Kinematics"]
+)
 def test_dir_has_the_promised_names_and_no_private_ones(objects, name):
     shown = dir(objects[name])
     assert set(PUBLIC_ATTRIBUTES[name].split()) <= set(shown)

@@ -21,6 +21,7 @@ from sample_run import (
     JOINTS,
     SCENE,
     STATISTICS,
+    earlier_run,
     numbered_block,
     record,
     rows_of,
@@ -163,6 +164,48 @@ def test_summary_reports_extremes_and_the_end():
     assert summary["energy_balance_max_J"] == np.abs(run.energy_balance).max()
     assert summary["final_object_position"] == run.object_position[-1].tolist()
     assert summary["contact_force_max_N"]["left"] == np.abs(run.contact_forces["left"]).max()
+    force = np.linalg.norm(run.wrenches["left"][:, :3], axis=1)
+    largest = summary["wrench_max"]["left"]
+    assert largest["force_N"] == pytest.approx(force.max(), rel=1e-15)
+    assert largest["force_time_s"] == run.time[force.argmax()]
+    assert largest["moment_N_m"] == 0.0
+
+
+def test_largest_wrenches_are_found_in_any_block_and_do_not_overflow():
+    block = numbered_block(0, 20_000)  # longer than what is read at a time
+    wrench = np.zeros((20_000, 6))
+    wrench[17, :3], wrench[9_000, :3], wrench[19_999, 3:] = [3, 0, 4], [0, -1e200, 0], [1, 2, 2]
+    block["arms/left/wrench"] = wrench
+    largest = record(MemorySink(), [block]).summary()["wrench_max"]["left"]
+    assert largest == {
+        "force_N": 1e200, "force_time_s": block["time"][9_000],
+        "moment_N_m": 3.0, "moment_time_s": block["time"][19_999],
+    }  # fmt: skip
+
+
+def test_a_run_of_an_earlier_version_says_what_it_has_not(tmp_path):
+    run = load_trajectory(earlier_run(record(MemorySink())).save(tmp_path / "old.h5"))
+    for mapping in (run.wrenches, run.tip_positions, run.tip_quaternions_xyzw, run.tip_twists):
+        assert dict(mapping) == {}
+        for error in (TrajectoryError, KeyError):
+            with pytest.raises(error, match="earlier version"):
+                mapping["left"]
+    assert run.summary()["wrench_max"] == {}
+    assert not run.to_pandas().filter(like="wrench").size
+
+
+@pytest.mark.parametrize("name", ["wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist"])
+def test_a_file_whose_wrench_or_tip_has_another_shape_is_refused(tmp_path, name):
+    record(file_sink(tmp_path))
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        values = file[f"arms/left/{name}"][:]
+        attributes = dict(file[f"arms/left/{name}"].attrs)
+        del file[f"arms/left/{name}"]
+        file[f"arms/left/{name}"] = values[:, 1:]
+        attributes["columns"] = attributes["columns"][1:]
+        file[f"arms/left/{name}"].attrs.update(attributes)
+    with pytest.raises(TrajectoryError, match=f"'arms/left/{name}' has another shape"):
+        load_trajectory(tmp_path / "run.h5")
 
 
 @both_sinks
@@ -181,6 +224,7 @@ def test_a_run_without_samples_has_a_summary(tmp_path, sink_in):
     assert summary["status"] == "failed"
     assert summary["duration_s"] is summary["final_object_position"] is None
     assert summary["contact_force_max_N"] == {"left": None, "right": None}
+    assert set(summary["wrench_max"]["left"].values()) == {None}
 
 
 # Nothing is lost, nothing is altered

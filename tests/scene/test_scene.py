@@ -402,7 +402,7 @@ def test_inertias_that_no_body_has_are_refused(inertia, reason):
         ("control", {"stiffness": 3}, "$.control: 'kind' is missing; kinds are 'none', 'constant'"),
         ("control", {"kind": "constant"}, "$.control.torques: is missing"),
         ("control", {"kind": "constant", "torques": {"leg": 1}}, "unknown arm 'leg'"),
-        ("control", {"kind": "constant", "torques": {"left": [1]}}, "1 values for 6 movable"),
+        ("control", {"kind": "constant", "torques": {"left": [1]}}, "1 value for 6 movable"),
         ("effects", {"wind": 3}, "$.effects.wind: unknown effect 'wind'; effects are"),
         ("effects", {"joint_damping": -1}, "must not be negative"),
         ("effects", {"joint_damping": {"left": {"joint_9": 1}}}, "unknown joint 'joint_9'"),

@@ -104,6 +104,20 @@ def test_accelerations_and_forces_are_those_of_the_whole_robot(moving):
         np.testing.assert_allclose(total, wrench, atol=1e-10 * np.max(np.abs(wrench)), rtol=0)
 
 
+def test_tip_jacobians_are_columns_of_that_of_the_whole_robot(moving):
+    whole, state = Whole(moving), moving.initial_state()
+    model, data, axes = whole.model, whole.data, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    q = whole.vector(state.joint_positions)
+    for arm, tip in moving.kinematics().tips.items():
+        frame = model.getFrameId(moving.arms[arm].files.tip)
+        J = pin.computeFrameJacobian(model, data, q, frame, axes)
+        columns = [model.joints[model.getJointId(name)].idx_v for name in tip.joint_names]
+        np.testing.assert_allclose(tip.jacobian, J[:, columns], atol=1e-12)
+        np.testing.assert_allclose(np.delete(J, columns, axis=1), 0.0, atol=1e-15)
+        np.testing.assert_allclose(tip.position, data.oMf[frame].translation, atol=1e-12)
+        assert not set(tip.joint_names) & set(TORSO)
+
+
 def test_energy_counts_each_arm_once_and_the_trunk_never(moving):
     run = ma.simulate(moving, duration=0.02, accuracy=1e-6, certificate=False)
     whole, body = Whole(moving), moving.scene.object

@@ -159,7 +159,7 @@ def test_events_that_follow_each_other_without_end_end_the_run(endless_events, s
     assert run.statistics["steps"] <= JUDGED_STEPS / EVENT_STEPS
     dropped = run.statistics["contact_events"] - MOST_LISTED
     assert dropped > 0
-    assert f"{dropped:,} more events from t = 0.1" in run.message
+    assert f"not listed: {dropped:,} events from t = 0.1" in run.message
     assert run.events[-1]["kind"] == "not listed"
     assert "times 'slides' (floor)" in run.events[-1]["text"]
 
@@ -215,7 +215,7 @@ def test_a_log_counts_what_it_does_not_list():
     assert len(events) == MOST_LISTED + 1
     assert [event["time"] for event in events] == sorted(event["time"] for event in events)
     text = events[-1]["text"]
-    assert text.startswith("23,140 more events from t = 1e-06 s to 2.414e-05 s are not listed")
+    assert text.startswith("not listed: 23,140 events from t = 1e-06 s to 2.414e-05 s: ")
     assert "5,785 times 'loses a direction' (left)" in text and text.endswith("and 1 more")
     assert text in log.summary(MESSAGE_LENGTH)
     assert log.dropped.total() == count

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from event_scenes import GRAVITY, arm, ball, ball_on_plate
+from event_scenes import GRAVITY, arm, ball, ball_on_plate, box, on_floor
 from loose_scenes import cart_with_box
 from mechanics import ur5_pair
 
@@ -14,6 +14,7 @@ import multiarm as ma
 from multiarm.errors import ControlError, ModelError, SceneError, SolverError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import parse_scene
+from multiarm.spatial import quaternion_to_matrix
 
 T, COUNT = 2e-3, 40
 SPRUNG = {"kind": "joint_pd", "stiffness": 300.0, "damping": 20.0}
@@ -51,7 +52,10 @@ def assert_same(run, other, exactly=True):
             getattr(run, name), getattr(other, name), rtol=0.0, atol=0.0 if exactly else 1e-12
         )
     for a in run.arm_names:
-        for name in ("joint_positions", "joint_torques", "contact_forces"):
+        for name in (
+            "joint_positions", "joint_torques", "contact_forces", "wrenches", "tip_positions",
+            "tip_quaternions_xyzw", "tip_twists",
+        ):  # fmt: skip
             found, expected = getattr(run, name)[a], getattr(other, name)[a]
             # a run samples its control at its end once more
             np.testing.assert_array_equal(found[:-1], expected[:-1])
@@ -161,6 +165,34 @@ def test_contact_forces_are_those_of_the_last_torques(ur5_system):
     before = stepper.state
     np.testing.assert_array_equal(stepper.advance(T, torques).velocity[:0], [])
     assert not np.array_equal(before.velocity, stepper.state.velocity)  # it was a copy
+
+
+def test_wrenches_and_tips_are_those_of_the_present(ur5_system):
+    stepper = ma.Stepper(ur5_system)
+    torques = {"left": np.full(6, 3.0), "right": np.full(6, -2.0)}
+    state = stepper.advance(0.01, torques)
+    driven = ur5_system.with_control(lambda t, state: torques)
+    expected = ma.evaluate(driven, stepper.time, state)
+    wrenches, places = stepper.wrenches, stepper.tip_positions
+    turns, twists = stepper.tip_quaternions_xyzw, stepper.tip_twists
+    for a, tip in ur5_system.kinematics(state).tips.items():
+        np.testing.assert_allclose(wrenches[a], expected.wrenches[a], atol=1e-8)
+        np.testing.assert_allclose(places[a], tip.position, atol=1e-12)
+        np.testing.assert_allclose(quaternion_to_matrix(turns[a]), tip.rotation, atol=1e-12)
+        np.testing.assert_allclose(twists[a], tip.twist, atol=1e-12)
+    before = wrenches["left"].copy()
+    stepper.advance(T, {})
+    np.testing.assert_array_equal(wrenches["left"], before)  # it was a copy
+    assert not np.array_equal(stepper.wrenches["left"], before)
+
+
+def test_the_floor_is_beside_the_arms():
+    stepper = ma.Stepper(ma.compile_system(on_floor(box(mass=2.0))))
+    stepper.advance(1e-3, {})
+    assert list(stepper.wrenches) == list(stepper.contact_forces) == ["away", "floor"]
+    assert list(stepper.tip_twists) == ["away"]
+    np.testing.assert_allclose(stepper.wrenches["floor"][:3], [0, 0, 2.0 * GRAVITY], atol=1e-9)
+    assert stepper.contact_forces["floor"].sum() == pytest.approx(2.0 * GRAVITY)
 
 
 def test_times_of_equal_steps_do_not_drift(tmp_path):

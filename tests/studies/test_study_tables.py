@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.text import Text
 
 from multiarm.cli.studies import rendered
+from multiarm.notation import NOTHING
 from multiarm.reports.pages import scientific
 from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
 from multiarm.terminal.console import columns
@@ -43,7 +44,7 @@ def test_a_terminal_has_numbers_to_be_typed_again_and_remarks_below():
             console.print(part)
     lines = [line.split() for line in capture.get().splitlines()]
     assert [line for line in lines if line[:1] in (["rk4"], ["dop853"], ["euler"])] == [
-        ["rk4", "2e-09"], ["dop853", "-"], ["euler"],
+        ["rk4", "2e-09"], ["dop853", NOTHING], ["euler"],
     ]  # fmt: skip
     assert "steps" not in capture.get()
     assert capture.get().split("dop853: ")[1].splitlines()[:4] == [

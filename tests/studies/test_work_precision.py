@@ -811,7 +811,7 @@ def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     able, refusals = make_peers(system)
     assert set(able) == {"Pinocchio"}
-    assert set(refusals.values()) == {"not installed: pip install multiarm[peers]"}
+    assert set(refusals.values()) == {"not installed: pip install mujoco"}
 
 
 def test_what_a_peer_raises_is_a_failed_point(system, reference):

@@ -13,7 +13,6 @@ code is 1 when a test failed on any kind. The whole suite takes as long as usual
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -45,8 +44,6 @@ print(*blas, "optional" if found else "baseline", numba.config.CPU_NAME or "host
 
 def main() -> int:
     """Run what the command line asks for; the exit code."""
-    # in the background of a shell SIGINT is ignored, and tests of Ctrl-C would inherit that
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     given = sys.argv[1:]
     cut = given.index("--") if "--" in given else len(given)
     kinds, arguments = given[:cut] or list(KINDS), given[cut + 1 :] or ["-n", "2"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import trajectory_channels
-from multiarm.results.sinks import Hdf5Sink
+from multiarm.results.sinks import Hdf5Sink, MemorySink
 
 MASS, LENGTH, GRAVITY, DAMPING = 20.0, 0.9, 9.81, 0.25  # [kg], [m], [m/s^2], [1/s]
 JOINTS = {
@@ -63,6 +63,10 @@ def samples(duration=6.0, step=0.01):
         "solver/residual": 3e-15 * np.abs(np.sin(7 * time)),
     }
     for arm, share in (("left", 0.6), ("right", 0.4)):
+        rod = np.column_stack([-sine, zero, cosine, zero, zero, zero])
+        block[f"arms/{arm}/wrench"] = share * tension[:, None] * rod
+        for quantity in ("position", "quaternion_xyzw", "twist"):
+            block[f"arms/{arm}/tip_{quantity}"] = block[f"object/{quantity}"]
         joint = np.arange(len(JOINTS[arm]))
         block[f"arms/{arm}/joint_position"] = np.outer(theta, 0.9**joint) + 0.3 * joint
         block[f"arms/{arm}/joint_velocity"] = np.outer(omega, 0.9**joint)
@@ -85,6 +89,16 @@ def record(sink, blocks=None, status="completed", message="", metadata=None, **r
         sink.append(rows_of(CHANNELS, block))
         sink.checkpoint()
     return sink.finish(status, message, results.pop("statistics", STATISTICS), **results)
+
+
+def earlier_run(run):
+    """The run as a version has it that did not record wrenches and tips."""
+    later = ("wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist")
+    channels = [c for c in run.channels.values() if c.name.rpartition("/")[2] not in later]
+    sink = MemorySink()
+    sink.open(channels, run.provenance)
+    sink.append(rows_of(channels, {c.name: run.channel(c.name) for c in channels}))
+    return sink.finish(run.status, run.message, run.statistics)
 
 
 def _pendulum(time):

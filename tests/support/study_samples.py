@@ -70,7 +70,7 @@ def sample_accuracy() -> Results:
         Point(Setting(OURS, "rk4", "none", "step", 0.5), FAILED, "it went <apart>"),
     ):
         results.replace(point)
-    results.refusals = {"MuJoCo": "not installed: pip install multiarm[peers]"}
+    results.refusals = {"MuJoCo": "not installed: pip install mujoco"}
     return results
 
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from replay_pages import POSE, SCENE, SEEK, opened
-from sample_run import rows_of
+from sample_run import earlier_run, rows_of
 
 import multiarm as ma
 from multiarm.errors import ReplayError
@@ -108,6 +108,34 @@ def test_whole_scene_is_in_the_picture_all_the_time(view, exported, trajectory, 
         assert len(corners) > 100
         assert np.abs(corners).max() < 1
     assert np.ptp(corners[:, :2], axis=0).max() > 0.6  # and not lost in it
+
+
+@pytest.mark.slow
+def test_legend_has_the_forces_of_arms_beside_those_of_contacts(view, exported, trajectory):
+    page = opened(view, exported)
+    at_contact = max(np.abs(force).max() for force in trajectory.contact_forces.values())
+    of_arm = {
+        arm: np.linalg.norm(wrench[:, :3], axis=1).max()
+        for arm, wrench in trajectory.wrenches.items()
+    }
+    told = [float(number) for number in re.findall(r"([\d.]+) N", page.inner_text("#scale"))]
+    expected = {at_contact, max(of_arm.values())}
+    assert {told[0], told[-1]} == {float(f"{force:.3g}") for force in expected}
+    titles = page.eval_on_selector_all(".chip", "chips => chips.map(chip => chip.title)")
+    assert all(
+        f"{force:.3g} N" in title for force, title in zip(of_arm.values(), titles, strict=True)
+    )
+
+
+@pytest.mark.slow
+def test_a_run_of_an_earlier_version_has_a_legend_without_forces_of_arms(
+    view, trajectory, tmp_path
+):
+    path = replay(earlier_run(trajectory), tmp_path / "old.html", meshes=False)
+    page = opened(view, path)
+    assert view.complaints == []
+    assert page.inner_text("#scale").endswith("N at a contact")
+    assert page.eval_on_selector_all(".chip", "chips => chips.map(chip => chip.title)") == ["", ""]
 
 
 @pytest.mark.slow
@@ -261,21 +289,3 @@ def test_without_meshes_the_file_is_small(trajectory, tmp_path):
 def test_unusable_options_are_named(trajectory, options, said):
     with pytest.raises(ReplayError, match=said):
         replay(trajectory, **{"path": "never.html", **options})
-
-
-@pytest.mark.slow
-def test_live_viewer_shows_the_same_scene(browser, trajectory):
-    visualizer = replay(trajectory, open_browser=False, fps=20)
-    page = browser.new_page(viewport={"width": 600, "height": 400})
-    try:
-        page.goto(visualizer.url())
-        page.wait_for_function("viewer.animator && viewer.animator.duration > 0", timeout=60_000)
-        page.evaluate(SEEK, float(trajectory.time[-1]))
-        pose = page.evaluate(POSE, ["world", "object"])
-        np.testing.assert_allclose(pose["position"], trajectory.object_position[-1], atol=1e-6)
-        # the camera's place comes over the wire like everything else, maybe a place later
-        framed = f"Math.max(...({IN_PICTURE})().flat().map(Math.abs)) < 1"
-        page.wait_for_function(framed, timeout=30_000)
-    finally:
-        page.close()
-        visualizer.window.close()

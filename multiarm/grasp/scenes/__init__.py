@@ -42,6 +42,7 @@ from multiarm.grasp.scenes.hands import (
     require_room,
     stand_arms,
 )
+from multiarm.notation import count_of
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import PartProgress, displayed
@@ -179,7 +180,7 @@ def _require_hold(grasp: FaceContacts, arms: Sequence[str]) -> None:
         raise GraspError(f"the grasp does not hold the body: {grasp.closure.message}")
     if len(arms) != len(grasp.grippers):
         raise GraspError(
-            f"the grasp has {len(grasp.grippers)} grippers, which need as many arms, not "
+            f"the grasp has {count_of(len(grasp.grippers), 'gripper')} and takes as many arms, not "
             f"{len(arms)}; robots are {', '.join(available_robots())}"
         )
 

@@ -16,12 +16,13 @@ async function unpack() {
 function showFacts(facts) {
   document.querySelector("#about h1").textContent = facts.title;
   byId("note").textContent = facts.note;
-  for (const [name, color] of facts.legend) {
+  for (const [name, color, force] of facts.legend) {
     const chip = document.createElement("span");
     chip.className = "chip";
     chip.style.setProperty("--color", color);
     chip.textContent = name;
     chip.dataset.arm = name;
+    if (force !== null) chip.title = `force on the object up to ${newtons(force)}`;
     byId("legend").append(chip);
   }
   for (const [name, sign, color] of facts.states) {
@@ -32,7 +33,10 @@ function showFacts(facts) {
   }
   if (facts.force_scale > 0) {
     const spike = facts.peak_force > facts.force_scale ? ` (peak ${newtons(facts.peak_force)})` : "";
-    byId("scale").textContent = `longest arrow ${newtons(facts.force_scale)}${spike}`;
+    const [name, , total] = facts.legend.reduce((a, b) => (b[2] > a[2] ? b : a));
+    const sum = total > 0 ? `; ${name} up to ${newtons(total)} in all` : "";
+    byId("scale").textContent
+      = `longest arrow ${newtons(facts.force_scale)} at a contact${spike}${sum}`;
     byId("scale").title = "dark arrows push the object, light ones pull it";
   }
 }

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, model_validator
 from typing_extensions import Self
 
+from multiarm.notation import count_of
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import fault, listed, shown, unknown
 from multiarm.scene.functions import UserFunction
@@ -171,7 +172,8 @@ class WrenchTable(Spec):
         if self.times is None or self.values is None:
             raise fault("needs 'times' and 'values', or a 'file'")
         if len(self.times) != len(self.values):
-            raise fault(f"has {len(self.times)} times and {len(self.values)} values; give as many")
+            times, values = count_of(len(self.times), "time"), count_of(len(self.values), "value")
+            raise fault(f"has {times} and {values}; give as many")
         return self
 
 
@@ -200,7 +202,7 @@ def read_wrench_table(path: Path) -> tuple[list[list[float]], str]:
 
 def _row_fault(cells: list[str]) -> str:
     if len(cells) != len(_TABLE_COLUMNS):
-        return f"has {len(cells)} columns; they are {', '.join(_TABLE_COLUMNS)}"
+        return f"has {count_of(len(cells), 'column')}; they are {', '.join(_TABLE_COLUMNS)}"
     for name, cell in zip(_TABLE_COLUMNS, cells, strict=True):
         try:
             finite = math.isfinite(float(cell))

@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from multiarm.notation import count_of
 from multiarm.plots.style import GRID, INK, STYLE, inline_svg
 from multiarm.reports import pages
 from multiarm.studies.effect_costs.entries import (
@@ -205,7 +206,8 @@ def accuracy_text(found: Ledger) -> str:
         f"{found.scene['duration_s']:g} s by {run['integrator']}: {run['milliseconds']:.3g} ms of "
         f"time a simulated second, {run['evaluations']:,} evaluations. "
         f"Accuracy ({by}): {accuracies}. "
-        f"Every run is made to it; times are medians of {run['repeats']} rounds in turn."
+        f"Every run is made to it; times are medians of "
+        f"{count_of(run['repeats'], 'round')} in turn."
     )
 
 

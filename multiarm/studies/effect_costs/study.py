@@ -29,6 +29,7 @@ from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate_data, mode_at
 from multiarm.events.modes import Mode
+from multiarm.notation import count_of
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
@@ -351,7 +352,7 @@ def _certificate(run: Trajectory, times: np.ndarray) -> Entry | None:
     return Entry(
         CERTIFICATE,
         SETTING,
-        f"{len(others)} more run{'s' if len(others) > 1 else ''}, to check the first",
+        f"{count_of(len(others), 'more run')}, to check the first",
         milliseconds=Estimate(1e3 * share * float(np.median(times)), 0.0),
         share=Estimate(share, 0.0),
         evaluations=sum(item["evaluations"] for item in others),

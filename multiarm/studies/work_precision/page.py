@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from multiarm.notation import number
 from multiarm.plots.style import GRID, INK, PALETTE, STYLE
 from multiarm.reports import pages
 from multiarm.reports.pages import scientific
@@ -176,7 +177,7 @@ def _of(quantity: str) -> str:
 
 LEVELS = (1e-3, *CLAIMED)
 """The errors for which the methods are compared."""
-_seconds = partial(pages.quantity, unit="s")
+_seconds = partial(number, unit="s")
 _count = "{:,}".format
 
 

@@ -1,0 +1,72 @@
+"""How numbers and counts are written for people: on terminals, on pages, in figures, in messages.
+
+Numbers have three digits, or four where several stand together, and their unit; the same number
+looks the same everywhere.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+__all__ = ["NOTHING", "count_of", "number", "numbers", "value_text"]
+
+NOTHING = "\N{EN DASH}"
+"""What stands where there is no number."""
+PLAIN = 1e6
+"""Numbers below this have no power of ten, unless they are small."""
+ROUNDING = 1e-12
+"""Numbers smaller than this part of the largest beside them, or of 1, are roundings of zero."""
+
+
+def number(value: float | None, unit: str = "", digits: int = 3) -> str:
+    """A number and its unit: ``2.5e-09 m``, ``1,234 steps``; a dash for None."""
+    if value is None:
+        return NOTHING
+    if isinstance(value, int):
+        text = f"{value:,}"
+    else:
+        text = f"{value + 0.0:.{digits}g}"
+        if "e+" in text and abs(value) < PLAIN:
+            text = f"{float(text):.0f}"
+    return f"{text} {unit}".rstrip()
+
+
+def numbers(values: Iterable[float], unit: str = "", digits: int = 4) -> str:
+    """Comma-separated numbers and their unit; roundings of zero are 0: ``0, 0, 9.81 m/s^2``."""
+    values = [float(value) for value in values]
+    largest = max(map(abs, values), default=0.0)
+    shown = [0.0 if abs(value) < ROUNDING * max(largest, 1.0) else value for value in values]
+    return f"{', '.join(number(value, digits=digits) for value in shown)} {unit}".rstrip()
+
+
+def count_of(number: int, noun: str, plural: str | None = None) -> str:
+    """The number and its noun: ``1 joint``, ``1,234 joints``, ``2 bodies``.
+
+    Parameters
+    ----------
+    number : int
+    noun : str
+        In the singular; may have words before it.
+    plural : str, optional
+        Where it is not the noun with an s.
+    """
+    return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def value_text(value: Any) -> str:
+    """A value of a JSON file as people write it: ``yes``, ``0.25``, ``left: ur5, right: panda``."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None or isinstance(value, int):
+        return number(value)
+    if isinstance(value, float):
+        return number(value, digits=6)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {value_text(item)}" for key, item in value.items()) or NOTHING
+    if isinstance(value, list | tuple):
+        if value and all(isinstance(item, float) for item in value):
+            return numbers(value, digits=6)
+        return ", ".join(map(value_text, value)) or NOTHING
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
