@@ -167,20 +167,20 @@ def _standard_normal(u: float) -> float:
 
 VALUES: dict[str, Callable[[Any], list[Any]]] = {
     "values": list,
-    "linspace": lambda given: np.linspace(*given).tolist(),
-    "logspace": lambda given: np.logspace(*given).tolist(),
-    "geomspace": lambda given: np.geomspace(*given).tolist(),
-    "range": lambda given: list(range(*given)),
+    "linspace": lambda v: np.linspace(*v).tolist(),
+    "logspace": lambda v: np.logspace(*v).tolist(),
+    "geomspace": lambda v: np.geomspace(*v).tolist(),
+    "range": lambda v: list(range(*v)),
     "rows": list,
 }
 """Kinds of axes whose values come one after the other: all of them, as given."""
 QUANTILES: dict[str, Callable[[Any, float], Any]] = {
-    "uniform": lambda given, u: given[0] + u * (given[1] - given[0]),
-    "loguniform": lambda given, u: given[0] * (given[1] / given[0]) ** u,
-    "normal": lambda given, u: given.mean + given.deviation * _standard_normal(u),
-    "lognormal": lambda given, u: given.median * math.exp(given.deviation * _standard_normal(u)),
-    "integers": lambda given, u: given[0] + int(u * (given[1] + 1 - given[0])),
-    "choice": lambda given, u: given[int(u * len(given))],
+    "uniform": lambda v, u: v[0] + u * (v[1] - v[0]),
+    "loguniform": lambda v, u: v[0] * (v[1] / v[0]) ** u,
+    "normal": lambda v, u: v.mean + v.deviation * _standard_normal(u),
+    "lognormal": lambda v, u: v.median * math.exp(v.deviation * _standard_normal(u)),
+    "integers": lambda v, u: v[0] + int(u * (v[1] + 1 - v[0])),
+    "choice": lambda v, u: v[int(u * len(v))],
 }
 """Kinds whose values are random: the quantile Q(u), a share u in (0, 1) of all values is below."""
 
@@ -216,13 +216,13 @@ class AxisSpec(Spec):
     linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None
     logspace: Annotated[list[Any] | None, BeforeValidator(exponents)] = None
     geomspace: Annotated[
-        list[Any] | None, BeforeValidator(lambda given: in_ratio(spaced(given)))
+        list[Any] | None, BeforeValidator(lambda value: in_ratio(spaced(value)))
     ] = None
     range: Annotated[list[int] | None, BeforeValidator(counted)] = None
     rows: Annotated[list[Any] | None, BeforeValidator(items)] = None
     uniform: Annotated[list[float] | None, BeforeValidator(bounds)] = None
     loguniform: Annotated[
-        list[float] | None, BeforeValidator(lambda given: in_ratio(bounds(given)))
+        list[float] | None, BeforeValidator(lambda value: in_ratio(bounds(value)))
     ] = None
     normal: NormalSpec | None = None
     lognormal: LogNormalSpec | None = None
@@ -232,23 +232,23 @@ class AxisSpec(Spec):
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         known = type(self).model_fields
-        given = [key for key in known if key in self.model_fields_set]
-        if len(given) != 1:
+        keys = [key for key in known if key in self.model_fields_set]
+        if len(keys) != 1:
             raise fault(
                 f"must be a list of values or a table with one of {', '.join(known)}; got "
-                f"{listed(given) if given else 'nothing'}"
+                f"{listed(keys) if keys else 'nothing'}"
             )
-        if self.given is None:
+        if self.content is None:
             raise fault(f"'{self.name}' is empty; write its values after the colon")
         return self
 
     @property
     def name(self) -> str:
-        """The key that is given."""
+        """The key."""
         return next(iter(self.model_fields_set))
 
     @property
-    def given(self) -> Any:
+    def content(self) -> Any:
         """What stands below the key."""
         return getattr(self, self.name)
 
@@ -260,12 +260,12 @@ class AxisSpec(Spec):
     @cached_property
     def values_in_turn(self) -> list[Any]:
         """The enumerated values; none if they are drawn."""
-        return [] if self.drawn else VALUES[self.name](self.given)
+        return [] if self.drawn else VALUES[self.name](self.content)
 
     def value(self, place: Any) -> Any:
         """The enumerated value of a number from 0 on; a drawn one at the quantile u in (0, 1)."""
         if self.drawn:
-            return QUANTILES[self.name](self.given, place)
+            return QUANTILES[self.name](self.content, place)
         return self.values_in_turn[place]
 
     def written(self) -> Any:

@@ -95,18 +95,18 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
 def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
     """The code that a sweep names: its quantities, and functions and user classes of its values."""
     named = function_references(spec.keep)
-    found = [NamedCode.function(("keep", parts[0]), function) for parts, function in named]
+    code = [NamedCode.function(("keep", parts[0]), function) for parts, function in named]
     used = {*words(scene.model_dump(mode="json"))}
-    classes = [(own, name) for own in REGISTRIES for name in own.names() if name not in used]
+    classes = [(sort, name) for sort in REGISTRIES for name in sort.names() if name not in used]
     for axis in spec.axes:
         at = ("over", axis.written)
         texts = axis_words(axis)
-        found += [NamedCode.user_class(at, own, name) for own, name in classes if name in texts]
+        code += [NamedCode.user_class(at, sort, name) for sort, name in classes if name in texts]
         for text in sorted(texts):
             if _FUNCTION.fullmatch(text):
                 function = located(FunctionReference(text), scene.folder)
-                found.append(NamedCode.function(at, function))
-    return found
+                code.append(NamedCode.function(at, function))
+    return code
 
 
 def words(value: Any) -> Iterator[str]:
@@ -131,7 +131,7 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
     Of computed values only the first wrong one is reported.
     """
     axes = tuple(axis for axis in spec.axes if not any(_axis_faults(axis)))
-    found: dict[tuple[str, ...], str] = {}
+    faults: dict[tuple[str, ...], str] = {}
     for entries in _trials(axes, spec.combine == "zip"):
         values: dict[str, Any] = {}
         for axis, entry in zip(axes, entries, strict=True):
@@ -140,8 +140,8 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
             changed(scene, values)
         except SceneError as error:
             for fault in error.faults:
-                found.setdefault(*_at_its_axis(scene, fault, axes, entries))
-    return list(found.values())
+                faults.setdefault(*_at_its_axis(scene, fault, axes, entries))
+    return list(faults.values())
 
 
 def _axis_faults(axis: Axis) -> Iterator[str]:
@@ -172,7 +172,7 @@ def _trials(axes: tuple[Axis, ...], zipped: bool) -> Iterator[list[Any]]:
     together += [[k] for k, axis in enumerate(axes) if axis.drawn]
     for group in together:
         for entry in options[group[0]][1:]:
-            yield [entry if k in group else other for k, other in enumerate(first)]
+            yield [entry if k in group else default for k, default in enumerate(first)]
 
 
 def _some(count: int) -> list[int]:
@@ -187,20 +187,20 @@ def _at_its_axis(
 ) -> tuple[tuple[str, ...], str]:
     """A key of a fault of the scene, and its message at the place in the sweep that causes it."""
     where, _, text = fault.partition(": ")
-    found = [
+    causes = [
         (place(parse_path(path)), axis, entry, path)
         for axis, entry in zip(axes, entries, strict=True)
         for path in axis.paths
         if _meet(place(parse_path(path)), where)
     ]
-    if not found:
+    if not causes:
         tried = ", ".join(
             f"{path} = {shown(value)}"
             for axis, entry in zip(axes, entries, strict=True)
             for path, value in axis.at(entry).items()
         )
         return (fault,), f"$.over: no scene is made by {tried}: {fault}"
-    at, axis, entry, path = max(found, key=lambda one: len(one[0]))
+    at, axis, entry, path = max(causes, key=lambda cause: len(cause[0]))
     if len(where) <= len(at) and not _leads_somewhere(scene, path):
         return (at, text), f"{_place(axis)}: {text}"
     below = where.removeprefix(at).lstrip(".") if where.startswith(at) else ""

@@ -129,16 +129,16 @@ def sweep(
         connected(dask) if dask else nullcontext() as client,
     ):
         folder, about = _folder(out, plan, resume)
-        made = read_rows(folder, about).index
-        missing = plan.table.index.difference(made)
+        finished = read_rows(folder, about).index
+        missing = plan.table.index.difference(finished)
         batches = _rows(plan, missing.tolist(), workers, client)
-        if _fill(PartWriter(folder, about, plan), plan, len(made), batches, show) == plan.count:
+        if _fill(PartWriter(folder, about, plan), plan, len(finished), batches, show) == plan.count:
             remove_unfinished(folder)
     return load_sweep(folder, code=plan.scene.may_load_code)
 
 
 def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> tuple[Path, About]:
-    """The folder of this sweep, made or found.
+    """The folder of this sweep, which is made if there is none.
 
     Raises
     ------
@@ -183,27 +183,27 @@ def _rows(
 def _fill(
     writer: PartWriter,
     plan: SweepPlan,
-    made: int,
+    done: int,
     batches: Iterator[list[dict[str, Any]]],
     show: SweepProgress,
 ) -> int:
     """Append rows to the folder until all are there or Ctrl-C is pressed; returns how many are."""
     failed = 0
     try:
-        show(made, plan.count, failed)
+        show(done, plan.count, failed)
         for rows in batches:
             with deferred_interrupt() as interrupt:  # not while a part is written
                 writer.append(rows)
             interrupt.deliver()
-            made += len(rows)
+            done += len(rows)
             failed += sum(row["status"] != "completed" for row in rows)
-            show(made, plan.count, failed)
+            show(done, plan.count, failed)
     except KeyboardInterrupt:
         pass  # the finished runs are in the folder
     finally:
         if isinstance(batches, Generator):
             batches.close()
-    return made
+    return done
 
 
 MOST_WORKERS = 1000
