@@ -24,7 +24,7 @@ sys.path.insert(0, str(HERE / "own_effect"))
 
 from magnet_effect import CompiledMagnet, Magnet  # noqa: E402 (found in the folder above)
 
-MAGNET = {"at": [0.1, 0.0, 0.6], "strength": 0.5}
+MAGNET = {"at": [0.1, 0.0, 0.6], "strength": 0.1}
 
 
 def compare(scene: ma.Scene) -> None:

@@ -19,7 +19,7 @@ SCENE = Path(__file__).parent / "scenes" / "two_ur5_box.yaml"
 PERIOD = 1e-3  # [s]
 RESOLUTION = 2.0 * np.pi / 2**17  # of the encoders [rad]
 STIFFNESS, DAMPING = 2000.0, 100.0  # [N m/rad], [N m s/rad]
-PUSH = {"on": "object", "force": [0.0, 400.0, 0.0], "pulse": {"begin": 0.2, "end": 0.3}}
+PUSH = {"on": "object", "force": [0.0, 200.0, 0.0], "pulse": {"begin": 0.2, "end": 0.3}}
 
 
 class JointServo:

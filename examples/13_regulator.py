@@ -15,7 +15,7 @@ from scipy.linalg import solve_continuous_are
 import multiarm as ma
 
 SCENE = Path(__file__).parent / "scenes" / "two_ur5_box.yaml"
-PUSH = {"on": "object", "force": [0.0, 300.0, 0.0], "pulse": {"begin": 0.2, "end": 0.3}}
+PUSH = {"on": "object", "force": [0.0, 100.0, 0.0], "pulse": {"begin": 0.2, "end": 0.3}}
 POSITIONS, VELOCITIES, TORQUES = 2000.0, 20.0, 1e-3  # weights
 
 
@@ -52,7 +52,7 @@ def main() -> None:
     slowest = max(mode.time_constant for mode in near.modes)
     print(f"with the regulator: {near.stability}, slowest motion dies out in {slowest:.2f} s")
     for name, own in (("held", held), ("regulated", regulated)):
-        run = ma.simulate(own, 2.0, accuracy=1e-5)
+        run = ma.simulate(own, 1.0, accuracy=1e-5)
         away = 1e3 * np.linalg.norm(run.object_position - start.object_position, axis=1)
         print(f"{name}: pushed by up to {away.max():.2f} mm, {away[-1]:.2f} mm away at the end")
     if asked.replay is not None:

@@ -14,16 +14,15 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
-from multiarm.scene.faults import counted
-from multiarm.scene.meshes import readable_visuals
+from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 
 
@@ -261,19 +260,24 @@ class Arm:
         # Coriolis matrices are computed about the world's origin and lose digits far from it
         near.jointPlacements[1].translation = np.zeros(3)
         data = model.createData(), near.createData()
-        found = []
+        terms = []
         for angle, rate in zip(angles, rates, strict=True):
             q = self.configuration(angle)
             coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
-            found.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
-        return found
+            terms.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
+        return terms
 
-    def visual_model(self, loader: Any) -> pin.GeometryModel:
-        """The URDF's visual geometry, placed consistently with :attr:`model`.
+    def visual_model(self) -> pin.GeometryModel:
+        """The visual geometry of robot and tool, placed consistently with :attr:`model`.
 
-        ``loader`` is a mesh loader of coal's, which may read a file once for several arms.
+        Files of meshes are not read here: a shape that is a mesh has the type ``BVHModelBase``,
+        and its path and scale.
         """
-        return _assemble(self.name, self.files, loader)[1]
+        return _assemble(self.name, self.files, pin.GeometryType.VISUAL)[1]
+
+    def collision_model(self) -> pin.GeometryModel:
+        """The collision geometry as :meth:`visual_model`; of a file without any, its visual one."""
+        return _assemble(self.name, self.files, pin.GeometryType.COLLISION)[1]
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
@@ -336,21 +340,24 @@ def _read(urdf: Path | str, _stamp: int) -> pin.Model:
 
 
 def _assemble(
-    name: str, files: ArmFiles, loader: Any = None
+    name: str, files: ArmFiles, kind: pin.GeometryType | None = None
 ) -> tuple[pin.Model, pin.GeometryModel]:
-    """Robot, tool, locked joints, base: the model and, with a ``loader``, its visual geometry."""
+    """Robot, tool, locked joints, base: the model and, if wanted, its geometry of a kind."""
     base = pin.SE3(files.base)
     if files.mjcf:
         model, first = mjcf_model(files.urdf)
         base = base * pin.SE3(first.matrix())
     else:
         model = _from_urdf(name, files.urdf)
-    geometry = _geometry(model, files.urdf, files.package_dirs, loader, files.mjcf)
+    geometry, tool_geometry = pin.GeometryModel(), pin.GeometryModel()
+    if kind is not None:
+        geometry = _geometry(model, files.urdf, files.package_dirs, kind, files.mjcf)
     armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
-        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, loader)
+        if kind is not None:
+            tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, kind)
         mount = _frame_id(model, files.mount, name)
         placement = pin.SE3(files.tool_placement)
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
@@ -374,40 +381,39 @@ def _geometry(
     model: pin.Model,
     urdf: Path | str,
     package_dirs: tuple[Path, ...],
-    loader: Any,
+    kind: pin.GeometryType,
     mjcf: bool = False,
 ) -> pin.GeometryModel:
-    """The visuals; without those whose meshes cannot be read, which a warning names."""
-    if loader is None:
-        return pin.GeometryModel()
-    folders = [str(p) for p in package_dirs]
-
-    def visuals(text: str) -> pin.GeometryModel:
-        kind = pin.GeometryType.VISUAL
-        return pin.buildGeomFromUrdfString(model, text, kind, None, folders, loader)
-
+    """The shapes of a file; none, and a warning, where Pinocchio cannot read them."""
+    role, without = _ROLES[kind]
+    meshes: dict[str, ShapeMesh] = {}
     try:
         if mjcf:
-            return pin.buildGeomFromMJCF(model, str(urdf), pin.GeometryType.VISUAL)
-        if isinstance(urdf, str):
-            return visuals(urdf)
-        text, lost = readable_visuals(urdf, package_dirs)
-        try:
-            geometry = visuals(text)
-        except (ValueError, RuntimeError):
-            text, lost = readable_visuals(urdf, package_dirs, loader)
-            geometry = visuals(text)
+            geometry = pin.buildGeomFromMJCF(model, str(urdf), kind)
+        else:
+            text = urdf
+            if isinstance(urdf, Path):
+                text, meshes = shapes_without_meshes(urdf, package_dirs, role)
+            geometry = pin.buildGeomFromUrdfString(model, text, kind)
     except (ValueError, RuntimeError):
         name = "a tool's URDF" if isinstance(urdf, str) else urdf
-        warnings.warn(f"the shapes of {name} cannot be read: the replay shows bars", stacklevel=2)
+        warnings.warn(f"the shapes of {name} cannot be read: {without}", stacklevel=2)
         return pin.GeometryModel()
-    if lost:
-        what = counted([*dict.fromkeys(lost)], 3)
-        warnings.warn(
-            f"{urdf.name}: the replay leaves out {what}; a joint with no shape left has a bar",
-            stacklevel=2,
-        )
+    if kind == pin.GeometryType.COLLISION and not geometry.ngeoms:
+        return _geometry(model, urdf, package_dirs, pin.GeometryType.VISUAL, mjcf)
+    for item in geometry.geometryObjects:
+        if item.name in meshes:
+            item.geometry = coal.BVHModelOBBRSS()
+            item.meshPath = meshes[item.name].path
+            item.meshScale = np.array(meshes[item.name].scale)
     return geometry
+
+
+# The tag of shapes in a URDF, and what a warning says where they cannot be read.
+_ROLES = {
+    pin.GeometryType.VISUAL: ("visual", "the replay shows bars"),
+    pin.GeometryType.COLLISION: ("collision", "postures are found without regard to them"),
+}
 
 
 def named_with_prefix(arm: Arm) -> pin.Model:

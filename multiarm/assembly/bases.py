@@ -5,31 +5,48 @@ Places are tried in turn; whether one will do is decided by inverse kinematics
 singular postures, from the limits of its joints, from the object and from the ground.
 
 A scene says with ``base: {solve: [x, y, yaw]}`` what may vary.  Of such a base, places are drawn
-from all within reach, then, in rounds, from ever smaller surroundings of the best one.  They keep a
-distance from the bases of other arms.
+from all within reach, then, in rounds, from ever smaller surroundings of the best one.  Where the
+arm reaches its place on the object from none of the first, inverse kinematics finds the first ones:
+what may vary is then joints below the arm.  Bases keep a distance from the bases of other arms.
+
+Where the arm would overlap the object or an arm that stands already, the best place is taken of
+those where it does not (:mod:`multiarm.assembly.collisions`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.assembly.collisions import Surroundings, nearest
 from multiarm.assembly.inverse_kinematics import (
+    BASE_JOINTS,
+    WHOLE_STARTS,
     InverseKinematics,
     Reach,
     clearance,
     points_on_links,
 )
-from multiarm.assembly.postures import clear_of, joint_places
+from multiarm.assembly.postures import (
+    KEEPS_OFF,
+    OVERLAP,
+    PostureSearch,
+    clear_of,
+    joint_places,
+)
 from multiarm.errors import SceneError
-from multiarm.scene import BaseSpec, JointSpec, Scene
+from multiarm.scene import BaseSpec, JointSpec, ObjectSpec, Scene
 from multiarm.scene.faults import listed, place
 
 # The most promising places are looked at again, from more starts and at every pose.
 FINALISTS, FEW, MANY = 8, 2, 16
+# Starts at a place where the whole ranges of the joints are searched, and how many places are that
+# come from searches of base and joints together.
+WHOLE_FEW, MOST_BASES = 128, 12
 # A place below this quality is too near a singular posture to be used.
 POOREST = 1e-3
 # Places tried in each round, and the part of the reach, or of half a turn, that they are apart.
@@ -83,12 +100,18 @@ class StandSearch:
         of the object: a factor on the quality, 1 where the arm is out of the way of everything.
     rng : numpy.random.Generator
         Where searches for postures start.
+    allowed : callable, optional
+        Of a base (4, 4) and a posture (n,): whether the arm may stand there so.
+    starts : tuple of 2 ints
+        Of the searches for postures in the quick look, and in the close one.
     """
 
     robot: InverseKinematics
     poses: list[np.ndarray]
     clear: Callable[[np.ndarray, np.ndarray, np.ndarray], float]
     rng: np.random.Generator
+    allowed: Callable[[np.ndarray, np.ndarray], bool] | None = None
+    starts: tuple[int, int] = (FEW, MANY)
 
     def best(self, places: Iterable[tuple[np.ndarray, np.ndarray, float]]) -> Stand | None:
         """The best of some places (base, mount, worth), None where the arm reaches from none.
@@ -97,28 +120,37 @@ class StandSearch:
         """
         candidates = []
         for base, mount, worth in places:
-            found = self._reached(base, mount, self.poses[:1], FEW)
-            if found is not None:
-                candidates.append(Stand(base, mount, found, worth))
+            reach = self._reached(base, mount, self.poses[:1], self.starts[0])
+            if reach is not None:
+                candidates.append(Stand(base, mount, reach, worth))
         candidates.sort(key=lambda stand: -stand.quality)
         finals = []
         for stand in candidates[:FINALISTS]:
-            found = self._reached(stand.base, stand.mount, self.poses, MANY)
-            if found is not None:
-                finals.append(replace(stand, reach=found))
+            reach = self._reached(stand.base, stand.mount, self.poses, self.starts[1])
+            if reach is not None:
+                finals.append(replace(stand, reach=reach))
         return max(finals, key=lambda stand: stand.quality, default=None)
 
     def _reached(
         self, base: np.ndarray, mount: np.ndarray, poses: list[np.ndarray], starts: int
     ) -> Reach | None:
-        own = self.robot.arm.files.base
-        there, home = base @ np.linalg.inv(own), own @ np.linalg.inv(base)
+        arm = self.robot.arm
+        there, home = moved_base(arm, base), arm.files.base @ np.linalg.inv(base)
 
-        def clear(skeleton: np.ndarray, number: int) -> float:
-            points = skeleton @ there[:3, :3].T + there[:3, 3]
+        def clear(posture: np.ndarray, number: int) -> float:
+            points = arm.skeleton(posture) @ there[:3, :3].T + there[:3, 3]
             return self.clear(base, points, poses[number])
 
-        return self.robot.search([home @ X @ mount for X in poses], self.rng, starts, clear)
+        def allowed(posture: np.ndarray, _number: int) -> bool:
+            return self.allowed is None or self.allowed(base, posture)
+
+        places = [home @ X @ mount for X in poses]
+        return self.robot.search(places, self.rng, starts, clear, allowed)
+
+
+def moved_base(arm: Arm, base: np.ndarray) -> np.ndarray:
+    """Motion (4, 4), in the world, of an arm whose base comes to a pose (4, 4)."""
+    return base @ np.linalg.inv(arm.files.base)
 
 
 def farthest(arm: Arm, rng: np.random.Generator) -> float:
@@ -128,102 +160,246 @@ def farthest(arm: Arm, rng: np.random.Generator) -> float:
     return float(np.max(np.linalg.norm(tips - arm.files.base[:3, 3], axis=1)))
 
 
-def find_bases(scene: Scene, arms: Mapping[str, Arm]) -> dict[str, BaseSpec]:
-    """The bases that the scene leaves to the program, of ``arms`` that stand as written so far.
+@dataclass(frozen=True)
+class Standing:
+    """An arm on its base, at a posture (n,)."""
+
+    arm: Arm
+    posture: np.ndarray
+
+
+def find_bases(
+    scene: Scene, arms: Mapping[str, Arm], written: Mapping[str, Standing]
+) -> dict[str, BaseSpec]:
+    """The bases that the scene leaves to the program.
+
+    Parameters
+    ----------
+    scene : Scene
+    arms : mapping arm -> Arm
+        Whose bases these are, on the written ones so far.
+    written : mapping arm -> Standing
+        Other arms, of which base and posture are written.
 
     Raises
     ------
     SceneError
-        Naming every arm that reaches its place from nowhere.
+        Naming every arm for which no place is found.
     """
     bases = {n: spec.base.matrix()[:3, 3] for n, spec in scene.arms.items() if n not in arms}
-    found, faults = {}, []
+    standing = dict(written)
+    placed: dict[str, BaseSpec] = {}
+    faults = []
     for number, joint in enumerate(scene.joints):
         if joint.arm not in arms:
             continue
-        written, where = scene.arms[joint.arm].base, place(("arms", joint.arm, "base", "solve"))
+        where = place(("arms", joint.arm, "base", "solve"))
         if joint.at is None:
             faults.append(
                 f"{where}: needs the joint's place on the object: give $.joints[{number}].at"
             )
             continue
-        arm = arms[joint.arm]
-        reach = farthest(arm, np.random.default_rng(0))
-        base = _best_base(scene, joint, arm, reach, list(bases.values()))
+        search = _BaseSearch.of_joint(scene, joint, arms[joint.arm], list(bases.values()))
+        base = search.best()
         if base is None:
             faults.append(
-                f"{where}: from nowhere with other {listed(written.solve)} does the arm reach its "
-                f"place on the object ($.joints[{number}].at); it reaches {reach:.2f} m far and "
-                f"keeps {BASES_APART * reach:.2f} m from other bases; let more vary, of x, y, z, "
-                "roll, pitch, yaw, or choose another place"
+                f"{where}: no {listed(search.written.solve)} of the base were found with which "
+                f"the arm reaches its place on the object ($.joints[{number}].at), at "
+                f"{ROUNDS[0][0]} places and in {WHOLE_STARTS} searches of base and joints "
+                f"together; it reaches {search.reach:.2f} m far and keeps {search.apart:.2f} m "
+                "from other bases; let more vary, of x, y, z, roll, pitch, yaw, or choose another "
+                "place"
             )
             continue
-        found[joint.arm], bases[joint.arm] = base, base.matrix()[:3, 3]
+        base, standing[joint.arm] = _out_of_the_way(scene, joint, search, base, standing)
+        placed[joint.arm], bases[joint.arm] = base, base.matrix()[:3, 3]
     if faults:
         raise SceneError(faults)
-    return found
+    return placed
 
 
-def _best_base(
-    scene: Scene, joint: JointSpec, arm: Arm, reach: float, others: list[np.ndarray]
-) -> BaseSpec | None:
-    """The best base of an arm, apart from the places (3,) of others; None where there is none."""
-    written, pose = scene.arms[joint.arm].base, scene.object.pose.matrix()
-    on_tip, there = joint_places(scene, joint)
-    mount, rng = np.linalg.solve(pose, there), np.random.default_rng(0)
-    near, apart = reach + np.linalg.norm(on_tip[:3, 3]), BASES_APART * reach
-    clear_of_object = clear_of(scene.object, there)
+def _out_of_the_way(
+    scene: Scene,
+    joint: JointSpec,
+    search: _BaseSearch,
+    base: BaseSpec,
+    standing: Mapping[str, Standing],
+) -> tuple[BaseSpec, Standing]:
+    """This base and the posture there, or others where the arm overlaps what is around it."""
+    arm = search.stand_on(base)
+    postures = PostureSearch.of_joint(scene, joint, arm)
+    posture = postures.best()
+    assert posture is not None, "the arm reaches its place from the base that was found"
+    neighbours = {name: stand.arm for name, stand in standing.items()}
+    surroundings = Surroundings(scene, {**neighbours, joint.arm: arm})
+    obstacles = surroundings.obstacles(
+        joint.arm, {name: stand.posture for name, stand in standing.items()}
+    )
 
-    def clear(base: np.ndarray, points: np.ndarray, _pose: np.ndarray) -> float:
-        ways = points_on_links(points)[:, None] - np.reshape(others, (-1, 3))
-        return min(
-            clear_of_object(base, points), clearance(np.linalg.norm(ways, axis=2) - FROM_BASES)
-        )
+    def distance(base: np.ndarray, posture: np.ndarray) -> float:
+        moved = moved_base(arm, base)
+        links = surroundings.placed(joint.arm, posture, standing=True, shift=moved)
+        return nearest(links, obstacles).distance
 
-    def allowed(base: BaseSpec) -> bool:
-        distances = [np.linalg.norm(np.subtract(base.xyz, other)) for other in others]
-        return np.linalg.norm(base.xyz - there[:3, 3]) <= near and all(
-            d >= apart for d in distances
-        )
+    def keeps_off(base: np.ndarray, posture: np.ndarray) -> bool:
+        return distance(base, posture) >= KEEPS_OFF
 
-    for free in dict.fromkeys([(), joint.free or ()]):
-        search = StandSearch(InverseKinematics(arm, free, on_tip), [pose], clear, rng)
-        best, quality = None, POOREST
-        for count, part in ROUNDS:
-            drawn = _drawn(best or written, written.solve, there[:3, 3], part * reach, part, count)
-            bases = [base for base in drawn if allowed(base)]
-            stand = search.best((base.matrix(), mount, 1.0) for base in bases)
-            if stand is not None and stand.quality > quality:
-                quality = stand.quality
-                best = next(base for base in bases if np.array_equal(base.matrix(), stand.base))
-            if best is None:
-                break
-        if best is not None:
-            return best
-    return None
+    if distance(arm.files.base, posture) < -OVERLAP:
+        better = search.best(keeps_off)
+        if better is not None:
+            base = better
+            arm = search.stand_on(base)
+            postures = PostureSearch.of_joint(scene, joint, arm)
+            apart = postures.best(lambda q: keeps_off(base.matrix(), q))
+            posture = postures.best() if apart is None else apart
+            assert posture is not None, "the arm reaches its place from the base that was found"
+    return base, Standing(arm, posture)
 
 
-def _drawn(
-    around: BaseSpec, names: Sequence[str], there: np.ndarray, reach: float, part: float, count: int
-) -> list[BaseSpec]:
-    """Bases around one, or around the place (3,) that it is found for, that differ in ``names``.
+@dataclass(frozen=True)
+class _BaseSearch:
+    """The search for a base of an arm.
 
-    They are up to ``reach`` [m] and this part of half a turn away.
+    Attributes
+    ----------
+    arm : Arm
+    written : BaseSpec
+    body : ObjectSpec
+    on_tip, there : ndarray, shape (4, 4)
+        The joint's frame in the tip's; its place in the world.
+    free : tuple of int
+        Components of the pose that the joint leaves free.
+    reach : float
+        How far the tip gets from the base [m].
+    bases : list of ndarray, shape (3,)
+        Places of other arms.
     """
-    varied = [COMPONENTS.index(name) for name in names]
-    values = np.tile([*around.xyz, *around.rpy], (count, 1))
-    if around.solve:
-        shifts = [k for k in varied if k < 3]
-        values[:, shifts] = there[shifts]
-    spans = np.array([reach] * 3 + [part * np.pi] * 3)[varied]
-    draws = np.random.default_rng(0).uniform(-1.0, 1.0, (count, len(varied)))
-    values[:, varied] = np.round(values[:, varied] + spans * draws, DECIMALS)
-    if "z" in names and there[2] > 0.0:  # nothing stands below the ground
-        values[:, 2] = np.maximum(values[:, 2], 0.0)
-    bases = []
-    for *xyz, roll, pitch, yaw in values.tolist():
+
+    arm: Arm
+    written: BaseSpec
+    body: ObjectSpec
+    on_tip: np.ndarray
+    there: np.ndarray
+    free: tuple[int, ...]
+    reach: float
+    bases: list[np.ndarray]
+
+    @classmethod
+    def of_joint(
+        cls, scene: Scene, joint: JointSpec, arm: Arm, bases: list[np.ndarray]
+    ) -> _BaseSearch:
+        """The search that a joint of a scene asks for."""
+        written, places = scene.arms[joint.arm].base, joint_places(scene, joint)
+        assert isinstance(written, BaseSpec), "its base is to be found"
+        reach = farthest(arm, np.random.default_rng(0))
+        return cls(arm, written, scene.object, *places, tuple(joint.free or ()), reach, bases)
+
+    @property
+    def near(self) -> float:
+        """How far the base may be from the joint's place [m]."""
+        return self.reach + float(np.linalg.norm(self.on_tip[:3, 3]))
+
+    @property
+    def apart(self) -> float:
+        """How far it must be from other bases [m]."""
+        return BASES_APART * self.reach
+
+    def stand_on(self, base: BaseSpec) -> Arm:
+        """The arm on a base."""
+        return Arm(self.arm.name, replace(self.arm.files, base=base.matrix()))
+
+    def best(
+        self, allowed: Callable[[np.ndarray, np.ndarray], bool] | None = None
+    ) -> BaseSpec | None:
+        """The best base found from which a posture is ``allowed``, None where none is.
+
+        Parameters
+        ----------
+        allowed : callable, optional
+            Of a base (4, 4) and a posture (n,) there: whether the arm may stand so.
+        """
+        pose, rng = self.body.pose.matrix(), np.random.default_rng(0)
+        mount = np.linalg.solve(pose, self.there)
+        clear_of_object = clear_of(self.body, self.there, meshes=allowed is not None)
+
+        def clear(base: np.ndarray, points: np.ndarray, _pose: np.ndarray) -> float:
+            ways = points_on_links(points)[:, None] - np.reshape(self.bases, (-1, 3))
+            return min(
+                clear_of_object(base, points), clearance(np.linalg.norm(ways, axis=2) - FROM_BASES)
+            )
+
+        for to_limits in (False, True):
+            for free in dict.fromkeys([(), self.free]):
+                arm = InverseKinematics(self.arm, free, self.on_tip, to_limits)
+                starts = (WHOLE_FEW, WHOLE_FEW) if to_limits else (FEW, MANY)
+                search = StandSearch(arm, [pose], clear, rng, allowed, starts)
+                best, quality = None, 0.0 if to_limits else POOREST
+                for number, (count, part) in enumerate(ROUNDS):
+                    if to_limits and number == 0:
+                        bases = self._reaching(arm, rng)
+                    else:
+                        bases = self._drawn(best or self.written, part, count)
+                    bases = [base for base in bases if self._has_room(base)]
+                    stand = search.best((base.matrix(), mount, 1.0) for base in bases)
+                    if stand is not None and stand.quality > quality:
+                        quality = stand.quality
+                        best = next(b for b in bases if np.array_equal(b.matrix(), stand.base))
+                    if best is None:
+                        break
+                if best is not None:
+                    return best
+        return None
+
+    def _has_room(self, base: BaseSpec) -> bool:
+        distances = [np.linalg.norm(np.subtract(base.xyz, place)) for place in self.bases]
+        near = np.linalg.norm(base.xyz - self.there[:3, 3]) <= self.near
+        return bool(near) and all(distance >= self.apart for distance in distances)
+
+    @property
+    def _varied(self) -> list[int]:
+        return [COMPONENTS.index(name) for name in self.written.solve]
+
+    @property
+    def _above_ground(self) -> bool:
+        """Whether the base must be above the ground, as its place is."""
+        return "z" in self.written.solve and self.there[2, 3] > 0.0
+
+    def _drawn(self, around: BaseSpec, part: float, count: int) -> list[BaseSpec]:
+        """Bases around one, or where it is to be found around the place that it is found for.
+
+        They are up to this part of the reach and of half a turn away.
+        """
+        varied = self._varied
+        values = np.tile([*around.xyz, *around.rpy], (count, 1))
+        if around.solve:
+            shifts = [k for k in varied if k < 3]
+            values[:, shifts] = self.there[shifts, 3]
+        spans = np.array([part * self.near] * 3 + [part * np.pi] * 3)[varied]
+        draws = np.random.default_rng(0).uniform(-1.0, 1.0, (count, len(varied)))
+        values[:, varied] = np.round(values[:, varied] + spans * draws, DECIMALS)
+        if self._above_ground:
+            values[:, 2] = np.maximum(values[:, 2], 0.0)
+        return [self._base(numbers) for numbers in values]
+
+    def _reaching(self, search: InverseKinematics, rng: np.random.Generator) -> list[BaseSpec]:
+        """Bases from which the arm reaches its place, and those rounded."""
+        numbers = np.array([*self.written.xyz, *self.written.rpy])
+        spans = [self.near] * 3 + [np.pi] * 3
+        middle = [*self.there[:3, 3], *numbers[3:]]
+        varied = {k: (middle[k] - spans[k], middle[k] + spans[k]) for k in self._varied}
+        if self._above_ground:
+            varied[2] = (max(varied[2][0], 0.0), varied[2][1])
+        bases = []
+        moving = search.on_moving_base(self.written, varied)
+        for course in islice(moving.courses([self.there], rng, WHOLE_STARTS), MOST_BASES):
+            numbers[[k for k in BASE_JOINTS if k in varied]] = course[0][: len(varied)]
+            bases += [self._base(np.round(numbers, DECIMALS)), self._base(numbers)]
+        return bases
+
+    def _base(self, numbers: np.ndarray) -> BaseSpec:
+        """The written base with numbers (6,) in place of those that are sought."""
+        *xyz, roll, pitch, yaw = numbers.tolist()
         change: dict[str, tuple[float, ...]] = {"solve": ()}
-        change |= {"xyz": tuple(xyz)} if min(varied) < 3 else {}
-        change |= {"rpy": (roll, pitch, yaw)} if max(varied) >= 3 else {}
-        bases.append(around.model_copy(update=change))
-    return bases
+        change |= {"xyz": tuple(xyz)} if min(self._varied) < 3 else {}
+        change |= {"rpy": (roll, pitch, yaw)} if max(self._varied) >= 3 else {}
+        return self.written.model_copy(update=change)

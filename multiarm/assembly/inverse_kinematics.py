@@ -1,51 +1,49 @@
 r"""Inverse kinematics: joint positions with which an arm holds its tip at wanted poses.
 
-A posture makes the pose error zero,
+A posture makes the pose error zero but for the components that the joint leaves free; the method
+(:mod:`multiarm.assembly.chain`) goes there from starts spread over the ranges of the joints.  Of
+the postures found, the best is farthest from singular ones and from its limits, at every pose.
 
-.. math:: e(q) = S \begin{bmatrix} (x(q) - x_r) / \ell \\ \theta(q) \end{bmatrix} ,
-
-``x`` the tip's position and ``theta`` the rotation vector from the wanted orientation to the tip's,
-both in the axes of a frame at the wanted pose, ``S`` the components that count: a joint that leaves
-a motion free does not ask for it.
-
-*The method* is Levenberg and Marquardt's within the limits of the joints, from starts spread over
-them,
-
-.. math:: \delta q = -J^T (J J^T + \mu I)^{-1} e ,
-
-where a joint at a limit that it presses on rests, and :math:`\mu` falls with the error, so that the
-method converges quadratically, at redundant arms to a posture near the start.  Of the postures
-found, the best is farthest from singular ones and from its limits, at every pose.
+*What it proves.*  A search that ends without a posture proves nothing.  A place is out of reach for
+certain where it is farther from the first joint than the sum of the lengths of all links and of the
+travels of all sliding joints.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy as shallow_copy
 from dataclasses import dataclass
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.terms import ArmStructure
-from multiarm.dynamics.solver.factors import solve_semidefinite
-from multiarm.jit.kernels import INTS, NUMBERS, TABLE, allocating, copy, inlined, kernel
+from multiarm.assembly.chain import (
+    ORIGIN,
+    REACHED,
+    ROTATION,
+    SLIDES,
+    chain_row,
+    chain_table,
+    reach_place,
+    write_pose,
+)
+from multiarm.scene import Pose
 from multiarm.spatial import difference, matrix_to_quaternion
 
 # Length that compares shifts with turns [m]: about half an arm.
 LENGTH = 0.5
-# A posture reaches a place when shift [m] and turn [rad] are off by less.
-REACHED = 1e-8
 # Joints without limits are sought within a turn either way, all others this far inside them [rad].
 TURN, MARGIN = math.pi, 0.05
-# Steps from one start, the longest change of a joint in a step [rad, m].
-STEPS, LONGEST = 60, 0.5
 # Qualities closer than this part are equal, as those of postures that mirror each other.
 TIE = 1e-6
-# Damping at the start, least damping, and where the search gives up, as parts of the squared error.
-DAMPING, LEAST_DAMPING, STUCK = 1e-2, 1e-6, 1e6
 # Joints should keep this far from things that are in the way [m].
 APART = 0.1
+# Starts of a search of the whole ranges of the joints, which ends after so many postures.
+WHOLE_STARTS, WHOLE_POSTURES = 2000, 64
+# Joints that move a base, of x, y, z, roll, pitch, yaw: it is turned by yaw, then pitch, then roll.
+BASE_JOINTS = (0, 1, 2, 5, 4, 3)
 
 
 @dataclass(frozen=True)
@@ -105,20 +103,86 @@ class InverseKinematics:
         along, 3 to 5 turns about x, y, z.
     frame : ndarray, shape (4, 4), optional
         The frame of the tip that is brought to the wanted places, in the tip's frame.
+    to_limits : bool
+        Whether joints may come up to their limits, as far as sliding joints go, and lengths are
+        compared with the arm's.
 
     Attributes
     ----------
+    free : tuple of int
     lower, upper : ndarray, shape (n,)
         Bounds of the search [rad, m].
     """
 
-    def __init__(self, arm: Arm, free: Sequence[int] = (), frame: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        free: Sequence[int] = (),
+        frame: np.ndarray | None = None,
+        to_limits: bool = False,
+    ) -> None:
         self.arm = arm
-        self.lower, self.upper = _bounds(arm)
-        self._counted = np.setdiff1d(np.arange(6), free)
-        tip = np.eye(4)
+        structure, tip = arm.structure(), np.eye(4)
         tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
-        self._chain = _chain(arm.structure(), tip if frame is None else tip @ frame)
+        end = tip if frame is None else tip @ frame
+        self._to_limits = to_limits
+        self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH
+        self.lower, self.upper = _bounds(arm, structure.slides if to_limits else None)
+        self.free = tuple(free)
+        self._counted = np.setdiff1d(np.arange(6), free)
+        self._chain = chain_table(structure, end)
+
+    def farther_than_it_reaches(self, place: np.ndarray) -> tuple[float, float] | None:
+        """Distance of a place from the first joint, and the reach that it exceeds [m].
+
+        None where the place may be within reach: the reach is that of a chain whose every link
+        points the same way, with all sliding joints at their farthest.
+        """
+        slides = self._chain[:-1, SLIDES] != 0.0
+        travels = np.maximum(np.abs(self.lower), np.abs(self.upper))[slides]
+        links = np.linalg.norm(self._chain[1:, ORIGIN:], axis=1)
+        reach = float(np.sum(links) + np.sum(travels))
+        shift = place[:3, :3].T @ (place[:3, 3] - self._chain[0, ORIGIN:])
+        distance = float(np.linalg.norm(shift[self._counted[self._counted < 3]]))
+        return (distance, reach) if distance > reach * (1.0 + TIE) else None
+
+    def on_moving_base(
+        self, base: Pose, varied: Mapping[int, tuple[float, float]]
+    ) -> InverseKinematics:
+        """This search with joints below the arm that move its base.
+
+        Parameters
+        ----------
+        base : Pose
+            Its components count that do not vary.
+        varied : mapping component -> (least, greatest)
+            What varies, of x, y, z [m], roll, pitch, yaw [rad], and within what bounds; a posture
+            begins with them, in the order of :data:`BASE_JOINTS`.
+        """
+        search, rows = shallow_copy(self), []
+        frame, ranges = np.eye(4), []
+        for k in BASE_JOINTS:
+            axis = np.eye(3)[k % 3]
+            if k in varied:
+                rows.append(chain_row(frame[:3, :3], frame[:3, 3], k < 3, axis))
+                ranges.append(varied[k])
+                frame = np.eye(4)
+            elif k < 3:
+                frame[:3, 3] += base.xyz[k] * axis
+            elif max(varied) >= 3:
+                x, y, z = base.rpy[k - 3] * axis
+                frame[:3, :3] = frame[:3, :3] @ Pose(rpy=(x, y, z)).rotation()
+        if max(varied) < 3:
+            frame[:3, :3] = base.rotation()
+        mount, first = np.eye(4), self._chain[0].copy()
+        mount[:3, :3], mount[:3, 3] = first[ROTATION:ORIGIN].reshape(3, 3), first[ORIGIN:]
+        mount = frame @ np.linalg.solve(self.arm.files.base, mount)
+        first[ROTATION:ORIGIN], first[ORIGIN:] = mount[:3, :3].ravel(), mount[:3, 3]
+        search._chain = np.vstack([*rows, first, self._chain[1:]])
+        lower, upper = np.transpose(ranges)
+        search.lower = np.concatenate([lower, self.lower])
+        search.upper = np.concatenate([upper, self.upper])
+        return search
 
     def search(
         self,
@@ -126,6 +190,7 @@ class InverseKinematics:
         rng: np.random.Generator,
         starts: int = 24,
         clear: Callable[[np.ndarray, int], float] | None = None,
+        allowed: Callable[[np.ndarray, int], bool] | None = None,
     ) -> Reach | None:
         """The best posture found that reaches a place, and then others.
 
@@ -138,9 +203,10 @@ class InverseKinematics:
         starts : int
             How many postures the search begins at.
         clear : callable, optional
-            Of the origins of all joints and of the tip in the world, shape (n + 1, 3) [m], and of
-            the number of the place: a factor on the quality, 1 where the arm is out of the way of
-            everything, less where it is not.
+            Of a posture (n,) and the number of the place: a factor on the quality, 1 where the arm
+            is out of the way of everything, less where it is not.
+        allowed : callable, optional
+            Of a posture (n,) and the number of the place: whether the arm may have it there.
 
         Returns
         -------
@@ -148,19 +214,31 @@ class InverseKinematics:
             None where no start leads to a posture that reaches all places.
         """
         best: Reach | None = None
-        for _ in range(starts):
-            course = self._follow(rng.uniform(self.lower, self.upper), places)
-            if course is None:
+        for course in self.courses(places, rng, starts):
+            if allowed is not None and not all(allowed(q, k) for k, q in enumerate(course)):
                 continue
             reach = self._judge(course, clear)
             if best is None or reach.quality > best.quality * (1.0 + TIE):
                 best = reach
         return best
 
+    def courses(
+        self, places: Sequence[np.ndarray], rng: np.random.Generator, starts: int
+    ) -> Iterator[np.ndarray]:
+        """Postures (K, n) that reach places (4, 4), one after the other, from several starts."""
+        count = 0
+        for _ in range(starts):
+            course = self._follow(rng.uniform(self.lower, self.upper), places)
+            if course is not None:
+                yield course
+                count += 1
+            if self._to_limits and count == WHOLE_POSTURES:
+                return
+
     def nearest(self, place: np.ndarray, rng: np.random.Generator, starts: int = 24) -> Miss:
-        """The posture nearest to a place that none reaches."""
-        found = [self._solve(place, rng.uniform(self.lower, self.upper)) for _ in range(starts)]
-        posture, _ = min(found, key=lambda one: one[1])
+        """The nearest posture found to a place that none reaches."""
+        ends = [self._solve(place, rng.uniform(self.lower, self.upper)) for _ in range(starts)]
+        posture, _ = min(ends, key=lambda end: end[1])
         there, _ = self.pose(posture)
         turn = difference(*(matrix_to_quaternion(X[:3, :3]) for X in (there, place)))
         return Miss(posture, place[:3, 3] - there[:3, 3], float(np.linalg.norm(turn)))
@@ -184,7 +262,13 @@ class InverseKinematics:
         """A posture, and the largest component of its error."""
         q = start.copy()
         error = reach_place(
-            self._chain, np.ascontiguousarray(place), self._counted, self.lower, self.upper, q
+            self._chain,
+            np.ascontiguousarray(place),
+            self._counted,
+            self.lower,
+            self.upper,
+            self._length,
+            q,
         )
         return q, error
 
@@ -192,15 +276,16 @@ class InverseKinematics:
         dexterity, clearance = np.inf, 1.0
         for number, q in enumerate(course):
             if clear is not None:
-                clearance = min(clearance, clear(self.arm.skeleton(q), number))
+                clearance = min(clearance, clear(q, number))
             pose, J = self.pose(q)
             J = (pose[:3, :3].T @ J.reshape(2, 3, -1)).reshape(6, -1)
-            J[:3] /= LENGTH
+            J[:3] /= self._length
             values = np.linalg.svd(J[self._counted], compute_uv=False)
             dexterity = min(dexterity, float(values[-1]))
         limited = np.isfinite(self.arm.position_limits).all(axis=1)
         half = np.maximum(0.5 * (self.upper - self.lower), 1e-9)
-        room = np.minimum(course - self.lower, self.upper - course) / half
+        room = np.minimum(course - self.lower, self.upper - course)
+        room = (room + MARGIN if self._to_limits else room) / half
         return Reach(course, dexterity, float(np.min(room[:, limited], initial=1.0)), clearance)
 
 
@@ -212,185 +297,17 @@ def points_on_links(origins: np.ndarray) -> np.ndarray:
 
 def clearance(*distances: np.ndarray) -> float:
     """A factor of the quality: 1 where all distances [m] are at least ``APART``, never zero."""
-    nearest = min(float(np.min(own, initial=APART)) for own in distances)
+    nearest = min(float(np.min(part, initial=APART)) for part in distances)
     return float(np.clip(nearest / APART, 0.02, 1.0))
 
 
-def _bounds(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(arm: Arm, far: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds inside the limits, or with ``far`` (n,), whether a joint slides, the limits."""
     endless = ~np.isfinite(arm.position_limits).all(axis=1)
     low, high = np.where(endless, 0.0, arm.position_limits.T)
     middle = 0.5 * (low + high)
-    half = np.where(endless, TURN, 0.5 * (high - low) - MARGIN)
-    half = np.minimum(np.maximum(half, 0.0), TURN)
+    margin = MARGIN if far is None else 0.0
+    half = np.where(endless, TURN, 0.5 * (high - low) - margin)
+    farthest = TURN if far is None else np.where(far, np.inf, TURN)
+    half = np.minimum(np.maximum(half, 0.0), farthest)
     return middle - half, middle + half
-
-
-# --- the kernel -----------------------------------------------------------------------------------
-
-# Columns of a chain's table, a row for each joint and one for the end: whether it slides, its axis,
-# and its frame at zero in the one before: rotation row by row, origin.
-SLIDES, AXIS, ROTATION, ORIGIN, CHAIN_WIDTH = 0, 1, 4, 13, 16
-
-
-def _chain(arm: ArmStructure, end: np.ndarray) -> np.ndarray:
-    joints = len(arm.slides)
-    table = np.zeros((joints + 1, CHAIN_WIDTH))
-    table[:joints, SLIDES] = arm.slides
-    table[:joints, AXIS:ROTATION] = arm.axes
-    table[:joints, ROTATION:ORIGIN] = arm.rotations.reshape(joints, 9)
-    table[:joints, ORIGIN:] = arm.translations
-    table[joints, ROTATION:ORIGIN], table[joints, ORIGIN:] = end[:3, :3].ravel(), end[:3, 3]
-    return table
-
-
-@kernel
-def write_pose(chain: TABLE, q: NUMBERS, pose: TABLE, J: TABLE):
-    """Write the pose (4, 4) of a chain's end in the world, and its Jacobian (6, n), world axes."""
-    n = q.size
-    for k in range(n + 1):
-        row = chain[k]
-        # origin and rotation of the next frame at zero
-        for i in range(3):
-            for j in range(3):
-                pose[i, 3] += pose[i, j] * row[ORIGIN + j]
-        for i in range(3):
-            a, b, c = pose[i, 0], pose[i, 1], pose[i, 2]
-            for j in range(3):
-                pose[i, j] = (
-                    a * row[ROTATION + j] + b * row[ROTATION + 3 + j] + c * row[ROTATION + 6 + j]
-                )
-        if k == n:
-            break
-        x, y, z = row[AXIS], row[AXIS + 1], row[AXIS + 2]
-        slides = row[SLIDES] != 0.0
-        for i in range(3):
-            along = pose[i, 0] * x + pose[i, 1] * y + pose[i, 2] * z
-            J[i, k] = along if slides else pose[i, 3]  # of a turning joint its origin, for now
-            J[3 + i, k] = 0.0 if slides else along
-            if slides:
-                pose[i, 3] += along * q[k]
-        if not slides:
-            turn_columns(pose, x, y, z, q[k])
-    for k in range(n):
-        if chain[k, SLIDES] == 0.0:
-            a, b, c = J[3, k], J[4, k], J[5, k]
-            x, y, z = pose[0, 3] - J[0, k], pose[1, 3] - J[1, k], pose[2, 3] - J[2, k]
-            J[0, k], J[1, k], J[2, k] = b * z - c * y, c * x - a * z, a * y - b * x
-
-
-@inlined
-def turn_columns(pose, x, y, z, angle):
-    """Turn a rotation about an axis of its own by an angle (Rodrigues' formula)."""
-    sine, rest = math.sin(angle), 1.0 - math.cos(angle)
-    for i in range(3):
-        a, b, c = pose[i, 0], pose[i, 1], pose[i, 2]
-        # a row times (1 + sine K + rest K K), K the matrix of the cross product with the axis
-        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
-        pose[i, 0] = a + sine * u + rest * (v * z - w * y)
-        pose[i, 1] = b + sine * v + rest * (w * x - u * z)
-        pose[i, 2] = c + sine * w + rest * (u * y - v * x)
-
-
-@allocating
-def reach_place(
-    chain: TABLE, place: TABLE, counted: INTS, lower: NUMBERS, upper: NUMBERS, q: NUMBERS
-):
-    """Move a posture to a place; returns the largest component of the error that is left."""
-    n, m = q.size, counted.size
-    trial, pose, J = np.empty(n), np.empty((4, 4)), np.empty((6, n))
-    error, there, rows, rows_there = np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n))
-    A, step, y = np.empty((m, m)), np.empty(n), np.empty(m)
-    damping = DAMPING
-    size = write_error(chain, place, counted, q, pose, J, error, rows)
-    for _ in range(STEPS):
-        longest = write_step(error, rows, lower, upper, q, damping * size, A, y, step)
-        scale = min(1.0, LONGEST / max(longest, 1e-300))
-        for k in range(n):
-            trial[k] = min(max(q[k] + scale * step[k], lower[k]), upper[k])
-        size_there = write_error(chain, place, counted, trial, pose, J, there, rows_there)
-        if size_there < size:
-            size = size_there
-            copy(trial, q)
-            copy(there, error)
-            for i in range(m):
-                copy(rows_there[i], rows[i])
-            damping = max(0.3 * damping, LEAST_DAMPING)
-        else:
-            damping *= 5.0
-            if damping > STUCK or largest(error) < REACHED:  # as near as rounding lets it come
-                break
-    return largest(error)
-
-
-@allocating
-def write_step(error, rows, lower, upper, q, damping, A, y, step):
-    """Write the step of Levenberg and Marquardt, zero for joints at rest; returns the longest."""
-    m, n = rows.shape
-    for k in range(n):
-        gradient = 0.0
-        for i in range(m):
-            gradient += rows[i, k] * error[i]
-        rests = (q[k] <= lower[k] and gradient > 0.0) or (q[k] >= upper[k] and gradient < 0.0)
-        step[k] = 0.0 if rests else 1.0
-    for i in range(m):
-        for j in range(m):
-            A[i, j] = damping if i == j else 0.0
-            for k in range(n):
-                A[i, j] += step[k] * rows[i, k] * rows[j, k]
-    solve_semidefinite(A, error, y)
-    longest = 0.0
-    for k in range(n):
-        change = 0.0
-        for i in range(m):
-            change -= rows[i, k] * y[i]
-        step[k] *= change
-        longest = max(longest, abs(step[k]))
-    return longest
-
-
-@kernel
-def largest(vector):
-    """Largest magnitude of an entry."""
-    size = 0.0
-    for value in vector:
-        size = max(size, abs(value))
-    return size
-
-
-@inlined
-def turn_between(a, b):
-    """Rotation vector from the orientation in a pose to that in another, world axes [rad]."""
-    x = y = z = trace = 0.0
-    for k in range(3):  # of the product R = R_b R_a^T
-        x += b[2, k] * a[1, k] - b[1, k] * a[2, k]
-        y += b[0, k] * a[2, k] - b[2, k] * a[0, k]
-        z += b[1, k] * a[0, k] - b[0, k] * a[1, k]
-        trace += b[0, k] * a[0, k] + b[1, k] * a[1, k] + b[2, k] * a[2, k]
-    sine = math.sqrt(x * x + y * y + z * z)
-    factor = 0.5 if sine == 0.0 else math.atan2(sine, trace - 1.0) / sine
-    return factor * x, factor * y, factor * z
-
-
-@kernel
-def write_error(chain, place, counted, q, pose, J, error, rows):
-    """Write the error of a posture and its derivatives; returns the square of the error."""
-    for i in range(4):
-        for j in range(4):
-            pose[i, j] = 1.0 if i == j else 0.0
-    write_pose(chain, q, pose, J)
-    turn = turn_between(place, pose)
-    square = 0.0
-    for c in range(counted.size):
-        part, axis = counted[c] // 3, counted[c] % 3
-        value = 0.0
-        for i in range(3):
-            world = (pose[i, 3] - place[i, 3]) / LENGTH if part == 0 else turn[i]
-            value += place[i, axis] * world
-        error[c] = value
-        square += value * value
-        for k in range(q.size):
-            value = 0.0
-            for i in range(3):
-                value += place[i, axis] * J[3 * part + i, k]
-            rows[c, k] = value / LENGTH if part == 0 else value
-    return square

@@ -5,16 +5,28 @@ joint.  The posture is then one with which the joint's two frames coincide at th
 there is none, coincide but for the motions that the joint leaves free.  Of many, the one is taken
 that is farthest from singular postures, from the limits of its joints, from the object and from the
 ground on which the base stands (:mod:`multiarm.assembly.inverse_kinematics`).
+
+Where its links overlap the object or the links of other arms (:mod:`multiarm.assembly.collisions`),
+the best is taken of those that do not.  Collisions of an arm with itself are not looked at.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
+from multiarm.assembly.collisions import Contact, Placed, Surroundings, corners_of, nearest
+from multiarm.assembly.inverse_kinematics import (
+    LENGTH,
+    WHOLE_STARTS,
+    InverseKinematics,
+    clearance,
+    points_on_links,
+)
 from multiarm.errors import SceneError
 from multiarm.geometry.records import basis
 from multiarm.scene import JointSpec, ObjectSpec, Scene
@@ -27,6 +39,104 @@ STARTS = 96
 NEAR = 0.1
 # Angles to the place below this need no words [deg].
 NO_TURN = 1.0
+# A link that overlaps an obstacle by more is in its way; one that gets out of it keeps off [m].
+OVERLAP, KEEPS_OFF = 0.001, 0.005
+# How often the arms are gone through that are in each other's way.
+ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class PostureSearch:
+    """The search for a posture with which an arm holds its place on the object.
+
+    Attributes
+    ----------
+    arm : Arm
+    on_tip : ndarray, shape (4, 4)
+        The joint's frame in the tip's.
+    there : ndarray, shape (4, 4)
+        The joint's place in the world.
+    free : tuple of int
+        Components of the pose that the joint leaves free.
+    body : ObjectSpec
+    """
+
+    arm: Arm
+    on_tip: np.ndarray
+    there: np.ndarray
+    free: tuple[int, ...]
+    body: ObjectSpec
+
+    @classmethod
+    def of_joint(cls, scene: Scene, joint: JointSpec, arm: Arm) -> PostureSearch:
+        """The search that a joint of a scene asks for."""
+        return cls(arm, *joint_places(scene, joint), tuple(joint.free or ()), scene.object)
+
+    def best(self, allowed: Callable[[np.ndarray], bool] | None = None) -> np.ndarray | None:
+        """The best of the postures found that are ``allowed``, None where none is.
+
+        Where none is found well inside the limits, the whole ranges of the joints are searched.
+        The joint's frames are shifted against each other only where they cannot coincide.
+        """
+        clear_of_object = clear_of(self.body, self.there, meshes=allowed is not None)
+        coincide = False
+
+        def clear(posture: np.ndarray, _number: int) -> float:
+            return clear_of_object(self.arm.files.base, self.arm.skeleton(posture))
+
+        def accepted(posture: np.ndarray, _number: int) -> bool:
+            nonlocal coincide
+            coincide = True
+            return allowed is None or allowed(posture)
+
+        for search, starts in self._searches():
+            if coincide and any(k < 3 for k in search.free):
+                continue
+            if search.farther_than_it_reaches(self.there) is None:
+                rng = np.random.default_rng(0)
+                reach = search.search([self.there], rng, starts, clear, accepted)
+                if reach is not None:
+                    return reach.postures[0]
+        return None
+
+    def _searches(self) -> list[tuple[InverseKinematics, int]]:
+        """Searches, and their starts: well inside the limits first, and with nothing left free."""
+        return [
+            (InverseKinematics(self.arm, free, self.on_tip, to_limits), starts)
+            for to_limits, starts in ((False, STARTS), (True, WHOLE_STARTS))
+            for free in dict.fromkeys([(), self.free])
+        ]
+
+    def why_none(self) -> str:
+        """What a user may do where :meth:`best` finds nothing."""
+        searches = self._searches()
+        misses = [
+            search.nearest(self.there, np.random.default_rng(0), starts)
+            for search, starts in searches
+            if search.free == self.free
+        ]
+        weight = 0.0 if self.free else LENGTH
+        miss = min(misses, key=lambda m: float(np.linalg.norm([*m.shift, weight * m.turn])))
+        beyond = searches[-1][0].farther_than_it_reaches(self.there)
+        if beyond is None:
+            total = sum(starts for _, starts in searches)
+            text = (
+                f"no joint positions were found that bring the tip to its place on the object, in "
+                f"{total} searches that began all over the ranges of the joints"
+            )
+        else:
+            text = (
+                f"the tip's place on the object is out of reach: it is {beyond[0]:.3f} m from the "
+                f"arm's first joint, and the arm stretches to {beyond[1]:.3f} m"
+            )
+        turn = np.rad2deg(miss.turn)
+        shift = ", ".join(f"{x:.3f}" for x in miss.shift)
+        turned = f" and {turn:.0f} deg" if turn > NO_TURN and not self.free else ""
+        return (
+            f"{text}; the nearest posture found leaves {np.linalg.norm(miss.shift):.3f} m{turned}; "
+            f"move the base by [{shift}] m{', and turn it,' if turned else ''} or choose another "
+            "place"
+        )
 
 
 def find_postures(
@@ -44,9 +154,12 @@ def find_postures(
     Raises
     ------
     SceneError
-        Naming every arm that cannot reach its place, how near it comes, and what to move.
+        Naming every arm of which no posture is found that reaches its place, how near it comes,
+        and what to move.
     """
-    found, faults = {}, []
+    searches: dict[str, PostureSearch] = {}
+    solved: dict[str, np.ndarray] = {}
+    faults = []
     for number, joint in enumerate(scene.joints):
         arm, posture = arms[joint.arm], scene.arms[joint.arm].posture
         where = place(("arms", joint.arm, "posture"))
@@ -58,14 +171,63 @@ def find_postures(
                 )
             continue
         if posture == SOLVE or (posture is None and _is_far(scene, joint, arm, written[joint.arm])):
-            positions = _posture(scene, joint, arm)
-            if isinstance(positions, str):
-                faults.append(f"{where}: {positions} ($.joints[{number}].at)")
+            search = PostureSearch.of_joint(scene, joint, arm)
+            positions = search.best()
+            if positions is None:
+                faults.append(f"{where}: {search.why_none()} ($.joints[{number}].at)")
             else:
-                found[joint.arm] = positions
+                searches[joint.arm], solved[joint.arm] = search, positions
     if faults:
         raise SceneError(faults)
-    return found
+    return _out_of_the_way(scene, arms, searches, {**written, **solved}) if solved else {}
+
+
+def _out_of_the_way(
+    scene: Scene,
+    arms: Mapping[str, Arm],
+    searches: Mapping[str, PostureSearch],
+    postures: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Postures of the arms of ``searches``, with others where links overlap what is around them.
+
+    An arm that has no better posture keeps the one that it has; a warning of the start names it.
+    """
+    surroundings = Surroundings(scene, arms)
+    for _ in range(ROUNDS):
+        for name, search in searches.items():
+            obstacles = surroundings.obstacles(name, postures)
+            distance = partial(_distance, surroundings, name, obstacles)
+            if distance(postures[name]) < -OVERLAP:
+                posture = search.best(partial(_keeps_off, distance))
+                postures[name] = postures[name] if posture is None else posture
+    return {name: postures[name] for name in searches}
+
+
+def _distance(
+    surroundings: Surroundings, name: str, obstacles: Placed, posture: np.ndarray
+) -> float:
+    links = surroundings.placed(name, posture, standing=False)
+    return nearest(links, obstacles).distance
+
+
+def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> bool:
+    return distance(posture) >= KEEPS_OFF
+
+
+def overlapping_links(
+    scene: Scene, arms: Mapping[str, Arm], postures: Mapping[str, np.ndarray]
+) -> dict[str, Contact]:
+    """Of arms whose posture is left to the program, the link that overlaps an obstacle most."""
+    open_arms = [name for name, spec in scene.arms.items() if spec.posture in (None, SOLVE)]
+    if not open_arms:
+        return {}
+    surroundings, overlaps = Surroundings(scene, arms), {}
+    for name in open_arms:
+        links = surroundings.placed(name, postures[name], standing=False)
+        contact = nearest(links, surroundings.obstacles(name, postures))
+        if contact.distance < -OVERLAP:
+            overlaps[name] = contact
+    return overlaps
 
 
 def joint_places(scene: Scene, joint: JointSpec) -> tuple[np.ndarray, np.ndarray]:
@@ -88,31 +250,9 @@ def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bo
     return bool(np.linalg.norm(gap) > NEAR * np.max(arm.levers(on_tip[:3, 3])))
 
 
-def _posture(scene: Scene, joint: JointSpec, arm: Arm) -> np.ndarray | str:
-    """Joint positions, or why there are none."""
-    on_tip, there = joint_places(scene, joint)
-    clear_of_object = clear_of(scene.object, there)
-
-    def clear(skeleton: np.ndarray, _number: int) -> float:
-        return clear_of_object(arm.files.base, skeleton)
-
-    for free in dict.fromkeys([(), joint.free or ()]):
-        search = InverseKinematics(arm, free, on_tip)
-        reach = search.search([there], np.random.default_rng(0), STARTS, clear)
-        if reach is not None:
-            return reach.postures[0]
-    miss = search.nearest(there, np.random.default_rng(0), STARTS)
-    turn = np.rad2deg(miss.turn)
-    shift = ", ".join(f"{x:.3f}" for x in miss.shift)
-    turned = f" and {turn:.0f} deg" if turn > NO_TURN and not free else ""
-    return (
-        f"no joint positions within the limits bring the tip to its place on the object; the "
-        f"nearest posture leaves {np.linalg.norm(miss.shift):.3f} m{turned}; move the base by "
-        f"[{shift}] m{', and turn it,' if turned else ''} or choose another place"
-    )
-
-
-def clear_of(body: ObjectSpec, there: np.ndarray) -> Callable[[np.ndarray, np.ndarray], float]:
+def clear_of(
+    body: ObjectSpec, there: np.ndarray, meshes: bool = False
+) -> Callable[[np.ndarray, np.ndarray], float]:
     """How well links keep apart from the object's box, and from the ground.
 
     Parameters
@@ -120,6 +260,8 @@ def clear_of(body: ObjectSpec, there: np.ndarray) -> Callable[[np.ndarray, np.nd
     body : ObjectSpec
     there : ndarray, shape (4, 4)
         The joint's place in the world.
+    meshes : bool
+        Whether the box of a mesh counts, too.
 
     Returns
     -------
@@ -127,7 +269,7 @@ def clear_of(body: ObjectSpec, there: np.ndarray) -> Callable[[np.ndarray, np.nd
         Of the base (4, 4) and the origins of joints and tip (n + 1, 3) in the world: a factor on
         the quality of a posture, see :meth:`InverseKinematics.search`.
     """
-    pose, corners = body.pose.matrix(), _bounding_box(body)
+    pose, corners = body.pose.matrix(), _bounding_box(body, meshes)
 
     def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
         outside = above = np.zeros(0)
@@ -141,8 +283,8 @@ def clear_of(body: ObjectSpec, there: np.ndarray) -> Callable[[np.ndarray, np.nd
     return clear
 
 
-def _bounding_box(body: ObjectSpec) -> tuple[np.ndarray, np.ndarray] | None:
-    """Least and largest coordinates of the object's shape in its frame [m]; None of a mesh."""
+def _bounding_box(body: ObjectSpec, meshes: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    """Least and largest coordinates of the object's shape in its frame [m]; None without one."""
     shape = body.shape
     if shape.box is not None:
         half = 0.5 * np.array(shape.box)
@@ -151,9 +293,7 @@ def _bounding_box(body: ObjectSpec) -> tuple[np.ndarray, np.ndarray] | None:
     elif shape.cylinder is not None:
         radius = shape.cylinder.radius
         half = np.array([radius, radius, 0.5 * shape.cylinder.height])
-    elif shape.hull is not None:
-        points = np.array(shape.hull)
-        return points.min(axis=0), points.max(axis=0)
     else:
-        return None
+        points = corners_of(body) if meshes or shape.hull is not None else None
+        return None if points is None else (points.min(axis=0), points.max(axis=0))
     return -half, half

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.assembly.postures import overlapping_links
 from multiarm.dynamics.system import System
 from multiarm.scene import JointSpec
 from multiarm.scene.faults import place
@@ -15,13 +16,21 @@ MOVED = 1e-9
 
 
 def start_warnings(system: System) -> list[str]:
-    """Joints off the object's shape, and written postures that assembly pushed into a limit."""
-    return [*_joints_off_the_object(system), *_joints_at_limits(system)]
+    """What a start has that is possible but probably not meant.
+
+    Joints off the object's shape, written postures that assembly pushed into a limit, and links of
+    arms without a written posture that overlap the object or other arms.
+    """
+    return [
+        *_joints_off_the_object(system),
+        *_joints_at_limits(system),
+        *_links_in_the_way(system),
+    ]
 
 
 def _joints_off_the_object(system: System) -> list[str]:
     """Of joints whose kind states the contacts; listed contacts have surfaces of their own."""
-    found = []
+    warnings = []
     for number, joint in enumerate(system.scene.joints):
         point = system.frames[joint.arm].on_object[:3, 3]
         nearest = None if joint.as_listed else system.scene.object.shape.nearest(point)
@@ -34,12 +43,12 @@ def _joints_off_the_object(system: System) -> list[str]:
         if joint.at is None:
             remedy = "the posture or the base, since without 'at' the joint is where the tip is"
         there = ", ".join(f"{x:.3g}" for x in nearest)
-        found.append(
+        warnings.append(
             f"{where}: the joint of arm {joint.arm!r} is {distance:.3g} m off the object's shape, "
             f"whose nearest point is [{there}] in the object's frame; correct {remedy}, or "
             "leave it if the object has a handle there"
         )
-    return found
+    return warnings
 
 
 def _own_size(joint: JointSpec) -> float:
@@ -48,16 +57,26 @@ def _own_size(joint: JointSpec) -> float:
 
 
 def _joints_at_limits(system: System) -> list[str]:
-    start, found = system.initial_state().joint_positions, []
+    start, warnings = system.initial_state().joint_positions, []
     for path in system.start_report.at_limit:
         arm, joint = path.split("/", 1)
         k = system.arms[arm].joint_names.index(joint)
         written, limit = system.model.robots[arm].posture[k], start[arm][k]
         if abs(written - limit) > MOVED:
             unit = system.arms[arm].joint_units[joint]
-            found.append(
+            warnings.append(
                 f"{place(('arms', arm, 'posture'))}: {joint!r} is written at {written:.6g} {unit}; "
                 f"to close the joints, assembly pushed it into its limit {limit:.6g} {unit}; "
                 "correct the posture, the base or the joint's place"
             )
-    return found
+    return warnings
+
+
+def _links_in_the_way(system: System) -> list[str]:
+    postures = system.initial_state().joint_positions
+    return [
+        f"{place(('arms', arm, 'posture'))}: {contact.link} overlaps {contact.obstacle} by "
+        f"{-contact.distance:.2g} m (convex hulls), and no posture was found that does not; move "
+        "the base, choose another place on the object, or write a posture"
+        for arm, contact in overlapping_links(system.scene, system.arms, postures).items()
+    ]

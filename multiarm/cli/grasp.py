@@ -6,6 +6,7 @@ Bodies are written on the command line as ``box:1.2,0.8,0.6``, ``prism:6,0.3,0.8
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json, write_text
+from multiarm.cli.holding import carrying_rows, overload_warnings
 from multiarm.cli.options import Code, JsonFile, SceneFile, file_option, option
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.notation import count_of, number, numbers
@@ -24,6 +26,7 @@ from multiarm.terminal.console import (
     facts,
     messages,
     output,
+    print_warnings,
     print_written,
 )
 from multiarm.terminal.progress import Progress
@@ -32,12 +35,19 @@ if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
     from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
+    from multiarm.scene import Scene
+    from multiarm.simulation.holding import Carrying
 
 __all__ = ["FORMS", "body_of_text", "design_facts", "grasp_app", "judgement_tables"]
 
 
 # Reach of an optimised gripper around its corner, in sizes of the body.
 USUAL_SIZE = 0.2
+# So many further grasps are tried where arms do not reach the first.
+FURTHER = 4
+SEARCHED = "the arms do not reach the grasp that a construction gives, or that was found first"
+# Cosine of the tilt of an object that stands upright.
+UPRIGHT = 1.0 - 1e-9
 GRIPPERS, SCENE, RESULTS = "Grippers", "The scene", "Results"
 
 grasp_app = typer.Typer(
@@ -47,11 +57,9 @@ grasp_app = typer.Typer(
 
 
 class Objective(str, Enum):
-    """The quantity that an optimised grasp maximises or minimises."""
+    """The quantity that an optimised grasp maximises."""
 
     margin = "margin"
-    stability = "stability"
-    force = "force"
 
 
 @grasp_app.command("design")
@@ -91,8 +99,8 @@ def design(
     optimise: Annotated[
         Objective | None,
         option(
-            "Search for the best placements: the largest margin or stability, or the smallest "
-            "contact forces; says how far from the best it may be.",
+            "Search for the best placements: the largest margin; says how far from the best it "
+            "may be.",
             default="a construction of the thesis",
             panel=GRIPPERS,
         ),
@@ -137,8 +145,8 @@ def design(
     from multiarm.scene import dump_scene
 
     solid = body_of_text(body, scale)
-    made = _designed(solid, offset, gripper_size, optimise, gap, tip_radius, seed)
-    scene = made.to_scene(
+    grasp, scene = _first_in_reach(
+        _designs(solid, offset, gripper_size, optimise, gap, tip_radius, seed),
         arms,
         mass=mass,
         tip_radius=tip_radius,
@@ -149,14 +157,19 @@ def design(
         name=f"{_who(arms)} hold {body} by two corners",
         progress=True,
     )
-    comments = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *made.notes))
+    comments = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *grasp.notes))
     text = comments + dump_scene(scene)
-    rows = design_facts(made)
+    rows = design_facts(grasp)
+    if scene.object.pose.matrix()[2, 2] < UPRIGHT:
+        rows["object"] = "turned at the start: upright, the arms do not reach it"
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
     rows["squeeze"] = f"{squeeze} in the mean, so that no contact opens"
+    carrying = _carrying(scene)
+    rows |= carrying_rows(carrying)
     messages().print(facts("Grasp", rows))
+    print_warnings(overload_warnings(carrying))
     if plot is not None:
-        _draw(made, plot)
+        _draw(grasp, plot)
     if out is None:
         typer.echo(printable(text), nl=False)
         return
@@ -193,25 +206,48 @@ def check(
 
     with Progress() as progress:
         system, left = compile_for_inspection(loaded)
-        unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
+        unknown = [f"{part.what} ({part.place})" for part in left if part.arm]
         if unknown:
             raise GraspError(
                 f"this grasp cannot be judged without {', '.join(unknown)}, which this command "
                 "does not load; if you trust its author, allow it with --code"
             )
-        found = read_grasp(system)
-        judgement = judge_grasp(system, found, progress)
+        scene_grasp = read_grasp(system)
+        judgement = judge_grasp(system, scene_grasp, progress)
     if json is not None:
         write_json(json, judgement.as_dict())
     console = output()
     for table in judgement_tables(judgement):
         console.print(table)
+    print_warnings(overload_warnings(judgement.carrying))
     if plot is not None:
-        _draw(found.as_grasp(), plot)
+        _draw(scene_grasp.as_grasp(), plot)
         print_written("picture", plot)
 
 
-def _designed(
+def _first_in_reach(
+    grasps: Iterable[Grasp], arms: tuple[str, str], **options: Any
+) -> tuple[Grasp, Scene]:
+    """The first of the grasps that the arms reach, and its scene.
+
+    Raises
+    ------
+    GraspError
+        They reach none; the reason for the last.
+    """
+    from multiarm.grasp.scenes import UnreachableError
+
+    faults = []
+    for grasp in grasps:
+        try:
+            return grasp, grasp.to_scene(arms, **options)
+        except UnreachableError as error:
+            faults.append(str(error))
+    tried = f"of {len(faults)} grasps none can be reached; the last: " if len(faults) > 1 else ""
+    raise GraspError(tried + faults[-1])
+
+
+def _designs(
     body: Any,
     offset: float | None,
     gripper_size: float | None,
@@ -219,28 +255,42 @@ def _designed(
     gap: float,
     tip_radius: float,
     seed: int,
-) -> Grasp:
+) -> Iterator[Grasp]:
+    """The grasp as asked for, and others that serve where arms do not reach this one."""
     import numpy as np
+
+    from multiarm.grasp import design_grasp, optimise_grasp, search_grasp
 
     rng = np.random.default_rng(seed)
     if optimise is None:
-        from multiarm.grasp import design_grasp
-
-        return design_grasp(body, offset=offset, gripper_size=gripper_size, generator=rng)
-    from multiarm.grasp import optimise_grasp
-
+        yield design_grasp(
+            body, offset=offset, gripper_size=gripper_size, generator=rng, progress=True
+        )
+        if offset is None and gripper_size is None:
+            for _ in range(FURTHER):
+                yield search_grasp(body, rng).noted(SEARCHED)
+        return
     if offset is not None:
         raise MultiarmError("--offset belongs to the construction for blocks, not to --optimise")
-    found = optimise_grasp(
-        body,
-        objective=optimise.value,
-        gripper_size=gripper_size or USUAL_SIZE * body.size,
-        tip_radius=tip_radius,
-        gap=gap,
-        progress=True,
-        rng=rng,
-    )
-    return found.grasp.noted(found.message)
+    for _ in range(1 + FURTHER):
+        best = optimise_grasp(
+            body,
+            gripper_size=gripper_size or USUAL_SIZE * body.size,
+            tip_radius=tip_radius,
+            gap=gap,
+            progress=True,
+            rng=rng,
+        )
+        yield best.grasp.noted(best.message)
+
+
+def _carrying(scene: Scene) -> Carrying | None:
+    from multiarm.assembly.compilation import compile_system
+    from multiarm.events.evaluation import evaluate
+    from multiarm.simulation.holding import carrying_capacity
+
+    system = compile_system(scene)
+    return carrying_capacity(system, evaluate(system))
 
 
 def _mesh_file(solid: Any, out: Path | None, body: str) -> Path | None:
@@ -291,23 +341,23 @@ def design_facts(grasp: Grasp) -> dict[str, RenderableType]:
     return rows
 
 
-def judgement_tables(found: GraspJudgement) -> list[RenderableType]:
+def judgement_tables(judgement: GraspJudgement) -> list[RenderableType]:
     """The contacts of a scene's grasp, and its properties."""
     table = columns(
         "Contacts, in the object's frame, at the start; numbers are those of the picture",
         ("no.", "arm", "contact", "face", "at, m", "force", "may slide by", "share"),
         [
-            (str(place), *_contact(contact, found))
-            for place, contact in enumerate(found.contacts, 1)
+            (str(place), *_contact(contact, judgement))
+            for place, contact in enumerate(judgement.contacts, 1)
             if not contact.pulls
         ],
     )
     table.padding, table.pad_edge = (0, 1, 0, 0), False
-    return [table, facts("Grasp", _grasp_facts(found))]
+    return [table, facts("Grasp", _grasp_facts(judgement))]
 
 
-def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableType, ...]:
-    pulled = contact.force < 0.0 and found.only_pushes
+def _contact(contact: ContactFacts, judgement: GraspJudgement) -> tuple[RenderableType, ...]:
+    pulled = contact.force < 0.0 and judgement.only_pushes
     force = Text(number(contact.force, "N"), "yellow" if pulled else "")
     return (
         contact.arm,
@@ -320,24 +370,25 @@ def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableTy
     )
 
 
-def _grasp_facts(found: GraspJudgement) -> dict[str, RenderableType]:
+def _grasp_facts(judgement: GraspJudgement) -> dict[str, RenderableType]:
     rows: dict[str, RenderableType] = {
-        "verdict": _verdict(found.closed, found.verdict),
+        "verdict": _verdict(judgement.closed, judgement.verdict),
         "contacts": "all can only push"
-        if found.only_pushes
+        if judgement.only_pushes
         else "some hold both ways, as joints do",
     }
-    if found.borderline:
+    if judgement.borderline:
         rows["borderline"] = Text("roundings decide; move the contacts apart", "yellow")
-    if found.left_out:
-        rows["left out"] = f"no contacts in points: {', '.join(found.left_out)}"
-    if found.closed:
-        rows["margin"] = f"smallest share {number(found.margin)} of 1 at best"
-    elif found.immobility_order == 2:
+    if judgement.left_out:
+        rows["left out"] = f"no contacts in points: {', '.join(judgement.left_out)}"
+    if judgement.closed:
+        rows["margin"] = f"smallest share {number(judgement.margin)} of 1 at best"
+    elif judgement.immobility_order == 2:
         rows["to second order"] = "held, by what turning does to the flat faces"
-    if found.carrying_force is not None:
-        rows["weight"] = f"carried with at most {number(found.carrying_force, 'N')} a contact"
-    stability = found.stability
+    if judgement.carrying_force is not None:
+        rows["weight"] = f"carried with at most {number(judgement.carrying_force, 'N')} a contact"
+    rows |= carrying_rows(judgement.carrying)
+    stability = judgement.stability
     if stability is not None:
         if stability.closure_radius is not None:
             rows["all may slide by"] = (
@@ -347,10 +398,11 @@ def _grasp_facts(found: GraspJudgement) -> dict[str, RenderableType]:
             f"{', '.join(stability.six)}; they stay so within "
             f"{number(stability.independence_limit, 'm')}"
         )
-    if found.frame_position is not None and found.frame_rotation is not None:
+    if judgement.frame_position is not None and judgement.frame_rotation is not None:
         rows["object's frame"] = (
-            f"from contact points known to 0.1 mm: within {number(1e3 * found.frame_position)} mm "
-            f"and {number(1e3 * found.frame_rotation)} mrad (standard deviations)"
+            f"from contact points known to 0.1 mm: within "
+            f"{number(1e3 * judgement.frame_position)} mm and "
+            f"{number(1e3 * judgement.frame_rotation)} mrad (standard deviations)"
         )
     return rows
 

@@ -50,8 +50,9 @@ def new(
 ) -> None:
     """Write a scene to start from, every line explained, for robots that are installed.
 
-    The arms stand around the object and touch it at the start. The schema of scenes is written
-    beside it, by which editors complete and explain what is written there.
+    The arms stand on the floor around the object, hold it at the start, lift it and set it down
+    again. The schema of scenes is written beside it, by which editors complete and explain what is
+    written there.
     """
     check_targets({"FILE": file})
     if file.exists() and not force:

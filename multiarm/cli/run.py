@@ -94,12 +94,14 @@ def run(
     realtime_factor, error_estimate, position_drift_max_m, velocity_drift_max_m_per_s,
     energy_balance_max_J, final_object_position, final_object_quaternion_xyzw, contact_force_max_N
     (by arm; floor, if there is one), wrench_max (likewise: force_N, force_time_s, moment_N_m,
-    moment_time_s; on the object, about its centre of mass), rank_lowest, rank_highest (independent
-    constraints), coupled_steps (steps in which some arm could not be eliminated), integrator,
-    stabilization, solver, arms (backend of each), accuracy, tolerance, certificate (null where
-    nothing was checked; else met, text, reason, asked, estimated_error, by_output, over_time,
-    checks, growth_rate_per_s, safety, attempts), events (time, kind, text; arm, contact or joint,
-    where in m, before and after as they apply), compiled_kernels (also for the scene), and files
+    moment_time_s; on the object, about its centre of mass), limit_use (largest shares of effort,
+    speed and range of each joint, 1 at the limit, their times in s; and the joints that use most),
+    rank_lowest, rank_highest (independent constraints), coupled_steps (steps in which some arm
+    could not be eliminated), integrator, stabilization, solver, arms (backend of each), accuracy,
+    tolerance, certificate (null where nothing was checked; else met, text, reason, asked,
+    estimated_error, by_output, over_time, checks, growth_rate_per_s, safety, attempts), events
+    (time, kind, text; arm, contact or joint, where in m, before and after as they apply),
+    compiled_kernels (also for the scene), and files
     (result, replay, report). Numbers are finite, or null where there is none.
     """
     from multiarm.results.trajectory_file import TrajectoryReader
@@ -137,17 +139,19 @@ def run(
 def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     """Warnings about a run, also about a completed one."""
     from multiarm.assembly.start_warnings import start_warnings
+    from multiarm.results.limit_use import joint_uses, limit_warnings, peaks
 
     start, remarks = system.start_report, start_warnings(system)
     gap = max(start.gaps.values(), default=0.0)
     if gap > NOTABLE_GAP:
         arm = max(start.gaps, key=lambda name: start.gaps[name])
         remarks.append(
-            f"the written start was {gap:.3g} m off at arm '{arm}' and was assembled: "
+            f"the written start was {number(gap, 'm')} off at arm '{arm}' and was assembled: "
             + "; ".join(start.lines())
         )
     if trajectory.status == "completed":
         remarks += trajectory.message.split("; ")[1:]
+    remarks += limit_warnings(peaks(joint_uses(trajectory)))
     if trajectory.certificate is not None and not trajectory.certificate["met"]:
         remarks.append(f"the accuracy is {trajectory.certificate['text']}")
     return remarks
@@ -275,8 +279,26 @@ def summary_table(figures: dict[str, Any], compilation: float) -> Table:
         rows["object at the end"] = numbers(figures["final_object_position"], "m")
     for arm, force in figures["contact_force_max_N"].items():
         rows[f"largest forces, {arm}"] = _forces(figures["wrench_max"].get(arm), force)
+    rows["joint limits used"] = _limits(figures["limit_use"]["largest"])
     rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
+
+
+def _limits(largest: dict[str, dict[str, Any] | None]) -> RenderableType:
+    """The joints that use most of their effort, speed and range."""
+    from multiarm.results.limit_use import percent
+
+    known = [peak for peak in largest.values() if peak is not None]
+    if not known:
+        return Text("not known: the robots' files name none", "dim")
+    return Text("\n").join(
+        Text(
+            f"{peak['quantity']}: {percent(peak['share'])} of {peak['joint']} "
+            f"at {number(peak['time'], 's')}",
+            "bold yellow" if peak["beyond"] else "",
+        )
+        for peak in known
+    )
 
 
 def _forces(wrench: dict[str, float | None] | None, contact_force: float | None) -> str:

@@ -26,6 +26,7 @@ from multiarm.geometry.records import Contact, Patch, plane, sphere
 from multiarm.scene import Mesh, Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
+from multiarm.scene.meshes import read_mesh
 from multiarm.scene.values import SURROUNDINGS
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
@@ -456,18 +457,15 @@ def _named_corners(corners: list[np.ndarray]) -> list[tuple[str, np.ndarray, flo
 
 def _mesh_corners(mesh: Mesh) -> np.ndarray:
     """Corners of the convex hull of a mesh, object frame [m], shape (n, 3)."""
-    import coal
-
     if not mesh.file.is_file():
         raise _unknown_points(f"there is no mesh at {mesh.file}", "or correct the path")
     try:
-        loaded = coal.MeshLoader().load(str(mesh.file), np.asarray(mesh.scale, float))
-        vertices = np.array(loaded.vertices(), dtype=float).reshape(-1, 3)
-    except (ValueError, RuntimeError) as error:
+        vertices, triangles, _ = read_mesh(mesh.file, mesh.scale)
+    except ValueError as error:
         raise _unknown_points(
             f"{mesh.file} cannot be read ({error})", "or repair the file"
         ) from None
-    corners = hull_corners(vertices)
+    corners = hull_corners(vertices[np.unique(triangles)])
     if len(corners) > 64:  # every corner is a contact; a hull with more is a rounded body
         raise _unknown_points(
             f"the hull of {mesh.file.name} has {len(corners)} corners, which is too many",

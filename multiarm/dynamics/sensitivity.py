@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from multiarm.errors import ModelError
 from multiarm.notation import count_of
 
 STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
+INPUTS = ("torques", "effect_states")
 PARAMETERS = ("object_wrench", "object_mass", "object_inertia", "placements")
 
 
@@ -29,7 +30,7 @@ def columns_of(layout: Layout, states: int, parameters: bool) -> dict[str, slice
     ``states``: number of states of effects.
     """
     n, arms = layout.joints, len(layout.names)
-    sizes = dict(zip(STATE, (6, 6, n, n), strict=True)) | {"torques": n, "effect_states": states}
+    sizes = dict(zip((*STATE, *INPUTS), (6, 6, n, n, n, states), strict=True))
     if parameters:
         sizes |= dict(zip(PARAMETERS, (6, 1, 6, 6 * arms), strict=True))
     return _in_sequence(sizes)
@@ -53,6 +54,17 @@ def _in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
         found[name] = slice(end, end + size)
         end += size
     return found
+
+
+Derivative = TypeVar("Derivative", float, np.ndarray)
+
+
+class ByPath(dict[str, Derivative]):
+    """Derivatives by numbers of the scene, path -> derivative."""
+
+    def __missing__(self, path: str) -> NoReturn:
+        known = f"they have those by {', '.join(self)}" if self else "`parameters` named none"
+        raise ModelError(f"these derivatives have none by {path}: {known}")
 
 
 @dataclass(frozen=True)
@@ -125,9 +137,11 @@ class Sensitivity:
         block = self._block("placements")
         return {name: block[..., 6 * i : 6 * i + 6] for i, name in enumerate(self.layout.names)}
 
-    def d_parameter(self, path: str) -> np.ndarray:
-        """By a number of the scene, of those given to :func:`multiarm.sensitivities`, (K, m)."""
-        return self._block(path)[..., 0]
+    @property
+    def parameters(self) -> Mapping[str, np.ndarray]:
+        """By numbers of the scene, of those given to :func:`multiarm.sensitivities`, (K, m)."""
+        paths = [path for path in self.columns if path not in (*STATE, *INPUTS, *PARAMETERS)]
+        return ByPath({path: self.matrix[..., self.columns[path].start] for path in paths})
 
     def _block(self, name: str) -> np.ndarray:
         if name not in self.columns:

@@ -4,13 +4,18 @@ The run is a function of time (:mod:`multiarm.gradients.motion`), which is divid
 without a time inside at which control or loads are not smooth.  The matrices of the variational
 equation (:mod:`multiarm.gradients.variation`) are evaluated at the nodes of a segment, and are
 series between them (:mod:`multiarm.gradients.interpolation`): how many evaluations that takes
-depends on how the posture changes, and not on how fast motions die out.  Segments are planned from
+depends on how fast the posture changes, not on how fast motions die out.  Segments are planned from
 the series of the velocities.  The equation itself is solved over panels of the segments
 (:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the result.  Segments
 that contribute too much get more nodes, or are divided.
 
-*Memory.*  Kept are series of the states, and the matrices of one segment at a time; those of all
-segments as long as they have at most ``MOST_KEPT`` numbers.
+*The run's own error* changes the derivatives, too, the more the faster motions separate.  The
+equation is therefore solved once more along a neighbour of the run
+(:mod:`multiarm.gradients.motion`), over the same segments, with matrices evaluated at few nodes of
+each.  How much the result differs is added to the error.
+
+*Memory.*  Series of the states stay in memory, and the matrices of one segment at a time; those of
+all segments too, as long as they have at most ``MOST_KEPT`` numbers.
 """
 
 from __future__ import annotations
@@ -19,36 +24,41 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property, partial
 from itertools import chain
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from multiarm.dynamics.sensitivity import Derivatives, Motions
-from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
+from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.motion import Motion
-from multiarm.gradients.segments import LESSENED, SHORTEST, TINY, Panel, Segment
+from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
 from multiarm.gradients.variation import Parameter, Variation, state_columns, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
 from multiarm.terminal.progress import Report
 
-# Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
+# The smallest relative error that is aimed at: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
 # Numbers of all matrices that are kept, at nodes and of segments.
 MOST_KEPT = 3e7
 MOST_WALKS = 12
 # Derivatives with a larger relative error are of no use.
 USELESS = 1e-2
+# The degree of a series of differences between neighbours: this part of the segment's, and least.
+COARSER, LOWEST = 8, 2
+# With fewer digits than the first a result says so, unless its error is the one that was asked for
+# or not much larger.
+FEW, EXPECTED = 3, 100.0
+EPSILON = float(np.finfo(float).eps)
 # How much larger the last terms of a series of the matrices are than those of the velocities.
 ROUGHER = 100.0
-# Series that alone may make an error of so many times the tolerance are refined at once.
+# Series are refined at once when they alone may make an error of so many times the tolerance.
 COARSE = 10.0
 
 Done = Callable[[int], None]
@@ -69,8 +79,32 @@ class Walk(Protocol):
         """Of every segment's series, relative to the whole."""
         ...
 
+    def difference(self: AnyWalk, neighbour: AnyWalk) -> float:
+        """How much it differs from that along a neighbour of the run, relative to its size."""
+        ...
+
+
+class Course(Protocol):
+    """The run, or a neighbour, with its variational equation."""
+
+    def segment(self, k: int) -> Segment:
+        """A segment with its matrices."""
+        ...
+
+    def state(self, t: float) -> State:
+        """The state at a bound, or at the ends of the run."""
+        ...
+
 
 AnyWalk = TypeVar("AnyWalk", bound=Walk)
+
+
+class Quality(NamedTuple):
+    """How exact the derivatives of a run are, see :class:`multiarm.gradients.gradient.Gradient`."""
+
+    error: float
+    digits: int
+    message: str
 
 
 class Along:
@@ -132,9 +166,10 @@ class Along:
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
         self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
         self._segments: list[tuple[Panel, int]] = []
-        self.start_by_parameters = self._start_by_parameters()
+        of_start = [parameter.of_start(begin, start) for parameter in self.parameters]
+        self.start_by_parameters = np.reshape(of_start, (-1, self.size)).T
         self._values: dict[float, Variation] = {}
-        self._made: dict[tuple[Panel, int], Segment] = {}
+        self._built: dict[tuple[Panel, int], Segment] = {}
         # of segments: the defects of their series, and the errors that they alone may make
         self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
 
@@ -173,16 +208,23 @@ class Along:
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
-        panel, degree = own = self._segments[k]
-        if own in self._made:
-            return self._made[own]
+        panel, degree = key = self._segments[k]
+        if key in self._built:
+            return self._built[key]
         times = nodes(*panel, degree)
         pairs = zip(times, self._motion.states(times), strict=True)
-        found = Segment(panel, [self._value(t, state) for t, state in pairs])
-        self._quality[own] = found.defect, found.error
-        if len(self._made) * found.numbers < MOST_KEPT:
-            self._made[own] = found
-        return found
+        segment = Segment(panel, [self._value(t, state) for t, state in pairs])
+        self._quality[key] = segment.defect, segment.error
+        if len(self._built) * segment.numbers < MOST_KEPT:
+            self._built[key] = segment
+        return segment
+
+    @cached_property
+    def _accelerations(self) -> np.ndarray:
+        """Which components of a displacement's rate are accelerations, (D,)."""
+        at, which = state_columns(self.layout), np.zeros(self.size, bool)
+        which[at["object_twist"]] = which[at["joint_velocities"]] = True
+        return which
 
     @cached_property
     def admissible(self) -> np.ndarray:
@@ -190,42 +232,46 @@ class Along:
         start = self.state(self.begin)
         return self._derivatives(self.begin, start).motions.admissible()
 
-    def _start_by_parameters(self) -> np.ndarray:
-        found = np.zeros((self.size, len(self.parameters)))
-        for k, parameter in enumerate(self.parameters):
-            if self._start is None:
-                found[:, k] = parameter.of_start()
-            elif np.any(parameter.at(self.begin, self._start)[1]):
-                raise SolverError(
-                    f"the parameter {parameter.path} moves the joints, and the given `state` does "
-                    f"not follow; leave it out: the scene's own start does"
-                )
-        return found
-
-    def to_accuracy(self, walk: Callable[[Done], AnyWalk], show: Report) -> AnyWalk:
+    def to_accuracy(
+        self, walk: Callable[[Course, Done], AnyWalk], show: Report
+    ) -> tuple[AnyWalk, Quality]:
         """The result of a walk over segments that are short enough, or as short as helps.
+
+        Returns
+        -------
+        solution : AnyWalk
+        quality : Quality
+            With the error of the walk along the run, and that which the run's own error adds.
 
         Raises
         ------
         SolverError
-            When its error is too large even so.
+            When its error along the run is too large even so.
         """
         with _thread_pools().limit(limits=1):  # the matrices are too small for several
             self._plan()
             self._resolve()
-            best: AnyWalk | None = None
-            for number in range(1, MOST_WALKS + 1):
-                words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
-                found = walk(partial(_show, show, self.count, words))
-                if best is not None and found.error > LESSENED * best.error:  # roundings are left
-                    break
-                best = found
-                if found.error <= self.tolerance:
-                    return found
-                if found.shares.sum() > 0.5 * self.tolerance:
-                    self._refine(found.shares)
-                else:
-                    self.panel_tolerance *= 0.1
+            solution = self._along_run(walk, show)
+            words = "derivatives of a neighbour"
+            neighbour = walk(_Neighbour(self), partial(_show, show, self.count, words))
+        error = solution.error + solution.difference(neighbour)
+        return solution, _quality(error, self.tolerance, self.end)
+
+    def _along_run(self, walk: Callable[[Course, Done], AnyWalk], show: Report) -> AnyWalk:
+        """The result of a walk along the run over segments that are short enough."""
+        best: AnyWalk | None = None
+        for number in range(1, MOST_WALKS + 1):
+            words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
+            solution = walk(self, partial(_show, show, self.count, words))
+            if best is not None and solution.error > LESSENED * best.error:  # roundings are left
+                break
+            best, segments = solution, self._segments
+            if best.error <= self.tolerance:
+                break
+            if best.shares.sum() > 0.5 * self.tolerance:
+                self._refine(best.shares)
+            else:
+                self.panel_tolerance *= 0.1
         assert best is not None, "there is a first walk"
         if best.error > USELESS:
             raise SolverError(
@@ -233,7 +279,13 @@ class Along:
                 f"shorter pieces of time do not lessen it; look for a control that jumps, or for "
                 f"motions that damping ends long before the end of the run"
             )
+        self._segments = segments
         return best
+
+    def neighbour(self) -> tuple[dict[float, State], list[list[float]]]:
+        """The states of a neighbour, and the times at which its matrices are wanted, by segment."""
+        times = [nodes(*panel, max(LOWEST, degree // COARSER)) for panel, degree in self._segments]
+        return self._motion.neighbour([*chain.from_iterable(times)]), times
 
     def _plan(self) -> None:
         """Choose segments over which the velocities of the run are series of low degree."""
@@ -246,10 +298,10 @@ class Along:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
         allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
         while True:
-            for k, own in enumerate(self._segments):
-                if own not in self._quality:
+            for k, key in enumerate(self._segments):
+                if key not in self._quality:
                     self.segment(k)
-            errors = np.array([self._quality[own][1] for own in self._segments])
+            errors = np.array([self._quality[key][1] for key in self._segments])
             long = np.array([panel.length > shortest for panel, _ in self._segments])
             coarse = (errors > allowed) & long
             if not coarse.any():
@@ -272,37 +324,70 @@ class Along:
 
     def _value(self, t: float, state: State) -> Variation:
         """The equation at a node."""
-        found = self._values.get(t)
-        if found is not None:
-            return found
+        value = self._values.get(t)
+        if value is None:
+            value = self.evaluated(t, state)
+            if len(self._values) * value.numbers < MOST_KEPT:
+                self._values[t] = value
+        return value
+
+    def evaluated(self, t: float, state: State) -> Variation:
+        """The equation at a state."""
         count, D = len(self.parameters), self._derivatives(t, state)
         beta, offset = np.zeros((2, self.size, count))
+        A, B = variation(D)
         for k, parameter in enumerate(self.parameters):
-            beta[:, k], gaps = parameter.at(t, state)
-            offset[:, k] = _following(D.motions, gaps)
+            along_joints, offset[:, k] = parameter.at(t, state, D.motions)
+            at_state = along_joints - A @ offset[:, k]
+            beta[:, k] = np.where(self._accelerations, at_state, 0.0)
         rate, slope = 0.0, np.zeros(self.size)
         if self._integrand is not None:
             rate, slope = self._integrand(t, state)
-        A, B = variation(D)
         scale = self._scale(D.evaluation.accelerations)
-        found = Variation(A, B, beta, D.motions, offset, slope, rate, scale)
-        if len(self._values) * found.numbers < MOST_KEPT:
-            self._values[t] = found
-        return found
+        return Variation(A, B, beta, D.motions, offset, slope, rate, scale)
 
     def _scale(self, accelerations: np.ndarray) -> np.ndarray:
         """What the derivatives of the accelerations by parameters are as a rule, shape (D, P)."""
         largest = np.abs(np.append(accelerations, self.system.scene.gravity or 0.0)).max()
-        at, found = state_columns(self.layout), np.zeros((self.size, len(self.parameters)))
-        for velocity in ("object_twist", "joint_velocities"):
-            found[at[velocity]] = [largest / parameter.size for parameter in self.parameters]
-        return found
+        usual = np.array([largest / parameter.size for parameter in self.parameters])
+        return np.outer(self._accelerations, usual)
 
     def _derivatives(self, t: float, state: State) -> Derivatives:
         try:
             return derivatives(self.system, t, state)
         except SolverError as error:
             raise SolverError(f"at t = {t:.9g} s: {error}") from None
+
+
+class _Neighbour:
+    """A neighbour of the run, over the same segments."""
+
+    def __init__(self, along: Along) -> None:
+        self._along = along
+        self._states, self._times = along.neighbour()
+
+    def segment(self, k: int) -> Segment:
+        """A segment with its matrices."""
+        values = [self._along.evaluated(t, self._states[t]) for t in self._times[k]]
+        return self._along.segment(k).of_neighbour(values)
+
+    def state(self, t: float) -> State:
+        """The state at a bound, or at the ends of the run."""
+        return self._states[t]
+
+
+def _quality(error: float, tolerance: float, end: float) -> Quality:
+    right = max(0, math.floor(-math.log10(max(error, EPSILON))))
+    if right >= FEW or (right > 0 and error <= EXPECTED * tolerance):
+        return Quality(error, right, "")
+    count = ("no digit is", "only one digit is", "only two digits are")[right]
+    return Quality(
+        error,
+        right,
+        f"{count} right: motions separate so fast until t = {end:.6g} s that the error of the run "
+        f"itself changes its derivatives by {error:.1g} of their size; end the run earlier, add "
+        "damping, or ask for a smaller `accuracy`",
+    )
 
 
 @cache
@@ -312,15 +397,6 @@ def _thread_pools() -> ThreadpoolController:
 
 def _show(show: Report, total: int, words: str, done: int) -> None:
     show(done, total, words)
-
-
-def _following(motions: Motions, gaps: np.ndarray) -> np.ndarray:
-    """The least displacement (D,) that closes gaps and gap rates again, by their derivatives."""
-    C = motions.constraint
-    if not np.any(gaps):
-        return np.zeros(C.shape[1])
-    lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
-    return -np.linalg.lstsq(C / lengths[:, None], gaps / lengths, SYSTEM_TOLERANCE)[0]
 
 
 def _refuse(system: System) -> None:

@@ -23,16 +23,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multiarm.control.recorded import DEGREES, polynomials
-from multiarm.dynamics.sensitivity import Sensitivity
+from multiarm.dynamics.sensitivity import ByPath, Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError
-from multiarm.gradients.along import Along, Done, Parameters
+from multiarm.gradients.along import Along, Course, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.segments import (
     RICHARDSON,
     ROUNDING,
-    TINY,
     WHOLE,
     Coefficients,
     Halving,
@@ -40,7 +39,7 @@ from multiarm.gradients.segments import (
     Piece,
     Segment,
 )
-from multiarm.gradients.variation import displaced, state_columns
+from multiarm.gradients.variation import TINY, displaced, state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.faults import shown, unknown
@@ -66,13 +65,19 @@ class Gradient:
         By a displacement of the start: ``start.d_joint_velocities["left"]``, shape (n_i,).  Only
         the part along displacements that keep the joints closed.
     parameters : mapping str -> float
-        By numbers of the scene, as they were named.
+        By numbers of the scene, path -> derivative.
     trajectory : Trajectory
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.motion`).
     error : float
-        Estimated error of the derivatives along this run, relative to the largest; of those by
-        numbers of the scene relative to each, or where that is a rounding, to what it would be if
-        the number's size changed the accelerations as a whole.
+        Estimated error of the derivatives, relative to the largest; of those by numbers of the
+        scene relative to what each adds up of over the run, or where that is a rounding, to what it
+        would be if the number's size changed the accelerations as a whole.  What the error of the
+        run itself changes is a part of it: the difference from derivatives along a second run with
+        a tenth of the tolerance (:mod:`multiarm.gradients.along`).
+    digits : int
+        How many are right, by this error; 0 of a chaotic run that is too long.
+    message : str
+        What is wrong when few digits are right, and what to do; else empty.
     times : ndarray, shape (K,)
         Nodes of a quadrature over the run [s], with ``weights`` (K,) [s].
     torque_density : ndarray, shape (K, n)
@@ -84,6 +89,8 @@ class Gradient:
     parameters: Mapping[str, float]
     trajectory: Trajectory
     error: float
+    digits: int
+    message: str
     times: np.ndarray
     weights: np.ndarray
     torque_density: np.ndarray
@@ -92,12 +99,14 @@ class Gradient:
 
     def __repr__(self) -> str:
         parts = ", ".join(f"{path}: {number:.6g}" for path, number in self.parameters.items())
-        return f"Gradient(value {self.value:.9g}; {parts or 'by start and torques'})"
+        parts = parts or "by start and torques"
+        return f"Gradient(value {self.value:.9g}; {parts}{self.message and '; '}{self.message})"
 
     def _repr_html_(self) -> str:
         facts: dict[str, object] = {"value": f"{self.value:.9g}"}
         facts |= {path: f"{number:.6g}" for path, number in self.parameters.items()}
-        return facts_html("Gradient", facts | {"estimated error": f"{self.error:.1e}"})
+        facts |= {"estimated error": f"{self.error:.1e}", "message": self.message}
+        return facts_html("Gradient", facts)
 
     def by_torque_table(
         self, times: ArrayLike, interpolation: str = "linear"
@@ -142,12 +151,22 @@ class _Walk(NamedTuple):
 
     error: float
     shares: np.ndarray
-    adjoint: np.ndarray  # (D,), at the start
-    start: np.ndarray  # (D,), its part along displacements that keep the joints closed
-    integrals: np.ndarray  # (1 + P,), of the running scalar, and by the parameters
+    value: float
+    start: np.ndarray  # (D,), the adjoint's part along displacements that keep the joints closed
+    start_size: float  # what errors of it are relative to
+    by_parameters: np.ndarray  # (P,)
+    sizes: np.ndarray  # (P,), what errors of these are relative to
     times: np.ndarray
     weights: np.ndarray
     torque_density: np.ndarray
+
+    def difference(self, neighbour: _Walk) -> float:
+        """The largest relative difference of a derivative along a neighbour."""
+        of_start = np.abs(neighbour.start - self.start).max()
+        of_start /= max(self.start_size, neighbour.start_size)
+        sizes = np.maximum(self.sizes, neighbour.sizes)
+        by_parameters = np.abs(neighbour.by_parameters - self.by_parameters) / sizes
+        return float(max(of_start, by_parameters.max(initial=0.0)))
 
 
 def gradient(
@@ -180,16 +199,17 @@ def gradient(
         ``f(t, state)`` at the end, and under the integral; a smooth function of the state.  It
         returns a number, or a number and its derivatives by a displacement of the state, shape
         (12 + 2 n,): shift and turn of the object, its twist, joint positions, joint velocities.
-        Without them they are found by differences.
+        Without them they are differences.
     parameters : sequence of str, or mapping str -> float or None
         Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``; in a
         mapping with a change that is no longer small, of which a thousandth is tried (None: the
         number itself).
     accuracy : float, optional
-        Of the run [m, rad], and relative error of its derivatives, but not below 1e-8; the scene's
-        when left out.  The run is not certified.
+        Of the run [m, rad], and relative error of its derivatives along it, but not below 1e-8; the
+        scene's when left out.  The run is not certified; what its error changes is in ``error``.
     state : State, optional
-        Initial state; the scene's start when left out, which parameters may move.
+        Initial state; the scene's start when left out, which parameters may move.  With it, the
+        derivatives are those of runs from this state, which each puts on its joints.
     start_time : float
         [s]
     progress : bool or callable, optional
@@ -200,7 +220,7 @@ def gradient(
     ModelError
         When ``system`` is no system, ``state`` none of its states, or a function returns no number.
     SceneError
-        When a parameter is no number of the scene.
+        When a parameter is no number of the scene, or the start jumps with it.
     SolverError
         When the run is not differentiable: contacts open, close or slide, the rank of the
         constraints changes, the control is sampled; or when it fails.
@@ -209,31 +229,30 @@ def gradient(
     start = None if state is None else system.checked(state)
     if final is None and running is None:
         raise ModelError("gradient: give `final` or `running`, the scalar to be differentiated")
-    for name, own in (("final", final), ("running", running)):
-        if own is not None and not callable(own):
-            raise ModelError(f"gradient: `{name}` is a function f(t, state), got {shown(own)}")
+    for name, function in (("final", final), ("running", running)):
+        if function is not None and not callable(function):
+            raise ModelError(f"gradient: `{name}` is a function f(t, state), got {shown(function)}")
     begin, duration = require_time(start_time), positive("duration", duration)
     integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
         along = Along(system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand)
 
-        def walk(report: Done) -> _Walk:
+        def walk(course: Course, report: Done) -> _Walk:
             at_end = 0.0, np.zeros(along.size)
             if final is not None:
-                at_end = _differentiated(final, along.end, along.state(along.end))
-            return _Backward(along, *at_end).walk(report)
+                at_end = _differentiated(final, along.end, course.state(along.end))
+            return _Backward(along, course, *at_end).walk(report)
 
-        found = along.to_accuracy(walk, show)
-    by_parameters = found.integrals[1:] + found.adjoint @ along.start_by_parameters
+        solution, quality = along.to_accuracy(walk, show)
     return Gradient(
-        value=float(found.integrals[0]),
-        start=Sensitivity(found.start, along.layout, state_columns(along.layout)),
-        parameters=dict(zip(along.paths, by_parameters.tolist(), strict=True)),
+        value=solution.value,
+        start=Sensitivity(solution.start, along.layout, state_columns(along.layout)),
+        parameters=ByPath(zip(along.paths, solution.by_parameters.tolist(), strict=True)),
         trajectory=along.trajectory,
-        error=found.error,
-        times=found.times,
-        weights=found.weights,
-        torque_density=found.torque_density,
+        **quality._asdict(),
+        times=solution.times,
+        weights=solution.weights,
+        torque_density=solution.torque_density,
     )
 
 
@@ -254,12 +273,14 @@ class _Solved(NamedTuple):
 class _Backward:
     """A walk over all segments, from the end of the run to its start."""
 
-    def __init__(self, along: Along, value: float, slope: np.ndarray) -> None:
-        self._along, count = along, 1 + len(along.parameters)
+    def __init__(self, along: Along, course: Course, value: float, slope: np.ndarray) -> None:
+        self._along, self._course, count = along, course, 1 + len(along.parameters)
         self._mu, self._error = slope, np.zeros_like(slope)
         self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
         self._magnitudes, self._usual = np.zeros(count), np.zeros(count)
         self._integrals[0], self._magnitudes[0] = value, abs(value)
+        # what the adjoint is as a rule: displacements neither grow nor fade
+        self._usual_start = np.abs(slope).max()
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
     def walk(self, report: Done) -> _Walk:
@@ -267,16 +288,19 @@ class _Backward:
         along = self._along
         shares = np.zeros(along.count), np.zeros((along.count, self._integrals.size))
         for k in reversed(range(along.count)):
-            segment = along.segment(k)
+            segment = self._course.segment(k)
             self._enter(segment)
+            self._usual_start += segment.panel.length * segment.steepest
             for piece in reversed(segment.pieces(along.bounds)):
-                for own, added in zip(shares, self._over(piece), strict=True):
-                    own[k] += added
+                for share, added in zip(shares, self._over(piece), strict=True):
+                    share[k] += added
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(along.count - k)
         sizes, admissible = self._sizes(self._magnitudes, self._usual), along.admissible
         start = admissible @ self._mu
-        of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
+        resolved = ROUNDING / along.tolerance * self._usual_start
+        start_size = float(max(np.abs(start).max(), resolved, TINY))
+        of_start = np.abs(admissible @ self._error).max() / start_size
         self._pieces.reverse()
         weights = [panel.length * WEIGHTS for panel, _ in self._pieces]
         of_series = np.maximum(shares[0], (shares[1] / sizes).max(axis=1))
@@ -284,9 +308,11 @@ class _Backward:
         return _Walk(
             error=float(max(of_start, of_integrals, of_series.sum())),
             shares=of_series,
-            adjoint=self._mu,
+            value=float(self._integrals[0]),
             start=start,
-            integrals=self._integrals,
+            start_size=start_size,
+            by_parameters=self._integrals[1:] + self._mu @ along.start_by_parameters,
+            sizes=sizes[1:],
             times=np.concatenate([panel.nodes for panel, _ in self._pieces]),
             weights=np.concatenate(weights),
             torque_density=np.concatenate([density for _, density in self._pieces]),
@@ -321,8 +347,8 @@ class _Backward:
         wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
         if wrong > along.panel_tolerance and (finer := halving.next(wrong, part)):
             later, later_integrals = self._over(second, finer)
-            own, own_integrals = self._over(first, finer)
-            return later + own, later_integrals + own_integrals
+            earlier, earlier_integrals = self._over(first, finer)
+            return later + earlier, later_integrals + earlier_integrals
         self._mu, self._error = early.start, early.start_error + missed
         self._integrals += integrals
         self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
@@ -373,17 +399,17 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
 
 def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
     """Of the integrals by the parameters, shape (s, 1 + P); the first is left zero."""
-    found = np.zeros((len(stages), 1 + at.beta.shape[2]))
-    found[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
-    return found
+    integrand = np.zeros((len(stages), 1 + at.beta.shape[2]))
+    integrand[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
+    return integrand
 
 
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:
     """The value of a user's function and its derivatives by a displacement, shape (D,)."""
     size = 12 + 2 * state.layout.joints
-    found = _scalar(function, t, state.copy())
-    if isinstance(found, tuple):
-        value, slope = found
+    result = _scalar(function, t, state.copy())
+    if isinstance(result, tuple):
+        value, slope = result
         return _number(value), checked_vector("the derivatives of a scalar", slope, size)
     steps = DISPLACEMENT * np.eye(size)
     changes = [
@@ -391,7 +417,7 @@ def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np
         - _number(_scalar(function, t, displaced(state, -step)))
         for step in steps
     ]
-    return _number(found), np.array(changes) / (2.0 * DISPLACEMENT)
+    return _number(result), np.array(changes) / (2.0 * DISPLACEMENT)
 
 
 def _scalar(function: Scalar, t: float, state: State) -> object:

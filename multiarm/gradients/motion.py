@@ -4,13 +4,17 @@ The run itself is :func:`multiarm.simulate`'s, which gives samples at any times 
 steps.  It is sampled at the nodes of series over panels (:mod:`multiarm.gradients.interpolation`).
 Where a series of the highest degree is not the motion to the accuracy of the run, the panel is
 divided, and the run repeated.
+
+A run differs from the exact motion by an error that grows as motions separate.  A *neighbour* is a
+second run from the same start, with a tenth of the tolerance: their difference is about the error
+of the first as long as it is small, and as large as the motion itself where no digit is right.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -20,12 +24,19 @@ from multiarm.errors import SolverError
 from multiarm.gradients.interpolation import Series, nodes
 from multiarm.gradients.segments import SHORTEST, Panel
 from multiarm.results.trajectory import Trajectory
+from multiarm.simulation.setup import SMALLEST_TOLERANCE
 from multiarm.simulation.simulate import simulate
 
 # Longest panels [s], the degree of their series, and the number of parts of one that is divided.
 LONGEST, DEGREE, PARTS = 0.5, 64, 4
-# Parts of a panel whose defects are not so much smaller show the noise of the run, or a kink.
+# Where the parts of a panel do not have defects smaller by this factor, noise of the run is left.
 SMOOTHER = 0.5
+# Defects above this multiple of the accuracy are no noise, but a motion too sharp for the panel,
+# which is divided again; with so many panels all of the run is rough.
+SHARP, MOST_PANELS = 1e3, 500
+# Accuracy of a neighbour, as part of the run's.  Runs with less than the second have the smallest
+# tolerances already, and their neighbours err ten times as much.
+SHARPER, SHARPEST = 0.1, 100.0 * SMALLEST_TOLERANCE
 
 
 class Motion:
@@ -79,7 +90,9 @@ class Motion:
             for panel, series in zip(self.panels, self._series, strict=True):
                 defect = series.defect.max()
                 smooth = defect <= accuracy or panel.length < shortest
-                if smooth or defect > SMOOTHER * before[panel]:
+                noisy = defect > SMOOTHER * before[panel]
+                sharp = defect > SHARP * accuracy and len(self.panels) < MOST_PANELS
+                if smooth or (noisy and not sharp):
                     panels.append(panel)
                 else:
                     before |= dict.fromkeys(panel.parts(PARTS), defect)
@@ -97,24 +110,41 @@ class Motion:
         """The states at some times within one panel."""
         numbers, _ = self.series(times[0]).at(times)
         numbers[:, 3:7] /= np.linalg.norm(numbers[:, 3:7], axis=1, keepdims=True)
-        velocities = 7 + self._layout.joints
-        return [State(own[:velocities], own[velocities:], self._layout) for own in numbers]
+        return [self._state(row) for row in numbers]
 
     def series(self, t: float) -> Series:
         """Positions and velocities, one after the other, on the panel of a time."""
         return self._series[max(bisect_right(self._begins, t) - 1, 0)]
 
+    def neighbour(self, times: list[float]) -> dict[float, State]:
+        """States of a neighbour at some times, and at the ends of the run."""
+        sharper = SHARPER if self._accuracy > SHARPEST else 1.0 / SHARPER
+        _, numbers = self._simulated(sharper * self._accuracy, [*times, *self._bounds])
+        return {t: self._state(row) for t, row in numbers.items()}
+
     def _run(self) -> None:
         """Run to all nodes."""
-        times = np.unique([*self._bounds, *(t for own in self.panels for t in nodes(*own, DEGREE))])
+        at = [nodes(*panel, DEGREE) for panel in self.panels]
+        times = [*self._bounds, *chain.from_iterable(at)]
+        self.trajectory, numbers = self._simulated(self._accuracy, times)
+        self._at_bounds = {t: self._state(numbers[t]) for t in self._bounds}
+        self._series = [
+            Series(*panel, np.array([numbers[t] for t in times]))
+            for panel, times in zip(self.panels, at, strict=True)
+        ]
+
+    def _simulated(
+        self, accuracy: float, times: list[float]
+    ) -> tuple[Trajectory, dict[float, np.ndarray]]:
+        """A run of some accuracy; positions and velocities, one after the other, at some times."""
         begin, end = self.panels[0].begin, self.panels[-1].end
-        run = self.trajectory = simulate(
+        run = simulate(
             self._system,
             end - begin,
-            accuracy=self._accuracy,
+            accuracy=accuracy,
             state=self._start,
             start_time=begin,
-            output_times=times,
+            output_times=np.unique(times),
             certificate=False,
         )
         if run.status != "completed":
@@ -124,16 +154,12 @@ class Motion:
         pose = run.object_position, run.object_quaternion_xyzw
         positions = np.hstack([*pose, *(joints[name] for name in names)])
         velocities = np.hstack([run.object_twist, *(rates[name] for name in names)])
-        places = {t: k for k, t in enumerate(times.tolist())}
-        self._at_bounds = {
-            t: State(positions[places[t]], velocities[places[t]], self._layout)
-            for t in self._bounds
-        }
         numbers = np.hstack([positions, velocities])
-        self._series = [
-            Series(*panel, numbers[[places[t] for t in nodes(*panel, DEGREE)]])
-            for panel in self.panels
-        ]
+        return run, dict(zip(np.unique(times).tolist(), numbers, strict=True))
+
+    def _state(self, numbers: np.ndarray) -> State:
+        velocities = 7 + self._layout.joints
+        return State(numbers[:velocities], numbers[velocities:], self._layout)
 
 
 def _refuse_events(run: Trajectory) -> None:

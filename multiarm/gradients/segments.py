@@ -21,18 +21,23 @@ of order p, the result of the halves is wrong by
 
 .. math:: \frac{y_{\text{whole}} - y_{\text{halves}}}{2^p - 1} .
 
-Counted on is the order of the stages, p = 5, which long panels and strong damping leave of nine.
-Panels for which that is too much are divided.
+The estimate takes p = 5, the order of the stages: long panels and strong damping leave no more of
+the method's order nine.  Panels with a larger error than allowed are divided.
 
-*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of what they are as a rule:
-if a change of a parameter by its size changes accelerations as a whole.  Smaller ones, such as
-those that vanish by symmetry, are not resolved any finer.
+*The neighbour.*  Along a neighbour of the run (:mod:`multiarm.gradients.motion`), the matrices
+differ by as little as the states.  In the same basis R, their differences are series of a low
+degree, from few evaluations; with them added, a segment of the run is one of its neighbour.
+
+*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of their usual size, that
+of a parameter whose change by its size changes the accelerations as a whole.  Smaller derivatives,
+such as those that vanish by symmetry, are not resolved any finer.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -42,19 +47,17 @@ import numpy as np
 from multiarm.dynamics.sensitivity import free_bases
 from multiarm.errors import SolverError
 from multiarm.gradients.collocation import COUNT, NODES, Collocation
-from multiarm.gradients.interpolation import Series
-from multiarm.gradients.variation import Variation
+from multiarm.gradients.interpolation import Series, nodes
+from multiarm.gradients.variation import TINY, Variation
 
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
 RICHARDSON = 2.0**COUNT - 1.0
-# Shorter pieces of time are worth it as long as they lessen an error at least so; panels are
-# divided so many times more before that counts.
+# Dividing a piece of time pays as long as it lessens the error by this factor; panels may miss that
+# so many times in a row.
 LESSENED, PATIENCE = 0.5, 6
 # Of derivatives by parameters, relative to what they are as a rule.
 ROUNDING = 1e-9
-# In place of sizes that are zero.
-TINY = 1e-300
 
 
 class Panel(NamedTuple):
@@ -86,7 +89,7 @@ class Halving(NamedTuple):
     vain: int = 0
 
     def next(self, error: float, part: float) -> Halving | None:
-        """After one more error, of a panel of this part of the run; None: it stays as it is."""
+        """What comes after this error of a panel, a part of the run; None: no further division."""
         vain = self.vain + 1 if error > LESSENED * self.error else 0
         return Halving(error, vain) if part > SHORTEST and vain < PATIENCE else None
 
@@ -135,6 +138,8 @@ class Segment:
         R.
     scale : ndarray, shape (d, P)
         What derivatives by the parameters are as a rule, for each coordinate.
+    steepest : float
+        The largest derivative of the integrand by any displacement.
     defect, error : float
         Of the series, relative to its largest value; the error that it alone may make, relative to
         a displacement.  Twice the degree about squares the first.
@@ -146,30 +151,30 @@ class Segment:
     """
 
     def __init__(self, panel: Panel, values: Sequence[Variation]) -> None:
-        A, B, beta, motions, offset, slope, rate, scale = zip(*values, strict=True)
-        bases = free_bases(motions)
-        if len({own.shape for own in bases}) > 1:
-            raise SolverError(
-                f"the rank of the constraints changes between {panel.begin:.6g} s and "
-                f"{panel.end:.6g} s, where the run has no derivatives"
-            )
-        A, B, beta, offset, slope, N = map(np.stack, (A, B, beta, offset, slope, bases))
+        bases = _bases(panel, values)
         self.panel, self.basis = panel, bases[len(bases) // 2]
-        to, self._joints, (_, d) = self.basis.T, B.shape[2], self.basis.shape
-        self.scale = np.abs(to) @ np.max(scale, axis=0)
-        E = N @ np.linalg.inv(to @ N)
-        n = offset - E @ (to @ offset)
-        own = np.zeros((len(values), d + 1, d + self._joints + beta.shape[2] + 1))
-        by_slope = np.einsum("kd,kde->ke", slope, np.dstack([E, n]))
-        own[:, :d, :-1] = np.dstack([to @ (A @ E), to @ B, to @ (beta + A @ n)])
-        own[:, :d, -1], own[:, d, d + self._joints : -1] = by_slope[:, :d], by_slope[:, d:]
-        own[:, d, -1] = rate
-        self._series = Series(*panel, own)
-        self._lift = Series(*panel, np.dstack([E, n]))
+        self._joints, (_, d) = values[0].B.shape[1], self.basis.shape
+        self.scale = np.abs(self.basis.T) @ np.max([value.scale for value in values], axis=0)
+        self.steepest = float(np.abs([value.slope for value in values]).max())
+        matrices, lifts = _in_coordinates(values, bases, self.basis)
+        self._series, self._lift = Series(*panel, matrices), Series(*panel, lifts)
         wrong = self._series.defect[:d, :d].max(initial=0.0)
-        self.defect = float(wrong / np.abs(own[:, :d, :d]).max(initial=TINY))
+        self.defect = float(wrong / np.abs(matrices[:, :d, :d]).max(initial=TINY))
         of_lift = self._lift.defect[:, :d].max(initial=0.0)
         self.error = float(max(panel.length * wrong, of_lift))
+
+    def of_neighbour(self, values: Sequence[Variation]) -> Segment:
+        """The segment of a neighbour, with values at the nodes of a low degree."""
+        panel, segment = self.panel, copy(self)
+        times = nodes(*panel, len(values) - 1)
+        moved = _in_coordinates(values, _bases(panel, values), self.basis)
+        series = self._series, self._lift
+        changes = [
+            Series(*panel, matrices - of_run.at(times)[0])
+            for of_run, matrices in zip(series, moved, strict=True)
+        ]
+        segment._series, segment._lift = map(Series.plus, series, changes)
+        return segment
 
     @property
     def numbers(self) -> int:
@@ -187,7 +192,7 @@ class Segment:
         return both[:, : self.basis.shape[1]], both[:, self.basis.shape[1] :]
 
     def pieces(self, bounds: np.ndarray) -> list[Piece]:
-        """Pieces to begin with, from one of the given times to the next, in order."""
+        """Pieces to begin with, from each of some times to the next, in order."""
         inner = bounds[(bounds > self.panel.begin) & (bounds < self.panel.end)]
         times = [self.panel.begin, *inner.tolist(), self.panel.end]
         return [Piece(self, Panel(*pair)) for pair in pairwise(times)]
@@ -202,6 +207,38 @@ class Segment:
             slope=rows[:, :, -1],
             rates=np.roll(last[:, size + n :], 1, axis=1),
         )
+
+
+def _bases(panel: Panel, values: Sequence[Variation]) -> list[np.ndarray]:
+    """N at the nodes of a segment."""
+    bases = free_bases([value.motions for value in values])
+    if len({N.shape for N in bases}) > 1:
+        raise SolverError(
+            f"the rank of the constraints changes between {panel.begin:.6g} s and "
+            f"{panel.end:.6g} s, where the run has no derivatives"
+        )
+    return bases
+
+
+def _in_coordinates(
+    values: Sequence[Variation], bases: Sequence[np.ndarray], R: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """All matrices of the equation in the coordinates of a basis, and (E, n), at each node.
+
+    Shapes (k, d + 1, d + n + P + 1) and (k, D, d + P).  The last row is that of the integrand, the
+    last column its slope.
+    """
+    columns = "A", "B", "beta", "offset", "slope"
+    A, B, beta, offset, slope = (np.stack([getattr(v, name) for v in values]) for name in columns)
+    N, to, joints, d = np.stack(bases), R.T, B.shape[2], R.shape[1]
+    E = N @ np.linalg.inv(to @ N)
+    n = offset - E @ (to @ offset)
+    matrices = np.zeros((len(values), d + 1, d + joints + beta.shape[2] + 1))
+    by_slope = np.einsum("kd,kde->ke", slope, np.dstack([E, n]))
+    matrices[:, :d, :-1] = np.dstack([to @ (A @ E), to @ B, to @ (beta + A @ n)])
+    matrices[:, :d, -1], matrices[:, d, d + joints : -1] = by_slope[:, :d], by_slope[:, d:]
+    matrices[:, d, -1] = [value.rate for value in values]
+    return matrices, np.dstack([E, n])
 
 
 class Piece:

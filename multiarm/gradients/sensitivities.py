@@ -20,18 +20,17 @@ from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SceneError
-from multiarm.gradients.along import Along, Done, Parameters
+from multiarm.gradients.along import Along, Course, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.segments import (
     RICHARDSON,
     ROUNDING,
-    TINY,
     WHOLE,
     Coefficients,
     Halving,
     Piece,
 )
-from multiarm.gradients.variation import state_columns
+from multiarm.gradients.variation import TINY, state_columns
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -62,7 +61,12 @@ class Sensitivities:
     trajectory : Trajectory
         The run, sampled at these times and at the nodes of series.
     error : float
-        Estimated error of the derivatives along this run, relative to the largest of their column.
+        Estimated error of the derivatives, relative to the largest of their column, with what the
+        error of the run itself changes, as of :class:`multiarm.gradients.gradient.Gradient`.
+    digits : int
+        How many are right, by this error; 0 of a chaotic run that is too long.
+    message : str
+        What is wrong when few digits are right, and what to do; else empty.
     layout : Layout
     """
 
@@ -73,6 +77,8 @@ class Sensitivities:
     states: list[State]
     trajectory: Trajectory
     error: float
+    digits: int
+    message: str
     layout: Layout
 
     __dir__ = public_names
@@ -80,12 +86,13 @@ class Sensitivities:
     def __repr__(self) -> str:
         times, rows, columns = self.matrix.shape
         of, by = count_of(rows, "component"), count_of(columns, "column")
-        return f"Sensitivities({of} at {count_of(times, 'time')}, by {by})"
+        counts = f"{of} at {count_of(times, 'time')}, by {by}"
+        return f"Sensitivities({counts}{self.message and '; '}{self.message})"
 
     def _repr_html_(self) -> str:
         parameters = ", ".join(list(self.columns)[len(self.rows) :])
         facts = {"times": len(self.time), "parameters": parameters, "error": f"{self.error:.1e}"}
-        return facts_html("Sensitivities", facts)
+        return facts_html("Sensitivities", facts | {"message": self.message})
 
     @property
     def object_pose(self) -> Sensitivity:
@@ -124,6 +131,13 @@ class _Walk(NamedTuple):
     error: float
     shares: np.ndarray
     at: dict[float, np.ndarray]  # (D, D + P) at all bounds of panels
+    sizes: np.ndarray  # (D + P,), what errors of the columns are relative to
+
+    def difference(self, neighbour: _Walk) -> float:
+        """The largest relative difference of a derivative along a neighbour."""
+        times = self.at.keys() & neighbour.at.keys()
+        wrong = np.max([np.abs(neighbour.at[t] - self.at[t]).max(axis=0) for t in times], axis=0)
+        return float((wrong / np.maximum(self.sizes, neighbour.sizes)).max())
 
 
 def sensitivities(
@@ -141,7 +155,7 @@ def sensitivities(
     By the variational equation along the run (:mod:`multiarm.gradients.sensitivities`).
 
     >>> S = ma.sensitivities(system, [0.5, 1.0], parameters=["object.mass"])
-    >>> S.joint_positions["left"].d_object_twist, S.object_pose.d_parameter("object.mass")
+    >>> S.joint_positions["left"].d_object_twist, S.object_pose.parameters["object.mass"]
 
     Parameters
     ----------
@@ -166,18 +180,20 @@ def sensitivities(
     with displayed(progress, Progress) as show:
         duration = float(at[-1]) - begin
         along = Along(system, begin, duration, accuracy, start, parameters, at)
-        found = along.to_accuracy(lambda report: _Forward(along).walk(report), show)
+        solution, quality = along.to_accuracy(
+            lambda course, report: _Forward(along, course).walk(report), show
+        )
     rows, columns = state_columns(along.layout), state_columns(along.layout)
     for path in along.paths:
-        columns[path] = slice(end := max(own.stop for own in columns.values()), end + 1)
+        columns[path] = slice(end := max(part.stop for part in columns.values()), end + 1)
     return Sensitivities(
         time=at,
-        matrix=np.stack([found.at[t] for t in at.tolist()]),
+        matrix=np.stack([solution.at[t] for t in at.tolist()]),
         rows=rows,
         columns=columns,
         states=[along.state(t) for t in at.tolist()],
         trajectory=along.trajectory,
-        error=found.error,
+        **quality._asdict(),
         layout=along.layout,
     )
 
@@ -185,8 +201,8 @@ def sensitivities(
 class _Forward:
     """A walk over all segments, from the start of the run to its end."""
 
-    def __init__(self, along: Along) -> None:
-        self._along = along
+    def __init__(self, along: Along, course: Course) -> None:
+        self._along, self._course = along, course
         self._S = np.hstack([along.admissible, along.start_by_parameters])
         self._error, self._worst = np.zeros_like(self._S), np.zeros(self._S.shape[1])
         self._sizes = np.abs(self._S).max(axis=0, initial=TINY)
@@ -198,7 +214,7 @@ class _Forward:
         along = self._along
         shares = np.zeros((along.count, self._S.shape[1]))
         for k in range(along.count):
-            segment = along.segment(k)
+            segment = self._course.segment(k)
             if k == 0:  # columns that begin with nothing grow to about this size
                 at, _ = segment.at([segment.panel.nodes[1]])
                 duration, of_all = along.end - along.begin, slice(along.size, None)
@@ -216,7 +232,7 @@ class _Forward:
             report(k + 1)
         of_series = (shares / self._sizes).max(axis=1)
         error = max((self._worst / self._sizes).max(), of_series.sum())
-        return _Walk(float(error), of_series, self._at)
+        return _Walk(float(error), of_series, self._at, self._sizes)
 
     def _over(self, piece: Piece, share: np.ndarray, halving: Halving = WHOLE) -> None:
         """Solve over one piece, or over parts of it; adds the errors of the series, (C,)."""
@@ -224,8 +240,8 @@ class _Forward:
         whole, _, _ = _solved(piece, S, error)
         of_series = np.zeros(S.shape[1])
         for half in piece.halves:
-            S, error, own = _solved(half, S, error)
-            of_series += own
+            S, error, of_half = _solved(half, S, error)
+            of_series += of_half
         missed = (whole - S) / RICHARDSON
         sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
         part = panel.length / (along.end - along.begin)
@@ -250,8 +266,8 @@ def _solved(
     end, stages = collocation.forward(S, _by_column(at, S))
     wrong = defect.A @ stages + _by_column(defect, S)
     error, _ = collocation.forward(error, wrong)
-    own = piece.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
-    return end, error, own
+    of_series = piece.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
+    return end, error, of_series
 
 
 def _by_column(at: Coefficients, S: np.ndarray) -> np.ndarray:

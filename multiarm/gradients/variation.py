@@ -18,8 +18,12 @@ many they are does not depend on the number of arms; they have coordinates of th
 
 *Parameters* p are numbers of the scene.  What they change of the accelerations at a state, of its
 gaps, and of the start, are differences of order four between systems that are compiled with other
-numbers.  Where they move the joints themselves, as lengths do, nearby motions keep
-:math:`C\delta = -\partial(\varphi, \dot\varphi)/\partial p\;\delta p`.
+numbers.  A start that is given is put on the joints of each, as that of a run is: derivatives are
+those of runs from the same state in other scenes.  Where parameters move the joints themselves, as
+lengths do, nearby motions keep
+:math:`C\delta = -\partial(\varphi, \dot\varphi)/\partial p\;\delta p`; changes of the gaps that are
+roundings do not count.  Accelerations are then differentiated along states that follow the joints:
+where an arm is singular they have no derivative off them.
 """
 
 from __future__ import annotations
@@ -29,13 +33,16 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.loop_closure import projection_tolerance
+from multiarm.assembly.start import project_start
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.sensitivity import STATE, Derivatives, Motions, columns_of
+from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
-from multiarm.errors import MultiarmError, SceneError, SolverError
+from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.scene.changes import changed, parse_path, value_at
 from multiarm.scene.faults import place, shown
@@ -45,8 +52,16 @@ from multiarm.spatial import skew
 # Displacement of a difference, as part of the size of a number of the scene; numbers below the
 # second may be roundings of zero, and have the size 1.
 PART, ROUNDING = 1e-3, 1e-6
+# In place of lengths that are zero.
+TINY = 1e-300
 # Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
 CLOSED = 1e-5
+# Steps by which a state follows joints that a parameter moves, each with the derivatives at the
+# state itself: a rest of the third order in the change is left.
+NEWTON_STEPS = 2
+# Changes by four displacements are those of a smooth function when they agree to this part, or to
+# what closing the joints leaves of the start [m, rad] and of its accelerations, relative to these.
+UNEVEN, START_ROUNDINGS, ACCELERATION_ROUNDINGS = 0.1, 1e-9, 1e-5
 OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
 
@@ -107,8 +122,8 @@ def variation(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
         ("object_twist", "object_acceleration"),
         ("joint_velocities", "joint_accelerations"),
     ):
-        own = derivatives.matrix[rows[acceleration]]
-        A[at[velocity]], B[at[velocity]] = own[:, :size], own[:, columns["torques"]]
+        by_all = derivatives.matrix[rows[acceleration]]
+        A[at[velocity]], B[at[velocity]] = by_all[:, :size], by_all[:, columns["torques"]]
     return A, B
 
 
@@ -161,61 +176,137 @@ class Parameter:
         if size is None:
             size = abs(value) if abs(value) > ROUNDING else 1.0
         self.path, self.size = path, positive(f"parameters[{path!r}]", size)
-        self._start, step = system.initial_state(), PART * self.size
+        self._system, step = system, PART * self.size
         self._systems = {
             weight / step: _with_value(system, path, value + offset * step)
             for offset, weight in OFFSETS.items()
         }
 
-    def of_start(self) -> np.ndarray:
-        """The derivative of the scene's start, shape (D,)."""
-        own, found = self._start, np.zeros(12 + 2 * self._start.layout.joints)
-        for weight, system in self._systems.items():
-            found += weight * displacement(own, system.initial_state())
-        return found
+    def of_start(self, t: float, state: State | None) -> np.ndarray:
+        """The derivative of the state in which runs begin at a time [s], shape (D,).
 
-    def at(self, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """The derivatives of the state's rate at a time [s], shape (D,), and of gaps and gap rates.
+        Runs begin in the scene's start, or in a given state, which is put on the joints.
 
-        Those are in the order of :attr:`multiarm.dynamics.sensitivity.Motions.constraint`.
+        Raises
+        ------
+        SceneError
+            When that state or its accelerations jump, or it cannot be put on the joints.
+        """
+        try:
+            start = _start(self._system, state)
+            ends = {w: _start(system, state) for w, system in self._systems.items()}
+        except ModelError as error:
+            raise SceneError(
+                f"{self.path}: derivatives by it need runs from the given `state` with "
+                f"{shown(self.path)} nearby; name a smaller size, "
+                f"`parameters={{{self.path!r}: ...}}` ({error})"
+            ) from None
+        changes = np.array([displacement(start, end) for end in ends.values()])
+        before, _ = self._evaluated(self._system, t, start)
+        after = [self._evaluated(self._systems[w], t, end)[0] for w, end in ends.items()]
+        faster = (np.array(after) - before) / max(1.0, np.abs(before).max())
+        if _jump(changes, START_ROUNDINGS) or _jump(faster, ACCELERATION_ROUNDINGS):
+            raise SceneError(
+                f"{self.path}: the start of the run, or its accelerations, do not depend on it "
+                f"smoothly: they jump as it changes by {PART * self.size:.3g}; where a posture or "
+                "a base that is to be found jumps, write what was found in the scene "
+                "(`system.initial_state().joint_positions`); else name another size, "
+                f"`parameters={{{self.path!r}: ...}}`"
+            )
+        return np.array(list(ends)) @ changes
+
+    def at(self, t: float, state: State, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the state's rate, and of the state itself as it follows the joints.
+
+        Parameters
+        ----------
+        t : float
+            [s]
+        state : State
+        motions : Motions
+            At this state.
+
+        Returns
+        -------
+        rate, offset : ndarray, shape (D,)
+            The accelerations at the state that follows; zero at the places of velocities.
 
         Raises
         ------
         SolverError
             When the parameter moves contacts that can open.
         """
-        found = [(w, *self._evaluated(system, t, state)) for w, system in self._systems.items()]
-        rate = np.sum([w * accelerations for w, accelerations, _ in found], axis=0)
-        gaps = np.sum([w * residuals for w, _, residuals in found], axis=0)
+        weights, systems = np.array(list(self._systems)), list(self._systems.values())
+        moves = np.zeros((len(systems), 12 + 2 * state.layout.joints))
+        evaluated = [self._evaluated(system, t, state) for system in systems]
+        gaps = np.array([residuals for _, residuals in evaluated])
+        if np.ptp(gaps, axis=0).max(initial=0.0) > self._closed(state):
+            C = motions.constraint
+            lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
+            closing = np.linalg.pinv(C / lengths[:, None], SYSTEM_TOLERANCE) / lengths
+            for _ in range(NEWTON_STEPS):
+                moves -= gaps @ closing.T
+                evaluated = [
+                    self._evaluated(system, t, displaced(state, move))
+                    for system, move in zip(systems, moves, strict=True)
+                ]
+                gaps = np.array([residuals for _, residuals in evaluated])
+        rate = weights @ [accelerations for accelerations, _ in evaluated]
         still = np.zeros(6), np.zeros(state.layout.joints)
-        return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), gaps
+        return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), weights @ moves
+
+    def _closed(self, state: State) -> float:
+        """Changes of gaps [m] and gap rates [m/s] that are roundings, at a state."""
+        with self._system.borrow() as data:
+            fastest = np.abs(state.velocity).max()
+            return projection_tolerance(data) * max(1.0, fastest)
 
     def _evaluated(self, system: System, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Accelerations of one system, and its gaps and gap rates."""
         if system.model.unilateral is None:
             with system.borrow() as data:
-                found = evaluation.evaluate(data, t, state)
+                accelerations = evaluation.evaluate(data, t, state).accelerations
                 codes, contacts = data.model.constants.codes, data.arrays.contacts
                 gaps = contacts[codes[:, KIND] != TANGENT, GAP]
-                return found.accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
-        found = evaluate(system, t, state)
-        if max(found.position_residual, found.velocity_residual) > CLOSED:
+                return accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
+        evaluated = evaluate(system, t, state)
+        if max(evaluated.position_residual, evaluated.velocity_residual) > CLOSED:
             raise SolverError(
                 f"the parameter {self.path} moves contacts that can open; a run is differentiated "
                 "by such numbers only where all contacts hold both ways"
             )
-        return found.accelerations, np.zeros(0)
+        return evaluated.accelerations, np.zeros(0)
+
+
+def _jump(changes: np.ndarray, roundings: float) -> bool:
+    """Whether changes by the four displacements are not those of a smooth function.
+
+    Its first and second differences agree over the long and over the short steps.
+    """
+    far_back, back, ahead, far_ahead = changes
+    slopes = 0.5 * (far_ahead - far_back) - (ahead - back)
+    curvatures = 0.25 * (far_ahead + far_back) - (ahead + back)
+    uneven, largest = np.abs([slopes, curvatures]).max(), np.abs([ahead, back]).max()
+    return bool(uneven > roundings + UNEVEN * largest)
+
+
+def _start(system: System, state: State | None) -> State:
+    """The state in which a run of a system begins."""
+    if state is None:
+        return system.initial_state()
+    with system.borrow() as data:
+        return project_start(data, system.scene, state)[0]
 
 
 def _with_value(system: System, path: str, value: float) -> System:
     control = system.model.python_control
     try:
-        other = compile_system(changed(system.scene, {path: value}), like=system)
+        nearby = compile_system(changed(system.scene, {path: value}), like=system)
     except MultiarmError as error:
         raise SceneError(
             f"{path}: derivatives by it need the scene with {value:.9g}, which cannot be compiled; "
             f"name a smaller size, `parameters={{{path!r}: ...}}` ({error})"
         ) from None
     if control is not None and not control.in_scene:
-        other = other.with_control(control.function)
-    return other
+        nearby = nearby.with_control(control.function)
+    return nearby

@@ -22,7 +22,6 @@ then judged by `is_form_closure`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import combinations
 from numbers import Real
 from typing import Any
 
@@ -161,21 +160,6 @@ def largest_gripper(grasp: Grasp) -> float:
     return max(grasp.gripper_size(gripper.name) for gripper in grasp.grippers)
 
 
-def two_groups(points: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """The split of contacts (N, 3) in two groups with the smallest larger diameter."""
-    away = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    numbers = range(len(points))
-    best: tuple[float, tuple[int, ...]] = (np.inf, ())
-    for count in range(1, len(points) // 2 + 1):
-        for chosen in combinations(numbers, count):
-            rest = [j for j in numbers if j not in chosen]
-            largest = max(away[np.ix_(group, group)].max() for group in (list(chosen), rest))
-            best = min(best, (float(largest), chosen))
-    second = best[1]
-    first = tuple(j for j in numbers if j not in second)
-    return first, second
-
-
 def length_of(value: Any, what: str) -> float:
     """A length [m]; a GraspError if it is no finite number."""
     if not isinstance(value, Real) or not np.isfinite(float(value)):
@@ -252,7 +236,7 @@ def opposite_corner(found: BodyClass, body: Polyhedron, faces: Sequence[int]) ->
 
 
 def shared_corner(body: Polyhedron, faces: Sequence[int]) -> int | None:
-    """The convex corner where three faces meet, or None."""
+    """The convex corner where exactly these faces meet, or None."""
     for vertex, meeting in enumerate(body.corners):
         if set(faces) == set(meeting) and convex_corner(body, vertex):
             return vertex
@@ -279,12 +263,12 @@ def corner_frame(body: Polyhedron, vertex: int, seat: int) -> np.ndarray:
     return frame_of(-body.faces[seat].normal, before, body.vertices[vertex])
 
 
-def gripper_frame(body: Polyhedron, faces: Three, points: np.ndarray) -> np.ndarray:
-    """Frame of a gripper at the corner that three faces share, or else near its contacts."""
+def gripper_frame(body: Polyhedron, faces: Sequence[int], points: np.ndarray) -> np.ndarray:
+    """Frame of a gripper at the corner that the faces of its contacts share, or else near them."""
     corner = shared_corner(body, faces)
     if corner is None:
-        return nearest_corner_frame(body, points, faces[2])
-    return corner_frame(body, corner, faces[2])
+        return nearest_corner_frame(body, points, faces[-1])
+    return corner_frame(body, corner, faces[-1])
 
 
 def feet(body: Polyhedron, faces: Three, point: np.ndarray) -> np.ndarray:

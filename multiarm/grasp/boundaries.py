@@ -26,14 +26,14 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
-from multiarm.grasp.programs import LinearSolution, linear_program
 from multiarm.notation import count_of
+from multiarm.programs import LinearSolution, linear_program
+from multiarm.scene import meshes
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
 # A body of half-spaces is bounded when the origin is inside the hull of their duals by more than
 # this; it has a ball inside that is larger.
 INSIDE = 1e-9
-MOST_BYTES = 1 << 30  # of a mesh file
 
 
 Loops = list[list[list[int]]]
@@ -316,7 +316,10 @@ def read_mesh(file: str | Path, scale: float) -> tuple[np.ndarray, Loops]:
     """Corners and faces of the body in a mesh file; see `Polyhedron.mesh`."""
     if not (np.isfinite(scale) and scale > 0.0):
         raise GraspError(f"{file}: a mesh is scaled by a positive factor, not {scale!r}")
-    points, triangles = _read(Path(file))
+    try:
+        points, triangles, _ = meshes.read_mesh(Path(file))
+    except ValueError as error:
+        raise GraspError(f"{file}: {error}; a body is read from STL or OBJ") from error
     size = float(np.ptp(points, axis=0).max())
     rounding = SINGLE * float(np.abs(points).max())
     vertices, triangles = _joined(points, triangles, max(rounding, 1e-9 * size))
@@ -379,24 +382,6 @@ def face_triangles(face: Face) -> list[tuple[int, int, int]]:
         a, b, c = (int(np.argmin(np.abs(corners - at).max(axis=1))) for at in ring)
         made.append((a, b, c))
     return made
-
-
-def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) and triangles (T, 3) of a file, as they stand there."""
-    import trimesh
-
-    if not file.is_file():
-        raise GraspError(f"{file}: no such file")
-    if file.stat().st_size > MOST_BYTES:
-        raise GraspError(f"{file}: larger than {MOST_BYTES:,} bytes; simplify the mesh")
-    try:
-        loaded: Any = trimesh.load_mesh(str(file), process=False)
-        points, triangles = np.array(loaded.vertices, float), np.array(loaded.faces, int)
-    except Exception as error:  # readers of the formats raise what they please
-        raise GraspError(f"{file}: cannot be read as a mesh; use STL or OBJ") from error
-    if not len(triangles) or not np.all(np.isfinite(points)):
-        raise GraspError(f"{file}: a mesh needs triangles with finite coordinates")
-    return points, triangles
 
 
 def _joined(

@@ -28,6 +28,8 @@ The draws come from a generator that is passed in, so that a search can be repea
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from multiarm.errors import GraspError
@@ -40,7 +42,6 @@ from multiarm.grasp.assembling import (
     size_of_gripper,
     sized,
     smallest_pushes,
-    two_groups,
 )
 from multiarm.grasp.blocks import USUAL_OFFSET, design_block_grasp
 from multiarm.grasp.body_class import BodyClass, as_polyhedron, classify, roundness
@@ -50,6 +51,7 @@ from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.parallel_bodies import design_parallel_grasp
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import two_groups
 from multiarm.grasp.seventh_contact import region_of, seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp
 
@@ -61,6 +63,7 @@ def design_grasp(
     offset: float | None = None,
     seventh: float | None = None,
     generator: np.random.Generator | None = None,
+    progress: bool | Callable[[int, int, str], None] | None = None,
 ) -> Grasp:
     """A form-closure grasp of a polyhedron by two grippers, without friction.
 
@@ -75,6 +78,8 @@ def design_grasp(
         A and E of the construction for blocks [m] (see `design_block_grasp`).
     generator : numpy.random.Generator, optional
         For the search, where one is needed.
+    progress : bool or callable, optional
+        Of the wider class, as in `design_wide_grasp`.
 
     Returns
     -------
@@ -90,36 +95,36 @@ def design_grasp(
     """
     body, gripper_size = as_polyhedron(body), size_of_gripper(gripper_size)
     nearly_round = _refuse_round(body)
-    found = classify(body)
-    if found.kind == "block":
+    body_class = classify(body)
+    if body_class.kind == "block":
         grasp = _block_grasp(body, gripper_size, offset, seventh)
     elif offset is not None or seventh is not None:
         raise GraspError(
             f"offset and seventh are lengths of the construction for blocks; this body is "
-            f"{found.words}.  Give gripper_size, or nothing"
+            f"{body_class.words}.  Give gripper_size, or nothing"
         )
-    elif found.kind == "three pairs of parallel faces":
+    elif body_class.kind == "three pairs of parallel faces":
         grasp = design_parallel_grasp(body, gripper_size=gripper_size)
     else:
-        grasp = _general_grasp(body, found, gripper_size, generator)
-    return grasp.noted(*nearly_round, f"the body is {found.words}")
+        grasp = _general_grasp(body, body_class, gripper_size, generator, progress)
+    return grasp.noted(*nearly_round, f"the body is {body_class.words}")
 
 
 def _refuse_round(body: Polyhedron) -> tuple[str, ...]:
     """Refuse a body of revolution; return a remark on one that may approximate such a body."""
-    found = roundness(body)
-    axis = ", ".join(f"{x:.3g}" for x in np.round(found.axis, 3) + 0.0)
-    if found:
+    revolution = roundness(body)
+    axis = ", ".join(f"{x:.3g}" for x in np.round(revolution.axis, 3) + 0.0)
+    if revolution:
         raise GraspError(
             f"the body is one of revolution about the axis ({axis}) through its centre, or a mesh "
-            f"of one: all normal lines pass within {found.distance:.3g} m of the axis, so that no "
-            f"frictionless contact keeps it from turning; give it a flat, a groove or a key"
+            f"of one: all normal lines pass within {revolution.distance:.3g} m of the axis, so "
+            f"that no frictionless contact keeps it from turning; give it a flat, a groove or a key"
         )
-    if not found.nearly:
+    if not revolution.nearly:
         return ()
     return (
         f"the body is nearly one of revolution about the axis ({axis}): contacts have levers of "
-        f"{found.distance:.3g} m at most; if it is a mesh of a round body, nothing holds that",
+        f"{revolution.distance:.3g} m at most; if it is a mesh of a round body, nothing holds that",
     )
 
 
@@ -132,30 +137,31 @@ def _block_grasp(
         return design_block_grasp(body, offset=offset, seventh=seventh)
     edges = [body.faces[i].offset + body.faces[j].offset for i, j in classify(body).pairs]
 
-    def made(A: float) -> Grasp:
+    def with_offset(A: float) -> Grasp:
         return design_block_grasp(body, offset=A, seventh=seventh)
 
-    return sized(made, USUAL_OFFSET * min(edges), gripper_size)
+    return sized(with_offset, USUAL_OFFSET * min(edges), gripper_size)
 
 
 def _general_grasp(
     body: Polyhedron,
-    found: BodyClass,
+    body_class: BodyClass,
     gripper_size: float | None,
     generator: np.random.Generator | None,
+    progress: bool | Callable[[int, int, str], None] | None,
 ) -> Grasp:
     """The wider class when it can be, and a search otherwise."""
-    if found.triples:
+    if body_class.triples:
         try:
-            return design_wide_grasp(body, gripper_size=gripper_size)
+            return design_wide_grasp(body, gripper_size=gripper_size, progress=progress)
         except GraspError:
             pass  # the search may still find one; its notes say that it was a search
     grasp = search_grasp(body, generator)
     if gripper_size is not None and largest_gripper(grasp) > gripper_size:
         raise GraspError(
             f"the smallest grippers found for this body are {largest_gripper(grasp):.4g} m, not "
-            f"{gripper_size:g} m; it is {found.words}, and small grippers need two corners whose "
-            f"faces oppose each other"
+            f"{gripper_size:g} m; it is {body_class.words}, and small grippers need two corners "
+            f"whose faces oppose each other"
         )
     return grasp
 
@@ -180,7 +186,8 @@ def search_grasp(body: Polyhedron, generator: np.random.Generator | None = None)
     Returns
     -------
     Grasp
-        The contacts in two groups, each as compact as it can be; gripper 1 carries the larger.
+        The contacts in two groups that hands reach, as compact as can be; gripper 1 carries the
+        larger.
 
     Raises
     ------
@@ -206,20 +213,20 @@ def _draws(
     body: Polyhedron, generator: np.random.Generator
 ) -> list[tuple[tuple[int, ...], np.ndarray]]:
     """Faces and places of the closed draws with the largest smallest push."""
-    found: list[tuple[float, tuple[int, ...], np.ndarray]] = []
+    draws: list[tuple[float, tuple[int, ...], np.ndarray]] = []
     for _ in range(BATCHES):
         faces, points = _surface_points(body, (DRAWS, 7), generator)
         smallest = smallest_pushes(body, points, -body.normals[faces])
         order = np.argsort(-smallest)[:IMPROVED]
-        found.extend(
+        draws.extend(
             (float(smallest[k]), tuple(faces[k].tolist()), points[k])
             for k in order
             if smallest[k] > 0.0
         )
-        if len(found) >= IMPROVED:
+        if len(draws) >= IMPROVED:
             break
-    found.sort(key=lambda draw: -draw[0])
-    return [(faces, points) for _, faces, points in found[:IMPROVED]]
+    draws.sort(key=lambda draw: -draw[0])
+    return [(faces, points) for _, faces, points in draws[:IMPROVED]]
 
 
 def _surface_points(
@@ -270,13 +277,13 @@ def _firmness(contacts: Contacts) -> float:
 
 
 def _grasp(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> Grasp:
-    first, second = two_groups(contacts.points)
+    first, second = two_groups(contacts)
     order = [*first, *second]
     on = [faces[j] for j in order]
     points = contacts.points[order]
     split = [tuple(range(len(first))), tuple(range(len(first), len(order)))]
     frames = [nearest_corner_frame(body, points[list(part)], on[part[0]]) for part in split]
     note = "found by search: the contacts fit this body, and not others of its shape"
-    made = assembled(body, points, on, split, frames, (note,))
-    region = seventh_contact_region(made.contacts.subset(range(6)), body.faces[on[6]])
-    return proven(made, crosses_border(made, region), "pass another generator")
+    grasp = assembled(body, points, on, split, frames, (note,))
+    region = seventh_contact_region(grasp.contacts.subset(range(6)), body.faces[on[6]])
+    return proven(grasp, crosses_border(grasp, region), "pass another generator")

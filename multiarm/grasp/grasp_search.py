@@ -1,9 +1,9 @@
 r"""The search over choices of faces: good placements by trying, a proven bound of each choice.
 
 Placements are evolved for the most promising choices.  Then the choice with the highest bound is
-bounded by its programs (:mod:`multiarm.grasp.grasp_objectives`), what they propose is evolved, and
-so on.  A choice that was never looked at has the quick bound of the twists learnt from others.  At
-any time the highest of all bounds, or the best score found, is a bound on everything.
+bounded by its program (:mod:`multiarm.grasp.margin_bounds`), what it proposes is evolved, and so
+on.  A choice that was never looked at has the quick bound of the twists learnt from others.  At any
+time the highest of all bounds, or the largest margin, is a bound on everything.
 
 **Good placements by trying**: differential evolution that stays in the regions.  A trial goes from
 a placement towards the best one and along the difference of two others, and stops where it would
@@ -15,32 +15,23 @@ Reference: Storn, Price, "Differential evolution", Journal of Global Optimizatio
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.form_closure import scaled_wrenches_of
-from multiarm.grasp.grasp_objectives import Margin, Objective, felt_by
-from multiarm.grasp.placements import (
-    SevenTouches,
-    TouchRegion,
-    face_choices,
-    seven_touches,
-)
+from multiarm.grasp.margin_bounds import LARGEST_MARGIN, margin_bound, margins, quick_bounds
+from multiarm.grasp.placements import FaceChoices, SevenTouches, seven_touches
 
 # Choices of faces that placements are drawn for at the start, and how many for each.
 SAMPLED, DRAWN = 300, 40
 # Of these the best are evolved, and the best of those for longer: how many, from how many
-# placements, for which part of the objective's generations.
-ROUNDS = ((40, 24, 0.1), (5, 40, 1.0))
-# Choices of faces that one search can list.
-MOST_CHOICES = 200_000
+# placements, for how many generations.
+ROUNDS = ((40, 24, 25), (5, 40, 250))
 # Every so many choices quick bounds are renewed and ``progress`` is called.
 REPORTED = 20
-# So many twists are learnt from a choice.
-LEARNT = 6
 # Choices that are bounded together: memory stays small.
 CHUNK = 2000
 
@@ -73,23 +64,20 @@ class Search:
 
     def __init__(
         self,
-        objective: Objective,
+        choices: FaceChoices,
         limits: Limits,
         middle: np.ndarray,
         size: float,
         rng: np.random.Generator,
         progress: Callable[[int, int, str], None],
     ) -> None:
-        self.objective, self.limits = objective, limits
+        self.choices, self.limits = choices, limits
         self.middle, self.size, self.rng = middle, size, rng
         self.progress = progress
-        self.choices: list[tuple[TouchRegion, ...]] = []
-        self.regions: list[TouchRegion] = []
-        self.numbers = np.zeros((0, 7), dtype=int)
         self.touches: dict[int, SevenTouches] = {}
         self.learnt: list[np.ndarray] = []
-        self.tops = np.zeros(0)
-        self.looked_at = np.zeros(0, dtype=bool)
+        self.tops = np.full(len(choices), LARGEST_MARGIN)
+        self.looked_at = np.zeros(len(choices), dtype=bool)
         self.promising: list[tuple[float, int, np.ndarray]] = []
         self.best: tuple[SevenTouches, np.ndarray] | None = None
         self.value = 0.0
@@ -97,8 +85,9 @@ class Search:
 
     @property
     def bound(self) -> float:
-        """No placement at all has a higher score."""
-        return max(float(self.tops.max(initial=0.0)), self.value)
+        """No placement at all has a larger margin."""
+        elsewhere = 0.0 if self.choices.complete else LARGEST_MARGIN
+        return max(float(self.tops.max(initial=elsewhere)), self.value)
 
     @property
     def gap(self) -> float:
@@ -107,34 +96,13 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """Whether no choice that was never looked at can be better than the best grasp."""
+        """Whether no choice but those already looked at, or not drawn, can be better."""
         return not bool((self.tops[~self.looked_at] > self.value).any())
-
-    def choose(self, regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]) -> None:
-        """List the choices of faces and look for good placements."""
-        self.regions = [region for own in regions for region in own]
-        place = {id(region): number for number, region in enumerate(self.regions)}
-        for choice in face_choices(regions, fingers):
-            self.choices.append(choice)
-            if len(self.choices) > MOST_CHOICES:
-                raise GraspError(
-                    f"more than {MOST_CHOICES} choices of faces for seven contacts; name the faces "
-                    f"or places that may be used, or take a smaller gripper"
-                )
-        if not self.choices:
-            raise GraspError(
-                "no two places from which seven contacts can close: the normals within reach do "
-                "not span space; take larger grippers, other places or more faces"
-            )
-        self.numbers = np.array([[place[id(r)] for r in c] for c in self.choices])
-        self._tell("looking for good grasps")
-        self._first_grasps()
-        self.tops = np.full(len(self.choices), self.objective.limit)
-        self.looked_at = np.zeros(len(self.choices), dtype=bool)
-        self._sharpen()
 
     def run(self) -> None:
         """Bound choices until the gap or the budget is reached, or none is left to look at."""
+        self._first_grasps()
+        self._sharpen()
         while self.done < self.limits.nodes and self.gap > self.limits.gap:
             if self.limits.until is not None and time.perf_counter() > self.limits.until:
                 break
@@ -152,54 +120,50 @@ class Search:
                 f"no grasp that closes and keeps the distances and the floor of the conditioning "
                 f"was found{open_end}; larger grippers, smaller tips or other places may help"
             )
-        if isinstance(self.objective, Margin):
-            self._condition()
+        self._condition()
         self._tell("done")
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-        """Scores (M,), 0 for placements that do not keep to the limits."""
-        value = self.objective.scores(touches, y)
-        kept = value > 0.0
+        """Margins (M,), 0 for placements that do not keep to the limits."""
+        value = margins(touches, y)
+        allowed = value > 0.0
         if self.limits.spacing > 0.0:
-            kept &= nearest(touches, y) >= self.limits.spacing
-        if self.limits.conditioning > 0.0 and kept.any():
-            kept[kept] = conditioning(touches, y[kept]) >= self.limits.conditioning
-        return np.where(kept, value, 0.0)
+            allowed &= nearest(touches, y) >= self.limits.spacing
+        if self.limits.conditioning > 0.0 and allowed.any():
+            allowed[allowed] = conditioning(touches, y[allowed]) >= self.limits.conditioning
+        return np.where(allowed, value, 0.0)
 
     def _look(self, number: int) -> None:
-        """Bound one choice, learn from it, and evolve what its programs propose."""
+        """Bound one choice, learn from it, and evolve what its program proposes."""
         self.done += 1
         touches = self._touches(number)
-        _, population, part = ROUNDS[0]
+        _, population, generations = ROUNDS[0]
         drawn = touches.drawn(population, self.rng)
-        found = self.objective.bound(touches, drawn)
-        self.tops[number] = min(self.tops[number], found.top)
+        bound = margin_bound(touches)
+        self.tops[number] = min(self.tops[number], bound.top)
         self.looked_at[number] = True
-        self.learnt.append(found.twists[:LEARNT])
-        if found.top > self.value:
-            starts = np.concatenate([touches.within(found.placements), drawn])[:population]
-            y, scores = self._evolved(touches, starts, round(part * self.objective.generations))
+        self.learnt.append(bound.twists)
+        if bound.placement is not None and bound.top > self.value:
+            starts = np.concatenate([touches.within(bound.placement[None]), drawn[:-1]])
+            y, scores = self._evolved(touches, starts, generations)
             self._try(touches, y[:1])
             self.promising.append((-float(scores[0]), number, y[0]))
 
     def _grow_promising(self) -> None:
         """Evolve the best of the choices that were looked at for longer."""
-        most, population, _ = ROUNDS[-1]
-        for _, number, y in sorted(self.promising, key=lambda one: one[:2])[:most]:
+        most, population, generations = ROUNDS[-1]
+        for _, number, y in sorted(self.promising, key=lambda choice: choice[:2])[:most]:
             touches = self._touches(number)
             starts = np.concatenate([y[None], touches.drawn(population - 1, self.rng)])
-            grown, _ = self._evolved(touches, starts, self.objective.generations)
+            grown, _ = self._evolved(touches, starts, generations)
             self._try(touches, grown[:1])
 
     def _try(self, touches: SevenTouches, y: np.ndarray) -> None:
-        """Take the best of some placements if it beats the best known, for certain."""
+        """Take the best of some placements if it beats the best known."""
         scores = self.scores(touches, y)
         k = int(np.argmax(scores))
-        if scores[k] <= self.value * (1.0 + 1e-9):
-            return
-        certain = self.objective.certain(touches, y[k])
-        if certain > self.value:
-            self.value, self.best = certain, (touches, y[k])
+        if scores[k] > self.value * (1.0 + 1e-9):
+            self.value, self.best = float(scores[k]), (touches, y[k])
 
     def _touches(self, number: int) -> SevenTouches:
         if number not in self.touches:
@@ -212,15 +176,17 @@ class Search:
         known: dict[int, np.ndarray] = {}
         order = []
         for number in range(0, len(self.choices), step):
+            if number % (REPORTED * step) == 0:
+                self._tell("looking for good grasps")
             y = self._touches(number).drawn(DRAWN, self.rng)
             scores = self.scores(self._touches(number), y)
             known[number] = y[int(np.argmax(scores))]
             order.append((-float(scores.max()), number))
-        for most, population, part in ROUNDS:
-            generations = round(part * self.objective.generations)
+        for most, population, generations in ROUNDS:
             chosen = [number for _, number in sorted(order)[:most]]
             order = []
             for number in chosen:
+                self._tell("looking for good grasps")
                 touches = self._touches(number)
                 drawn = touches.drawn(population - 1, self.rng)
                 y, scores = self._evolved(
@@ -229,9 +195,9 @@ class Search:
                 known[number] = y[0]
                 order.append((-float(scores[0]), number))
         for number in chosen:
-            touches, y = self._touches(number), known[number][None]
-            self._try(touches, y)
-            self.learnt.append(self.objective.bound(touches, y).twists[:LEARNT])
+            touches = self._touches(number)
+            self._try(touches, known[number][None])
+            self.learnt.append(margin_bound(touches).twists)
 
     def _evolved(
         self, touches: SevenTouches, starts: np.ndarray, generations: int
@@ -244,18 +210,15 @@ class Search:
     def _sharpen(self) -> None:
         """Quick bounds of all choices from the twists learnt since the last time."""
         twists, self.learnt = np.concatenate([np.zeros((0, 6)), *self.learnt]), []
-        low, high = [], []
-        for region in self.regions:
+        largest = []
+        for region in self.choices.regions:
             corners = (region.outer - self.middle) / self.size
             e = np.broadcast_to(region.normal, corners.shape)
-            work = twists @ np.concatenate([e, np.cross(corners, e)], axis=1).T
-            low.append(work.min(axis=1))
-            high.append(work.max(axis=1))
-        felt = felt_by(np.array([region.normal for region in self.regions]), twists).T
-        least, most = np.array(low), np.array(high)
-        for part in np.array_split(np.arange(len(self.numbers)), 1 + len(self.numbers) // CHUNK):
-            own = self.numbers[part]
-            tops = self.objective.quick_bounds(least[own], most[own], felt[own], twists)
+            wrenches = np.concatenate([e, np.cross(corners, e)], axis=1)
+            largest.append((wrenches @ twists.T).max(axis=0))
+        work = np.array(largest)
+        for part in np.array_split(np.arange(len(self.tops)), 1 + len(self.tops) // CHUNK):
+            tops = quick_bounds(work[self.choices.numbers[part]])
             self.tops[part] = np.minimum(self.tops[part], tops)
 
     def _condition(self) -> None:
@@ -271,7 +234,7 @@ class Search:
 
         starts = np.concatenate([y[None], touches.drawn(ROUNDS[-1][1] - 1, self.rng)])
         near = touches.towards(np.broadcast_to(y, starts.shape), 0.5 * (y + starts))
-        grown, _ = evolved(scores, touches, near, self.rng, self.objective.generations)
+        grown, _ = evolved(scores, touches, near, self.rng, ROUNDS[-1][2])
         margin = float(self.scores(touches, grown[:1])[0])
         if margin >= least:
             self.value, self.best = margin, (touches, grown[0])
@@ -305,9 +268,9 @@ def evolved(
         spread = DIFFERENCE * rng.random((count, 1, 1)) * (a - b)
         chosen = rng.random((count, 7, 1)) < TAKING_PART
         trial = touches.towards(y, np.where(chosen, y + pull + spread, y))
-        found = scores(trial)
-        better = found > value
-        y[better], value[better] = trial[better], found[better]
+        trial_scores = scores(trial)
+        better = trial_scores > value
+        y[better], value[better] = trial[better], trial_scores[better]
     order = np.argsort(-value, kind="stable")
     return y[order], value[order]
 

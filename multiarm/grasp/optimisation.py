@@ -1,28 +1,23 @@
 r"""The best grasp of a polyhedron by two small grippers, and how much better any other could be.
 
 Seven fingertips, four on one gripper and three on the other as a rule, each gripper within reach of
-a corner of the body. Three objectives (thesis, 5.1):
-
-``margin``     the smallest coefficient t* of the balance with sum 1, at most 1/7;
-``force``      the worst contact force over given loads, least possible (in units of the loads);
-``stability``  the closure radius: how far all contacts may slide at once.
+a corner of the body, from one side. The objective is the margin (thesis, 5.1): the smallest
+coefficient t* of the balance with sum 1, at most 1/7.
 
 **How.** All choices of faces are listed (:mod:`multiarm.grasp.placements`). Good placements are
 found by evolution at the start, then among what linear programs propose, one choice of faces after
-the other (:mod:`multiarm.grasp.grasp_objectives`); no placement on those faces can beat the bound
-of its program. The choice with the highest bound comes next. So at any time
+the other (:mod:`multiarm.grasp.margin_bounds`); no placement on those faces can beat the bound of
+its program, which is without loss. The choice with the highest bound comes next. So at any time
 
-.. math:: \text{value} \le \text{optimum} \le \text{bound}
+.. math:: \text{value} \le \text{optimum} \le \text{bound} .
 
-(for forces the other way round). The search ends when they are within ``gap``, when no other choice
-can be better, or when its budget of choices is used up; then the gap is larger. For the margin the
-program is without loss. For forces a gap of a fifth to a half is left, because each load may choose
-its own placement, and for stability the bound remains several times the value: it is true, not
-sharp.
+The search ends when they are within ``gap``, when no other choice can be better, or when its budget
+of choices is used up; then the gap is larger. Of bodies with many faces and corners some choices
+are drawn instead; for the others the bound is 1/7, and the message says so.
 
 The margin alone says nothing about leverage: contacts can share the load evenly and yet hardly
-resist a rotation. So a floor on the conditioning of the scaled wrenches goes with every objective,
-and among placements whose margin is good enough the best conditioned is taken.
+resist a rotation. So there is a floor on the conditioning of the scaled wrenches, and among
+placements whose margin is good enough the best conditioned is taken.
 """
 
 from __future__ import annotations
@@ -37,16 +32,14 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts, numbers_of
 from multiarm.grasp.face import frame_of
-from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
-from multiarm.grasp.placements import touch_regions
+from multiarm.grasp.placements import FaceChoices, face_choices, touch_regions
 from multiarm.terminal.progress import Progress, displayed
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
     from multiarm.grasp.polyhedron import Polyhedron
 
-OBJECTIVES = ("margin", "force", "stability")
 # Choices of faces that are bounded before the search gives up, by default.
 NODES = 300
 # Smallest over largest singular value of the scaled wrenches, at least, by default.
@@ -62,20 +55,18 @@ class OptimisedGrasp:
     Attributes
     ----------
     grasp : Grasp
-    objective : str
     value : float
-        Margin; worst contact force, in units of the loads; or closure radius [m].
+        The margin.
     bound : float
-        No grasp of this kind has a better value: a larger margin or radius, or a smaller force.
+        No grasp of this kind has a larger margin.
     gap : float
-        How much of the bound the value falls short: ``1 - value / bound``, for forces
-        ``1 - bound / value``.
+        How much of the bound the value falls short: ``1 - value / bound``.
     finished : bool
         Whether the requested gap was reached.
     conditioning : float
         Smallest over largest singular value of the grasp's scaled wrenches.
     choices : int
-        Choices of faces that can close.
+        Choices of faces that can close, of those that were listed or drawn.
     nodes : int
         Choices of faces that were bounded.
     seconds : float
@@ -83,7 +74,6 @@ class OptimisedGrasp:
     """
 
     grasp: Grasp
-    objective: str
     value: float
     bound: float
     gap: float
@@ -99,28 +89,25 @@ def optimise_grasp(
     body: Polyhedron,
     *,
     gripper_size: float,
-    objective: str = "margin",
     fingers: tuple[int, int] = (4, 3),
     places: Any = None,
     faces: Iterable[int] | dict[int, Any] | None = None,
     tip_radius: float = 0.0,
     spacing: float | None = None,
     conditioning: float = CONDITIONING,
-    wrenches: Any = None,
     gap: float = 0.05,
     nodes: int = NODES,
     seconds: float | None = None,
     progress: bool | Callable[[int, int, str], None] | None = None,
     rng: np.random.Generator | int | None = 0,
 ) -> OptimisedGrasp:
-    """Search the placements of seven contacts on a polyhedron.
+    """Search the placements of seven contacts on a polyhedron for the largest margin.
 
     Parameters
     ----------
     body : Polyhedron
     gripper_size : float
         All contacts of a gripper are within this distance of its place [m].
-    objective : {"margin", "force", "stability"}
     fingers : tuple of int
         Contacts of the two grippers; together seven.
     places : array-like, shape (M, 3), optional
@@ -134,9 +121,6 @@ def optimise_grasp(
         Contacts keep this distance from each other [m]; twice ``tip_radius`` by itself.
     conditioning : float
         Floor of the smallest over the largest singular value of the scaled wrenches.
-    wrenches : array-like, shape (K, 6), optional
-        Loads for ``force``: [force; moment over ``body.size``] about ``body.centre``, in axes of
-        the body; unit forces and moments along all axes, both ways, by themselves.
     gap : float
         The search ends when this is reached.
     nodes : int
@@ -156,10 +140,9 @@ def optimise_grasp(
     Raises
     ------
     GraspError
-        Unusable limits or loads; no two places from which seven contacts can close; no grasp found.
+        Unusable limits; no two places from which seven contacts can close; no grasp found.
     """
     started = time.perf_counter()
-    goal = _objective(objective, wrenches)
     _check_limits(fingers, gripper_size, tip_radius, gap, nodes)
     needed = "places have shape (M, 3), two at least, and are finite"
     where = body.vertices if places is None else numbers_of(places, needed, (-2, 3))
@@ -172,40 +155,26 @@ def optimise_grasp(
         nodes=nodes,
         until=None if seconds is None else started + seconds,
     )
+    generator = np.random.default_rng(rng)
     with displayed(progress, Progress) as show:
-        search = Search(goal, limits, middle, size, np.random.default_rng(rng), show)
-        search.choose(regions, fingers)
+        choices = face_choices(regions, fingers, generator)
+        if not len(choices):
+            raise GraspError(_none_can_close(choices))
+        search = Search(choices, limits, middle, size, generator, show)
         search.run()
     grasp, conditioned = _grasp(body, search, where, fingers)
-    value, bound = _in_units(objective, search.value, search.bound, size)
     return OptimisedGrasp(
         grasp=grasp,
-        objective=objective,
-        value=value,
-        bound=bound,
+        value=search.value,
+        bound=search.bound,
         gap=search.gap,
         finished=search.gap <= gap + ROUNDING,
         conditioning=conditioned,
-        choices=len(search.choices),
+        choices=len(choices),
         nodes=search.done,
         seconds=time.perf_counter() - started,
-        message=_message(objective, value, bound, search, gap),
+        message=_message(search, gap),
     )
-
-
-def _objective(objective: str, wrenches: Any) -> Objective:
-    if objective not in OBJECTIVES:
-        raise GraspError(f"objective is one of {', '.join(OBJECTIVES)}, not {objective!r}")
-    if objective == "margin":
-        return Margin()
-    if objective == "stability":
-        return Stability()
-    given = np.vstack([np.eye(6), -np.eye(6)]) if wrenches is None else wrenches
-    needed = "wrenches have shape (K, 6), [force; moment over the size of the body], and are finite"
-    loads = numbers_of(given, needed, (-1, 6))
-    if not np.any(loads, axis=1).all():
-        raise GraspError("a wrench that is zero loads nothing; leave it out")
-    return Force(loads)
 
 
 def _check_limits(
@@ -236,10 +205,10 @@ def _grasp(
     names = [f"gripper {g + 1} tip {k + 1}" for g in range(2) for k in range(fingers[g])]
     contacts = Contacts(points, touches.normals, names)
     grippers = []
-    for g, own in enumerate(numbers):
-        place = where[touches.regions[own[0]].place]
-        inward = touches.normals[list(own)].mean(axis=0)
-        grippers.append(Gripper(f"gripper {g + 1}", own, _frame(place, inward)))
+    for g, carried in enumerate(numbers):
+        place = where[touches.regions[carried[0]].place]
+        inward = touches.normals[list(carried)].mean(axis=0)
+        grippers.append(Gripper(f"gripper {g + 1}", carried, _frame(place, inward)))
     closure = is_form_closure(contacts)
     grasp = Grasp(body, contacts, tuple(region.face for region in touches.regions), tuple(grippers))
     return grasp, closure.conditioning
@@ -251,21 +220,30 @@ def _frame(place: np.ndarray, inward: np.ndarray) -> np.ndarray:
     return frame_of(z, np.cross(z, np.eye(3)[np.argmin(np.abs(z))]), place)
 
 
-def _in_units(objective: str, score: float, bound: float, size: float) -> tuple[float, float]:
-    if objective == "force":
-        return 1.0 / score, 1.0 / bound
-    return (score * size, bound * size) if objective == "stability" else (score, bound)
-
-
-def _message(objective: str, value: float, bound: float, search: Search, gap: float) -> str:
-    unit = " m" if objective == "stability" else ""
-    least = "least" if objective == "force" else "most"
-    text = (
-        f"{objective} {value:.4g}{unit}, at {least} {bound:.4g}{unit} is possible: within "
-        f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(search.choices)} "
-        f"choices of faces"
+def _none_can_close(choices: FaceChoices) -> str:
+    tried = "" if choices.complete else f" (of {choices.total} choices of faces some were drawn)"
+    return (
+        f"no two places from which seven contacts can close{tried}: the normals within reach do "
+        f"not span space, or no hand reaches them from one side; take larger grippers, other "
+        f"places or more faces"
     )
-    if search.gap > gap + ROUNDING and search.settled:
+
+
+def _message(search: Search, gap: float) -> str:
+    choices = search.choices
+    text = (
+        f"margin {search.value:.4g}, at most {search.bound:.4g} is possible: within "
+        f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(choices)} choices "
+        f"of faces"
+    )
+    if not choices.complete:
+        text += (
+            f", drawn at random from {choices.total}; for those not drawn the bound is the 1/7 of "
+            f"any seven contacts"
+        )
+    if search.gap > gap + ROUNDING and not choices.complete:
+        text += "; smaller grippers, or named faces or places, leave fewer choices"
+    elif search.gap > gap + ROUNDING and search.settled:
         text += "; no sharper bound is known"
     elif search.gap > gap + ROUNDING:
         text += "; the budget ended before the gap was reached, more nodes narrow it"

@@ -8,10 +8,11 @@ that is not is cut into triangles.
 A disc is no polygon. Placements stay in an inscribed polygon of 32 sides, bounds are taken over the
 circumscribed one, which is larger by half a per cent; so a bound holds for the disc itself.
 
-**Choices of faces.**  A choice is a multiset of regions for each gripper. It can close only if the
-normals span space positively, which needs on both sides of every plane through two of them another
-one; and no more than three normals are parallel (thesis, 2.2.1: of seven contacts that close any
-six are independent).
+**Choices of faces.**  A choice is a multiset of regions for each gripper, which its hand reaches
+from one side (:mod:`multiarm.grasp.reachability`). It can close only if the normals span space
+positively, which needs on both sides of every plane through two of them another one; and no more
+than three normals are parallel (thesis, 2.2.1: of seven contacts that close any six are
+independent). Where there are too many choices to look at them all, some are drawn.
 
 **Coordinates.**  A placement is seven pairs of face coordinates y, shape (7, 2), in units of the
 body's size from the middle of each region. On a face the wrench is affine in them,
@@ -24,15 +25,17 @@ moments about the middle of the body over its size.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, combinations_with_replacement, permutations
+from itertools import combinations, combinations_with_replacement, pairwise, permutations
+from math import comb
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import numbers_of, wrenches_of
+from multiarm.grasp.reachability import hand_reaches
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
@@ -153,12 +156,12 @@ def _regions(
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     middle = face.coordinates(place)
     around = Polygon(middle + radius / np.cos(np.pi / SIDES) * circle)
-    found = []
+    reached = []
     for piece in _convex(shape.intersection(around), reach):
         inner = Polygon(piece).intersection(Polygon(middle + radius * circle))
         if inner.area > SMALLEST * reach**2:
-            found.append(_region(face, number, index, _ring(inner), piece))
-    return found
+            reached.append(_region(face, number, index, _ring(inner), piece))
+    return reached
 
 
 def _region(
@@ -197,23 +200,77 @@ def _ring(polygon: Polygon) -> np.ndarray:
 PARALLEL = 1e-9
 # Most normals that may be parallel, either sense.
 MOST_PARALLEL = 3
+# Choices that are looked at one by one, and how many are drawn where there are more.
+MOST_CHOICES, DRAWN_CHOICES = 500_000, 50_000
+
+
+@dataclass(frozen=True, eq=False)
+class FaceChoices:
+    """Choices of seven regions that may close.
+
+    Attributes
+    ----------
+    regions : list of TouchRegion
+    numbers : ndarray, shape (K, 7)
+        The regions of each choice, the first gripper's in front; in a fixed order.
+    total : int
+        So many choices of faces there are, closing or not.
+    complete : bool
+        All of them were looked at; otherwise some that were drawn.
+    """
+
+    regions: list[TouchRegion]
+    numbers: np.ndarray
+    total: int
+    complete: bool
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, number: int) -> list[TouchRegion]:
+        return [self.regions[k] for k in self.numbers[number]]
 
 
 def face_choices(
-    regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]
-) -> Iterator[tuple[TouchRegion, ...]]:
-    """Regions of seven fingertips that may close, the first gripper's in front; a fixed order."""
-    spanning: dict[frozenset[int], bool] = {}
-    for a, b in permutations(range(len(regions)), 2):
-        everything = [*regions[a], *regions[b]]
-        if not _spans(everything, spanning):
-            continue
-        second = list(combinations_with_replacement(regions[b], fingers[1]))
-        for first in combinations_with_replacement(regions[a], fingers[0]):
-            for other in second:
-                chosen = (*first, *other)
-                if _spans(chosen, spanning) and _few_parallel(chosen):
-                    yield chosen
+    regions: Sequence[Sequence[TouchRegion]],
+    fingers: tuple[int, int],
+    rng: np.random.Generator | None = None,
+) -> FaceChoices:
+    """Choices of two places, and of regions there, from which seven contacts may close.
+
+    Parameters
+    ----------
+    regions : sequence of sequences of TouchRegion
+        Of each place.
+    fingers : (int, int)
+        Contacts of the first and of the second gripper.
+    rng : numpy.random.Generator, optional
+        For the draws, where there are more than ``MOST_CHOICES``; always the same ones otherwise.
+    """
+    flat = [region for at_place in regions for region in at_place]
+    ends = np.cumsum([0, *map(len, regions)]).tolist()
+    places = [range(*limits) for limits in pairwise(ends)]
+    spanning = _OfFaces(flat, positively_spanning)
+    pairs = [(a, b) for a, b in permutations(places, 2) if a and b and spanning([*a, *b])]
+    counts = [_multisets(len(a), fingers[0]) * _multisets(len(b), fingers[1]) for a, b in pairs]
+    total = sum(counts)
+    if total <= MOST_CHOICES:
+        blocks = [_all_choices(a, b, fingers) for a, b in pairs]
+    else:
+        draw = np.random.default_rng(0) if rng is None else rng
+        quotas = draw.multinomial(DRAWN_CHOICES, np.array(counts) / total)
+        blocks = [
+            np.hstack([_drawn(a, fingers[0], quota, draw), _drawn(b, fingers[1], quota, draw)])
+            for (a, b), quota in zip(pairs, quotas.tolist(), strict=True)
+        ]
+        blocks = [np.unique(block, axis=0) for block in blocks]
+    numbers = np.concatenate([np.zeros((0, 7), dtype=int), *blocks])
+    normals = np.array([region.normal for region in flat]).reshape(-1, 3)
+    numbers = numbers[_few_parallel(normals, numbers)]
+    reachable = _OfFaces(flat, hand_reaches)
+    for hand in (slice(0, fingers[0]), slice(fingers[0], 7)):
+        numbers = numbers[reachable.of_rows(numbers[:, hand])]
+    return FaceChoices(flat, numbers[spanning.of_rows(numbers)], total, total <= MOST_CHOICES)
 
 
 def positively_spanning(normals: np.ndarray) -> bool:
@@ -232,17 +289,59 @@ def positively_spanning(normals: np.ndarray) -> bool:
     return bool(np.all(height.max(axis=1) > PARALLEL) and np.all(height.min(axis=1) < -PARALLEL))
 
 
-def _spans(chosen: Sequence[TouchRegion], known: dict[frozenset[int], bool]) -> bool:
-    faces = frozenset(region.face for region in chosen)
-    if faces not in known:
-        one_each = {region.face: region.normal for region in chosen}
-        known[faces] = positively_spanning(np.array(list(one_each.values())).reshape(-1, 3))
-    return known[faces]
+def _multisets(size: int, count: int) -> int:
+    return comb(size + count - 1, count)
 
 
-def _few_parallel(chosen: Sequence[TouchRegion]) -> bool:
-    e = np.array([region.normal for region in chosen])
-    return bool((np.abs(e @ e.T) > 1.0 - PARALLEL).sum(axis=1).max() <= MOST_PARALLEL)
+def _all_choices(a: range, b: range, fingers: tuple[int, int]) -> np.ndarray:
+    first, second = (
+        np.array(list(combinations_with_replacement(place, count)))
+        for place, count in zip((a, b), fingers, strict=True)
+    )
+    return np.hstack([np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1))])
+
+
+def _drawn(place: range, count: int, rows: int, rng: np.random.Generator) -> np.ndarray:
+    """Multisets (rows, count) of numbers, all equally likely.
+
+    Subsets of ``size + count - 1`` numbers less 0, 1, ... are the multisets of ``size`` numbers.
+    """
+    order = rng.random((rows, len(place) + count - 1)).argsort(axis=1)
+    return place.start + np.sort(order[:, :count], axis=1) - np.arange(count)
+
+
+def _few_parallel(normals: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Whether each row of regions has no more than ``MOST_PARALLEL`` of one direction, (K,)."""
+    i, j = np.nonzero(np.abs(normals @ normals.T) > 1.0 - PARALLEL)
+    directions = j[np.unique(i, return_index=True)[1]]  # the first region of this direction
+    rows = np.sort(directions[numbers], axis=1)
+    return np.all(rows[:, MOST_PARALLEL:] != rows[:, :-MOST_PARALLEL], axis=1)
+
+
+class _OfFaces:
+    """A question about the normals of a set of faces, asked once for each set."""
+
+    def __init__(
+        self, regions: Sequence[TouchRegion], question: Callable[[np.ndarray], bool]
+    ) -> None:
+        self.faces = np.array([region.face for region in regions], dtype=int)
+        self.normals = {region.face: region.normal for region in regions}
+        self.question = question
+        self.answers: dict[frozenset[int], bool] = {}
+
+    def __call__(self, numbers: Sequence[int]) -> bool:
+        return self._of(frozenset(self.faces[numbers].tolist()))
+
+    def of_rows(self, numbers: np.ndarray) -> np.ndarray:
+        """The answers for rows of regions (K, n), shape (K,)."""
+        rows, which = np.unique(np.sort(self.faces[numbers], axis=1), axis=0, return_inverse=True)
+        answers = np.array([self._of(frozenset(row)) for row in rows.tolist()], dtype=bool)
+        return answers[which.reshape(-1)]
+
+    def _of(self, faces: frozenset[int]) -> bool:
+        if faces not in self.answers:
+            self.answers[faces] = self.question(np.array([self.normals[k] for k in sorted(faces)]))
+        return self.answers[faces]
 
 
 # --- Seven touches in scaled coordinates ----------------------------------------------------------

@@ -27,7 +27,7 @@ are taken that balance most evenly (see `smallest_pushes`); only a few such choi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -43,7 +43,6 @@ from multiarm.grasp.assembling import (
     crosses_border,
     feet,
     gripper_frame,
-    nearest_corner_frame,
     proven,
     shared_corner,
     size_of_gripper,
@@ -62,8 +61,10 @@ from multiarm.grasp.parallel_bodies import (
     usual_distance,
 )
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import hands_reach, two_groups
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wrench_cones import is_independent
+from multiarm.terminal.progress import Progress, displayed
 
 # Depth of the patterns as a part of the shortest edge at their corners, and G1 - G2 as parts of it.
 USUAL_DEPTH, USUAL_STEPS = 0.2, (0.5, -0.5)
@@ -121,11 +122,16 @@ class WideDesign:
             f"contact 7 is {self.distance:.6g} m from contact 6; the grasp is closed beyond "
             f"|Q| = {self.minimum_distance:.6g} m"
         )
-        made = at_two_corners(body, self.triple, self.faces, points, self.faces[2], (note,))
-        return proven(made, crosses(made, p.last_point, self.minimum_distance))
+        grasp = at_two_corners(body, self.triple, self.faces, points, self.faces[2], (note,))
+        return proven(grasp, crosses(grasp, p.last_point, self.minimum_distance))
 
 
-def design_wide_grasp(body: Polyhedron, *, gripper_size: float | None = None) -> Grasp:
+def design_wide_grasp(
+    body: Polyhedron,
+    *,
+    gripper_size: float | None = None,
+    progress: bool | Callable[[int, int, str], None] | None = None,
+) -> Grasp:
     """A form-closure grasp of a polyhedron of the wider class.
 
     Parameters
@@ -134,30 +140,36 @@ def design_wide_grasp(body: Polyhedron, *, gripper_size: float | None = None) ->
         Three of its faces oppose at least two others; every convex body with more than four faces.
     gripper_size : float, optional
         Largest distance between contacts of a gripper [m].
+    progress : bool or callable, optional
+        True: a bar on the terminal, elsewhere a line on stderr every few seconds.  A function is
+        called as ``progress(done, total, words)``, in triples of faces.
 
     Returns
     -------
     Grasp
         Gripper 1 carries contacts 1, 2 and 3, gripper 2 contacts 4 to 7.  Where corners allow it,
-        both are small; else gripper 2 reaches over two faces.
+        both are small; else gripper 2 reaches over two faces, or both share the contacts as hands
+        that come from one side can reach them.
 
     Raises
     ------
     GraspError
         A body outside the class, or one on which no such grasp was found.
     """
-    found, gripper_size = classify(body), size_of_gripper(gripper_size)
-    if not found.triples:
-        raise GraspError(f"the construction for the wider class does not fit: {found.words}")
-    triples = sorted(found.triples, key=lambda t: shared_corner(body, t.faces) is None)
-    best = _firmest(_corner_grasps(body, triples[:MOST_TRIPLES], gripper_size))
-    if best is None and gripper_size is None:
-        best = _firmest(region_grasps(body, triples[:MOST_TRIPLES]))
+    body_class, gripper_size = classify(body), size_of_gripper(gripper_size)
+    if not body_class.triples:
+        raise GraspError(f"the construction for the wider class does not fit: {body_class.words}")
+    triples = sorted(body_class.triples, key=lambda t: shared_corner(body, t.faces) is None)
+    triples = triples[:MOST_TRIPLES]
+    with displayed(progress, Progress) as show:
+        best = _firmest(_corner_grasps(body, _told(triples, show, "corners"), gripper_size))
+        if best is None and gripper_size is None:
+            best = _firmest(region_grasps(body, _told(triples, show, "places on faces")))
     if best is None:
         small = "" if gripper_size is None else f" with grippers of {gripper_size:g} m"
         raise GraspError(
-            f"no grasp of the wider class{small} was found: the body is {found.words}, but its "
-            f"faces leave no room for the contacts; larger faces or another size may help"
+            f"no grasp of the wider class{small} was found: the body is {body_class.words}, but "
+            f"its faces leave no room for the contacts; larger faces or another size may help"
         )
     return best
 
@@ -186,6 +198,15 @@ def wide_design(
     return WideDesign(body, triple, faces, pattern, distance)
 
 
+def _told(
+    triples: list[Triple], show: Callable[[int, int, str], None], where: str
+) -> Iterator[Triple]:
+    """The triples one after the other, and how many of them are done."""
+    for number, triple in enumerate(triples):
+        show(number, len(triples), f"looking for a grasp at {where}")
+        yield triple
+
+
 def _shortest_edge(body: Polyhedron, faces: tuple[int, ...]) -> float:
     loops = [body.loops[k][0] for k in faces]
     ends = [body.vertices[list(loop)] for loop in loops]
@@ -193,7 +214,7 @@ def _shortest_edge(body: Polyhedron, faces: tuple[int, ...]) -> float:
 
 
 def _corner_grasps(
-    body: Polyhedron, triples: list[Triple], gripper_size: float | None
+    body: Polyhedron, triples: Iterable[Triple], gripper_size: float | None
 ) -> Iterator[Grasp]:
     """Grasps with both grippers at corners, their patterns equally deep."""
     for triple in triples:
@@ -212,11 +233,11 @@ def _with_corner(
         three = right_handed(body, (meeting[top - 2], meeting[top - 1], meeting[top]))
         for step in USUAL_STEPS:
 
-            def made(depth: float, faces: Three = three, step: float = step) -> Grasp:
+            def at_depth(depth: float, faces: Three = three, step: float = step) -> Grasp:
                 return wide_design(body, triple, faces, depth, step).grasp()
 
             try:
-                yield sized(made, usual, gripper_size)
+                yield sized(at_depth, usual, gripper_size)
             except GraspError:
                 continue
 
@@ -236,7 +257,7 @@ MOST_CORNERS, MOST_OPPOSED = 8, 5
 FINISHED = 4
 
 
-def region_grasps(body: Polyhedron, triples: list[Triple]) -> Iterator[Grasp]:
+def region_grasps(body: Polyhedron, triples: Iterable[Triple]) -> Iterator[Grasp]:
     """Grasps for each triple, verified; contacts 4 to 7 are on two opposed faces."""
     for triple in triples:
         origin = deep_point(body, triple.faces)
@@ -286,8 +307,8 @@ def _fours(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """All choices of contacts 4, 5 among places a and 6, 7 among places b, shape (K, 4, 3)."""
     pairs = list(combinations(range(len(a)), 2))
     ordered = list(permutations(range(len(b)), 2))
-    made = [[a[i], a[j], b[k], b[m]] for i, j in pairs for k, m in ordered]
-    return np.array(made).reshape(-1, 4, 3)
+    fours = [[a[i], a[j], b[k], b[m]] for i, j in pairs for k, m in ordered]
+    return np.array(fours).reshape(-1, 4, 3)
 
 
 def _finished(
@@ -299,19 +320,21 @@ def _finished(
     region = seventh_contact_region(six, body.faces[faces[2]])
     if not region:
         return
-    places = np.vstack([six.points, region.best_point()])
-    frames = [
-        gripper_frame(body, triple, places[:3]),
-        nearest_corner_frame(body, places[3:], faces[2]),
-    ]
-    note = (
-        "contacts 4 and 5 share a face, so that gripper 2 reaches over two faces; contact 7 is in "
-        f"the middle of its region, {float(region.depth(places[6])):.4g} m from its border"
+    places, on = np.vstack([six.points, region.best_point()]), (*triple, *faces, faces[2])
+    seven = Contacts.along(places, -body.normals[list(on)])
+    split: Sequence[tuple[int, ...]] = [(0, 1, 2), (3, 4, 5, 6)]
+    note = "contacts 4 and 5 share a face, so that gripper 2 reaches over two faces"
+    if not hands_reach(seven.normals, split):
+        split = two_groups(seven)
+        note = "contacts 4 to 7 are on faces that no hand reaches together, so that gripper 1 helps"
+    frames = [gripper_frame(body, [on[j] for j in part], places[list(part)]) for part in split]
+    note += (
+        "; contact 7 is in the middle of its region, "
+        f"{float(region.depth(places[6])):.4g} m from its border"
     )
-    split = [(0, 1, 2), (3, 4, 5, 6)]
-    made = assembled(body, places, (*triple, *faces, faces[2]), split, frames, (note,))
-    if made.closure and crosses_border(made, region):
-        yield made
+    grasp = assembled(body, places, on, split, frames, (note,))
+    if grasp.closure and crosses_border(grasp, region):
+        yield grasp
 
 
 def _places(body: Polyhedron, number: int) -> np.ndarray:

@@ -18,6 +18,19 @@ where :math:`\mu` falls with every step that lessens the accelerations, so that 
 Newton's, and grows with every one that does not.  After each the joints are closed again.  Along
 motions that nothing drives back the system stays where it is.  Unstable equilibria are found as
 well as stable ones; the linear system there says which it is.
+
+*Descent.*  Accelerations may be least, and yet not zero, where no equilibrium is.  Then the search
+starts again and goes where strong damping would take the system, :math:`d\eta/ds = \dot\zeta`
+(pseudo-transient continuation: C.T. Kelley, D.E. Keyes, SIAM J. Numer. Anal. 35, 1998).  With
+coordinates in which the inertia is the identity, its steps are
+
+.. math:: (\mu I + H)\, \Delta\eta = \dot\zeta, \qquad H = -\tfrac12 (J + J^T), \quad
+    \mu I + H > 0 .
+
+Forces that have a potential V, such as weights and springs, make this a trust region method for
+its minimum, since :math:`\dot\zeta = -\nabla V`.  The work of the forces over a step, by the mean
+of both ends, is the decrease of V.  Steps that gain less work than a part of what the model
+promises are shortened.
 """
 
 from __future__ import annotations
@@ -49,6 +62,11 @@ LONGEST = 0.3
 # The parameter mu, relative to the largest squared singular value of the matrix: first, last that
 # is tried, below which a step is Newton's; factors after good and bad steps.
 MU_FIRST, MU_LAST, MU_NEWTON, MU_FALLS, MU_GROWS = 1e-4, 1e4, 1e-14, 0.05, 8.0
+# Of a descent: the factor after a good step; work that makes a step good, and that makes it count,
+# as part of what the model promises; the curvature that is left, as part of the most negative.
+MU_EASES, TRUSTED, WORTH, BENT = 0.3, 0.5, 0.1, 0.1
+# A descent that goes on so far [m, rad] is one without end.
+UNBOUNDED = 10.0
 # Smallest singular value, relative to the largest, of a motion that something drives back.
 DRIVEN_BACK = 1e-9
 
@@ -104,7 +122,7 @@ def find_equilibrium(
 ) -> Equilibrium:
     """Find a posture near a state in which the system stays at rest.
 
-    The torques that hold a given posture are those of :func:`multiarm.inverse_dynamics` for an
+    The torques that hold a posture are those of :func:`multiarm.inverse_dynamics` for an
     object acceleration of zero.
 
     >>> equilibrium = ma.find_equilibrium(system)
@@ -126,8 +144,9 @@ def find_equilibrium(
     ModelError
         When an argument does not fit.
     SolverError
-        When no equilibrium is found, with what is left; when the state cannot be linearised; when
-        effects have states that do not start at rest.
+        When no equilibrium is found, with what is left, and whether the forces drive the system on
+        without end or that is only not known; when the state cannot be linearised; when effects
+        have states that do not start at rest.
     """
     system = require_system(system, "ma.find_equilibrium(system, state, torques)")
     if torques is not None:
@@ -144,15 +163,18 @@ def find_equilibrium(
             "command` for `actuator_lag`, and let effects of your own start where their rates "
             "are zero"
         )
-    search = _Search(begin, t)
-    while search.here.largest_acceleration > AT_REST * size and search.steps < MOST_STEPS:
-        if not search.step():
-            break
+    least = _Search(begin, t)
+    least.run(AT_REST * size)
+    search, steps = least, least.steps
+    if least.here.largest_acceleration > ROUNDINGS * size:
+        search = _Descent(begin, t)
+        search.run(AT_REST * size)
+        steps += search.steps
     here = search.here
     if here.largest_acceleration > ROUNDINGS * size:
-        raise SolverError(_not_found(here, start, search.steps))
+        raise SolverError(_not_found(least, search, start))
     torques = here.derivatives.evaluation.joint_torques
-    return Equilibrium(here.state, torques, here, search.steps, here.largest_acceleration)
+    return Equilibrium(here.state, torques, here, steps, here.largest_acceleration)
 
 
 class _Reduced(NamedTuple):
@@ -161,6 +183,8 @@ class _Reduced(NamedTuple):
     r: np.ndarray  # (m,)
     J: np.ndarray  # (m, p)
     scale: np.ndarray  # (p, p): displacements of the coordinates by those that J is for
+    hessian: np.ndarray  # (m, m): of the potential, by displacements along velocities
+    moves: np.ndarray  # (6 + n, m): displacements by those that the hessian is for
 
 
 class _Search:
@@ -170,7 +194,13 @@ class _Search:
         self.here, self.steps = here, 0
         self._t, self._mu, self._at = t, MU_FIRST, _reduced(here)
 
-    def step(self) -> bool:
+    def run(self, at_rest: float) -> None:
+        """Take steps until no acceleration is larger, or none helps."""
+        while self.here.largest_acceleration > at_rest and self.steps < MOST_STEPS:
+            if not self._step():
+                break
+
+    def _step(self) -> bool:
         """Take a step that lessens the accelerations; returns whether there is one."""
         at = self._at
         u, s, vt = np.linalg.svd(at.J, full_matrices=False)
@@ -182,19 +212,23 @@ class _Search:
             part = np.zeros_like(s)
             part[driven] = s[driven] * along[driven] / (s[driven] ** 2 + mu)
             move = -self.here.coordinates.displacement @ (at.scale @ (vt.T @ part))
-            largest = float(np.abs(move).max(initial=0.0))
-            other = self._there(move) if 0.0 < largest <= LONGEST else None
-            if other is not None:
-                there = _reduced(other)
-                if np.linalg.norm(there.r) < np.linalg.norm(at.r):
-                    self.here, self._at, self.steps = other, there, self.steps + 1
+            there = self._there(move)
+            if there is not None:
+                reduced = _reduced(there)
+                if np.linalg.norm(reduced.r) < np.linalg.norm(at.r):
+                    self._go(there, reduced)
                     self._mu = max(self._mu * MU_FALLS, MU_NEWTON)
                     return True
             self._mu *= MU_GROWS
         return False
 
+    def _go(self, there: LinearSystem, reduced: _Reduced) -> None:
+        self.here, self._at, self.steps = there, reduced, self.steps + 1
+
     def _there(self, move: np.ndarray) -> LinearSystem | None:
-        """The system after a displacement; None where joints cannot be closed or it is singular."""
+        """The system after a displacement; None where it is too long, or joints do not close."""
+        if not 0.0 < np.abs(move).max(initial=0.0) <= LONGEST:
+            return None
         system = self.here.system
         try:
             return linearise(system, self._t, _at_rest(system, self.here.state.displaced(move)))
@@ -202,11 +236,51 @@ class _Search:
             return None
 
 
+class _Descent(_Search):
+    """Steps to a minimum of the potential."""
+
+    def _step(self) -> bool:
+        """Take a step over which the forces do work; returns whether there is one."""
+        at = self._at
+        if not at.r.size:
+            return False
+        curvatures, axes = np.linalg.eigh(at.hessian)
+        along = axes.T @ at.r
+        stiffest = max(np.abs(curvatures).max(), np.linalg.norm(at.r))
+        bent = curvatures + (1.0 + BENT) * max(-curvatures[0], 0.0)
+        while self._mu <= MU_LAST:
+            mu = self._mu * stiffest if self._mu > MU_NEWTON else 0.0
+            part = along / np.maximum(bent + mu, DRIVEN_BACK * stiffest)
+            there = self._there(at.moves @ (axes @ part))
+            if there is not None:
+                promised = part @ along - 0.5 * part @ (curvatures * part)
+                gain = self._work(there) / promised
+                if gain > WORTH:
+                    self._go(there, _reduced(there))
+                    self._mu *= MU_EASES if gain > TRUSTED else 1.0
+                    self._mu = max(self._mu, MU_NEWTON)
+                    return True
+            self._mu *= MU_GROWS
+        return False
+
+    def _work(self, there: LinearSystem) -> float:
+        """Of the forces over the way to another state, by the mean of both ends."""
+        way = self.here.state.displacement_to(there.state)
+        return 0.5 * (_virtual_work(self.here, way) + _virtual_work(there, way))
+
+
+def _virtual_work(here: LinearSystem, way: np.ndarray) -> float:
+    """Of the forces over the part of a displacement that the joints allow."""
+    at, accelerations = here.coordinates, here.derivatives.evaluation.accelerations
+    allowed = at.displacement @ way[list(at.positions)]
+    return float(accelerations @ here.derivatives.motions.inertia @ allowed)
+
+
 def _states_rest(here: LinearSystem, size: float) -> bool:
     """Whether the states of effects are at rest, but for roundings.
 
-    The way of each to its rest, ``A_zz^-1 dz/dt``, counts in its own unit and by the accelerations
-    that it makes.
+    The way of each to its rest, ``A_zz^-1 dz/dt``, counts in its unit, and by the accelerations
+    that it causes.
     """
     moving, inner = _blocks(here)
     rate = here.rate[inner]
@@ -214,8 +288,8 @@ def _states_rest(here: LinearSystem, size: float) -> bool:
         away = np.linalg.solve(here.A[inner, inner], rate)
     except np.linalg.LinAlgError:  # a state that nothing brings to rest
         return False
-    made = here.A[moving, inner] @ away / size
-    return bool(max(np.abs([*away, *made]), default=0.0) <= ROUNDINGS)
+    accelerations = here.A[moving, inner] @ away / size
+    return bool(max(np.abs([*away, *accelerations]), default=0.0) <= ROUNDINGS)
 
 
 def _blocks(here: LinearSystem) -> tuple[slice, slice]:
@@ -232,7 +306,15 @@ def _reduced(here: LinearSystem) -> _Reduced:
     J = here.A[moving, :p] - here.A[moving, inner] @ by_inner
     metric = np.linalg.cholesky(at.velocity.T @ M @ at.velocity).T
     scale = np.linalg.inv(np.linalg.cholesky(at.displacement.T @ M @ at.displacement).T)
-    return _Reduced(metric @ here.rate[moving], metric @ J @ scale, scale)
+    stretch = np.linalg.inv(metric)
+    by_moves = metric @ J @ at.velocity[list(at.positions)] @ stretch
+    return _Reduced(
+        r=metric @ here.rate[moving],
+        J=metric @ J @ scale,
+        scale=scale,
+        hessian=-0.5 * (by_moves + by_moves.T),
+        moves=at.velocity @ stretch,
+    )
 
 
 def _at_rest(system: System, state: State) -> State:
@@ -242,12 +324,30 @@ def _at_rest(system: System, state: State) -> State:
         return project_start(data, system.scene, state)[0]
 
 
-def _not_found(here: LinearSystem, start: State, steps: int) -> str:
-    moved = float(np.abs(here.state.position - start.position).max())
-    left = here.largest_acceleration
-    return (
-        f"find_equilibrium: none found near this state: after {steps} steps, which moved it by up "
-        f"to {moved:.2g} m or rad, accelerations of {left:.2g} m/s^2 or rad/s^2 are left and no "
-        "motion lessens them; begin elsewhere (`state`), or give the torques that hold the "
-        "posture: ma.inverse_dynamics(system, state, [0, 0, 0, 0, 0, 0]).torques"
+def _not_found(least: _Search, descent: _Search, start: State) -> str:
+    moved = float(np.abs(start.displacement_to(descent.here.state)).max())
+    left = min(least.here.largest_acceleration, descent.here.largest_acceleration)
+    steps = least.steps + descent.steps
+    text = (
+        f"find_equilibrium: none found in {steps} steps, which left accelerations of {left:.2g} "
+        "m/s^2 or rad/s^2: "
+    )
+    if descent.steps < MOST_STEPS:
+        text += (
+            f"no motion near the state reached, {moved:.2g} m or rad from the start, lessens them "
+            "or does work; whether there is one elsewhere is not known; begin elsewhere (`state`)"
+        )
+    elif moved > UNBOUNDED:
+        text += (
+            f"the forces drive the system on without end (so far by {moved:.2g} m or rad), and on "
+            "this way there is none; add what holds it, such as springs"
+        )
+    else:
+        text += (
+            f"the forces still do work, {moved:.2g} m or rad from the start; whether there is one "
+            "is not known; begin nearer to it (`state`)"
+        )
+    return text + (
+        ", or give the torques that hold the posture: "
+        "ma.inverse_dynamics(system, state, [0, 0, 0, 0, 0, 0]).torques"
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from multiarm.plots.limit_figure import limit_use
 from multiarm.plots.run_figures import (
     accuracy_course,
     contact_forces,
@@ -37,6 +38,7 @@ __all__ = [
     "figures",
     "joint_positions",
     "joint_torques",
+    "limit_use",
     "object_pose",
     "wrenches",
 ]
@@ -48,6 +50,7 @@ def figures(trajectory: Trajectory) -> dict[str, Figure]:
         "Object": object_pose(trajectory),
         "Joint positions": joint_positions(trajectory),
         "Joint torques": joint_torques(trajectory),
+        "Joint limits": limit_use(trajectory),
         "Wrenches of the arms": wrenches(trajectory),
         "Contact forces": contact_forces(trajectory),
         "Contact states": contact_states(trajectory),

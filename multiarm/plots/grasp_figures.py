@@ -173,7 +173,7 @@ def _draw_contacts(
         )  # fmt: skip
         axes.add_patch(arrow)
         axes.plot(*tip, "o", ms=4.5, color=colour, alpha=strength)
-        while any(np.linalg.norm(beyond - other) < step for other in taken):
+        while any(np.linalg.norm(beyond - number) < step for number in taken):
             beyond = beyond + [step, 0.0]
         taken.append(beyond)
         axes.text(

@@ -162,7 +162,7 @@ class Panel:
         """Colour and dashes of each line."""
         dashes = self.dashes or [()] * len(self.colours)
         pairs = zip(self.colours, dashes, strict=True)
-        return [{"color": own, "linestyle": (0, dash) if dash else "solid"} for own, dash in pairs]
+        return [{"color": c, "linestyle": (0, dash) if dash else "solid"} for c, dash in pairs]
 
 
 def draw(panels: list[Panel], zero_line: bool = False, events: Iterable[Event] = ()) -> Figure:

@@ -186,7 +186,7 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
         time, values = decimate(trajectory, [channel.name], points=points)
         labels = _short(channel.column_labels)
         for unit in dict.fromkeys(channel.column_units):
-            chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
+            chosen = [i for i, of_column in enumerate(channel.column_units) if of_column == unit]
             shown, factor = _SHOWN[quantity, unit]
             colours = [PALETTE[i % len(PALETTE)] for i in chosen]
             dashes = [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen]

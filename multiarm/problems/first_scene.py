@@ -1,8 +1,11 @@
 """A commented scene to start from: arms around an object, each with its tip at the object.
 
-Each arm stands where, of some distances, its tip reaches a side of the object most dexterously.
-The scene leaves the postures to the program (``posture: solve``), but those of arms with too few
-joints to point as they are told.
+The object starts at a height at which all arms reach its sides from the floor, and goes up and down
+again; each arm stands where, of some distances, its tip reaches the object most dexterously at both
+ends of the way.  The scene leaves the postures to the program (``posture: solve``), but those of
+arms with too few joints to point as they are told.  Where an arm cannot lift the object, the scene
+pushes it gently, and its arms carry only their weights; an arm that is too short stands on a
+pedestal.
 """
 
 from __future__ import annotations
@@ -33,34 +36,40 @@ from multiarm.scene.faults import unknown
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.parameters import description_of, example_of, picture_of
 
-HEIGHT = 0.5
-"""Of the object, where the first arm holds it at the height of its base [m]."""
-AHEAD, ABOVE = (0.35, 0.5, 0.65, 0.8), (0.3, 0.0)
+ABOVE_FLOOR = 0.05
+"""Least distance of the object from the floor [m]."""
+AHEAD, ABOVE = (0.35, 0.5, 0.65, 0.8), (0.3, 0.45, 0.15, 0.6, 0.0)
 """Places of the tip that are tried, before and above the base, as parts of the arm's length."""
+RISE = 0.1
+"""How far the object goes up, as a part of the shortest arm's length."""
+STIFFNESS = 1500.0
+"""Of joints that follow a path, of an arm that is 1 m long [N m/rad]."""
+PUSH = 0.1
+"""Velocity of an object that is not lifted [m/s]."""
 TURNS = ((0.0, np.pi / 2), (0.0, 0.0), (np.pi, 0.0))
 """Its roll and pitch that are tried: z axis ahead, x axis ahead, z axis down."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A shape as it is written, in words, and half its sizes along x and y [m]."""
+    """A shape as it is written, in words, and half its sizes along x, y and z [m]."""
 
     written: str
     words: str
-    half_sizes: tuple[float, float]
+    half_sizes: tuple[float, float, float]
 
 
 SOLIDS = {
-    "box": Solid("box: [0.6, 0.4, 0.3]", "lengths of its edges along x, y, z [m]", (0.3, 0.2)),
-    "sphere": Solid("sphere: 0.25", "its radius [m]", (0.25, 0.25)),
+    "box": Solid(
+        "box: [0.6, 0.4, 0.3]", "lengths of its edges along x, y, z [m]", (0.3, 0.2, 0.15)
+    ),
+    "sphere": Solid("sphere: 0.25", "its radius [m]", (0.25, 0.25, 0.25)),
     "cylinder": Solid(
-        "cylinder: {radius: 0.25, height: 0.3}", "upright; lengths in m", (0.25, 0.25)
+        "cylinder: {radius: 0.25, height: 0.3}", "upright; lengths in m", (0.25, 0.25, 0.15)
     ),
 }
 
-HOW_IT_MOVES = (
-    ("", ""),
-    ("control: gravity_compensation", "the arms hold all still; others: multiarm controls"),
+REST = (
     ("", ""),
     ("effects:", "what is not ideal; others: multiarm effects --list"),
     ("  joint_damping: 1.0", "of all joints of the arms [N m s/rad, of sliding joints N s/m]"),
@@ -71,6 +80,7 @@ HOW_IT_MOVES = (
     ("  output_step: 0.01", "time between two samples of the result [s]"),
 )
 """Lines at the end of a scene, each with its meaning."""
+NUMERALS = ("One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
 def first_scene(robots: list[str], joint: str, solid: str) -> str:
@@ -90,41 +100,89 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
     SceneError
         When a robot, or what it makes of the scene, is not known or not possible.
     """
-    kinds = Counter(robots)
-    crew = ", ".join(f"{count} {robot}" for robot, count in kinds.items())
     names = ["left", "right"] if len(robots) == 2 else [f"arm{k + 1}" for k in range(len(robots))]
-    kind = _joint_kind(joint)
-    holds = {robot: _hold(robot, kind) for robot in kinds}
-    height = max(holds[robots[0]].xyz[2], 0.0) or HEIGHT
-    shape = SOLIDS[solid]
+    kind, shape = _joint_kind(joint), SOLIDS[solid]
+    loaded = [_Robot.named(robot) for robot in robots]
+    height, rise, holds = _stands(loaded, kind, shape)
     arms, joints = [], []
-    for k, (name, robot) in enumerate(zip(names, robots, strict=True)):
-        hold, yaw = holds[robot], 2.0 * np.pi * k / len(robots)
+    for k, (name, robot, hold) in enumerate(zip(names, robots, holds, strict=True)):
+        yaw = 2.0 * np.pi * k / len(robots)
         side = -_side(shape, solid == "box", yaw)
         base = [*side, height] - Pose(rpy=(0.0, 0.0, yaw)).rotation() @ hold.xyz
-        arms += _arm_lines(name, robot, hold, _written(base, (0.0, 0.0, yaw)))
+        arms += _arm_lines(name, robot, hold, base, yaw)
         roll, pitch, turn = hold.rpy
         at = _written([*side, 0.0], (roll, pitch, turn + yaw))
         joints += _joint_lines(
             joint, kind, name, None if hold.posture and not kind.as_listed else at
         )
     lines = [
-        (f"name: {crew} hold a {solid}", "a title for reports"),
-        *_object_lines(shape, height),
+        (f"name: {_title(robots, solid, rise)}", "a title for reports"),
+        *_object_lines(shape, height, rise),
         ("arms:", "the robots; their names are yours"),
         *arms,
         ("", ""),
         ("joints:", "how the arms hold the object, one for each arm"),
         *joints,
-        *HOW_IT_MOVES,
+        *_control_lines(joint, height, rise, min(robot.length for robot in loaded)),
+        *REST,
     ]
     body = (f"{line}  # {words}" if line else "" for line, words in lines)
     text = "\n".join([*body, ""])
-    load_robots(parse_scene(text))  # finds the postures
+    try:
+        load_robots(parse_scene(text))  # finds the postures
+    except SceneError as error:
+        raise SceneError(
+            f"no start was found at which {_crew(robots)} hold a {solid} by joints of kind "
+            f"{joint!r}; take other robots (multiarm robots) or another joint (multiarm joints)"
+        ) from error
     return f"# Every line has its meaning behind the sign '#'.\n\n{text}"
 
 
-def _object_lines(shape: Solid, height: float) -> list[tuple[str, str]]:
+def _title(robots: list[str], solid: str, rise: float) -> str:
+    ending = "s" if len(robots) == 1 else ""
+    if rise:
+        return f"{_crew(robots)} lift{ending} a {solid} and set{ending} it down again"
+    return f"{_crew(robots)} hold{ending} a {solid}"
+
+
+def _crew(robots: list[str]) -> str:
+    """Such as "Two ur5 arms", or "One panda and two ur5"."""
+    parts: list[str] = []
+    for robot, count in Counter(robots).items():
+        numeral = NUMERALS[count - 1] if count <= len(NUMERALS) else str(count)
+        parts.append(f"{numeral.lower() if parts else numeral} {robot}")
+    *first, last = parts
+    if first:
+        return f"{', '.join(first)} and {last}"
+    return f"{last} arm{'s' if len(robots) > 1 else ''}"
+
+
+def _control_lines(
+    joint: str, height: float, rise: float, shortest: float
+) -> list[tuple[str, str]]:
+    if not rise:
+        words = "the arms carry themselves and the object; others: multiarm controls"
+        return [("", ""), ("control: gravity_compensation", words)]
+    law = [("  kind: computed_torque", "an exact model drives the object along its path")]
+    if joint != "weld":  # the object may move in ways that no arm can resist
+        stiffness = _two_digits(STIFFNESS * shortest**2)
+        law = [
+            ("  kind: joint_pd", "springs and dampers in the joints, which follow the path"),
+            (f"  stiffness: {stiffness:g}", "of each joint [N m/rad, of sliding joints N/m]"),
+            (f"  damping: {0.1 * stiffness:g}", "[N m s/rad, of sliding joints N s/m]"),
+        ]
+    return [
+        ("", ""),
+        ("control:", "what drives the arms; others: multiarm controls"),
+        *law,
+        ("  path:", "poses of the object, which it passes at these times [s]"),
+        (f"    - {{time: 1.0, xyz: [0, 0, {height + rise:g}]}}", "up [m]"),
+        (f"    - {{time: 2.0, xyz: [0, 0, {height:g}]}}", "and down again"),
+    ]
+
+
+def _object_lines(shape: Solid, height: float, rise: float) -> list[tuple[str, str]]:
+    push = (f"  twist: [0, 0, {PUSH:g}, 0, 0, 0]", "a push: its velocity at the start [m/s, rad/s]")
     return [
         ("gravity: [0, 0, -9.81]", "m/s^2 along x, y, z of the world; without it there is none"),
         ("", ""),
@@ -133,15 +191,21 @@ def _object_lines(shape: Solid, height: float) -> list[tuple[str, str]]:
         (f"    {shape.written}", shape.words),
         ("  mass: 5.0", "kg"),
         (f"  pose: {{xyz: [0, 0, {height:g}]}}", "where it is at the start [m]"),
+        *([] if rise else [push]),
         ("", ""),
     ]
 
 
-def _arm_lines(name: str, robot: str, hold: _Hold, base: str) -> list[tuple[str, str]]:
+def _arm_lines(
+    name: str, robot: str, hold: _Hold, base: np.ndarray, yaw: float
+) -> list[tuple[str, str]]:
+    where = "where it stands [m], turned by roll, pitch, yaw [rad]"
+    if base[2] > 0.0:
+        where += "; on a pedestal, to reach the object"
     lines = [
         (f"  {name}:", "an arm, by its name"),
         (f"    robot: {robot}", "see multiarm robots; or write 'urdf:' and a file"),
-        (f"    base: {base}", "where it stands [m], turned by roll, pitch, yaw [rad]"),
+        (f"    base: {_written(base, (0.0, 0.0, yaw))}", where),
     ]
     if hold.tip is not None:
         lines.append((f"    tip: {hold.tip}", "the link that is joined to the object"))
@@ -180,11 +244,11 @@ def _joint_lines(kind: str, model: type[Joint], arm: str, at: str | None) -> lis
 def _side(solid: Solid, edged: bool, yaw: float) -> np.ndarray:
     """Where a horizontal ray from the middle leaves the object, shape (2,) [m]."""
     ray = np.array([np.cos(yaw), np.sin(yaw)])
-    parts = np.abs(ray) / solid.half_sizes
+    parts = np.abs(ray) / solid.half_sizes[:2]
     return ray / (np.max(parts) if edged else np.linalg.norm(parts))
 
 
-def _written(xyz: Sequence[float], rpy: Sequence[float]) -> str:
+def _written(xyz: Sequence[float] | np.ndarray, rpy: Sequence[float]) -> str:
     """A pose as a scene has it, without negative zeros."""
     parts = (", ".join(f"{round(value, 6) + 0.0:.7g}" for value in part) for part in (xyz, rpy))
     return "{{xyz: [{}], rpy: [{}]}}".format(*parts)
@@ -215,41 +279,140 @@ class _Hold:
         return Pose(xyz=self.xyz, rpy=self.rpy).matrix()
 
 
-def _hold(robot: str, kind: type[Joint]) -> _Hold:
-    """Of the places that are tried, the one that the arm reaches best; else where it comes near.
+@dataclass(frozen=True)
+class _Robot:
+    """A robot with the link that is its tip, and the length of its arm [m].
 
-    Raises
-    ------
-    SceneError
-        The robot is not known, or nothing tells which link is its tip.
+    ``tip`` is None where the scene need not name it.
     """
-    tips = find_robot(robot).tips
-    if not tips:
-        raise SceneError(
-            f"nothing tells which link of robot {robot!r} is its tip; take another robot (multiarm "
-            f"robots), or write a scene with 'tip:', one of the links that 'multiarm robots "
-            f"{robot}' shows"
-        )
-    tip = tips[0] if len(tips) > 1 else None
-    spec = ArmSpec(robot=robot, tip=tip)
-    arm = Arm(robot, arm_files(spec, resolve_arm(spec)))
-    length = float(np.max(arm.levers(np.zeros(3))))
-    for free, turn, above in product(dict.fromkeys([(), kind.free or ()]), TURNS, ABOVE):
-        search = InverseKinematics(arm, free)
-        places = [
-            (_two_digits(ahead * length), 0.0, _two_digits(above * length)) for ahead in AHEAD
-        ]
-        holds = [_Hold(tip, xyz, (*turn, 0.0)) for xyz in places]
-        found = [(hold, search.search([hold.matrix], np.random.default_rng(0))) for hold in holds]
-        reached = [(reach.quality, hold) for hold, reach in found if reach is not None]
-        if reached:
-            return max(reached, key=lambda one: one[0])[1]
-    miss = search.nearest(holds[1].matrix, np.random.default_rng(0))
-    posture = np.round(miss.posture, 4) + 0.0
-    pose = arm.tip_pose(posture)
+
+    arm: Arm
+    tip: str | None
+    length: float
+
+    @classmethod
+    def named(cls, name: str) -> _Robot:
+        """The robot of this name.
+
+        Raises
+        ------
+        SceneError
+            It is not known, or nothing tells which link is its tip.
+        """
+        tips = find_robot(name).tips
+        if not tips:
+            raise SceneError(
+                f"nothing tells which link of robot {name!r} is its tip; take another robot "
+                f"(multiarm robots), or write a scene with 'tip:', one of the links that 'multiarm "
+                f"robots {name}' shows"
+            )
+        tip = tips[0] if len(tips) > 1 else None
+        spec = ArmSpec(robot=name, tip=tip)
+        arm = Arm(name, arm_files(spec, resolve_arm(spec)))
+        return cls(arm, tip, float(np.max(arm.levers(np.zeros(3)))))
+
+
+@dataclass(frozen=True)
+class _Grade:
+    """A hold, its rank (0 is best), and its quality among those of one rank."""
+
+    rank: int
+    quality: float
+    hold: _Hold
+
+
+def _stands(
+    robots: list[_Robot], kind: type[Joint], shape: Solid
+) -> tuple[float, float, list[_Hold]]:
+    """Height of the object [m], how far it goes up [m], and the hold of each arm.
+
+    The height is, of those at which all arms reach the object from the floor, the one at which the
+    worst arm holds it best.  Where there is none, the highest hold decides, and other arms stand on
+    pedestals; where an arm cannot lift the object, nothing goes up.
+    """
+    shortest, lowest = min(robot.length for robot in robots), shape.half_sizes[2] + ABOVE_FLOOR
+    rise = _two_digits(RISE * shortest)
+    heights = sorted({max(_two_digits(part * shortest), lowest) for part in ABOVE})
+    unlike = {robot.arm.name: robot for robot in robots}
+    common = []
+    for height in heights:
+        grades: dict[str, _Grade] = {}
+        for name, robot in unlike.items():
+            grade = _graded_hold(robot, kind, height, rise)
+            if grade is not None:
+                grades[name] = grade
+        if len(grades) == len(unlike):
+            worst = max((grade.rank, -grade.quality) for grade in grades.values())
+            common.append((worst, height, {name: grade.hold for name, grade in grades.items()}))
+    if common:
+        _, height, holds = min(common, key=lambda entry: entry[:2])
+    else:
+        holds, lifted = {}, True
+        for name, robot in unlike.items():
+            hold = _hold_anywhere(robot, kind, rise)
+            holds[name], lifted = (
+                hold or _hold_nearby(robot, kind, lowest),
+                lifted and hold is not None,
+            )
+        rise = rise if lifted else 0.0
+        height = max(lowest, *(hold.xyz[2] for hold in holds.values()))
+    return height, rise, [holds[robot.arm.name] for robot in robots]
+
+
+def _graded_hold(robot: _Robot, kind: type[Joint], height: float, rise: float) -> _Grade | None:
+    """The best hold at a height above the base; None where there is none.
+
+    The arm reaches it, and the same place higher by ``rise``.
+    """
+    for rank, (free, turn) in enumerate(_turns(kind)):
+        search = InverseKinematics(robot.arm, free)
+        grades: list[_Grade] = []
+        for ahead in AHEAD:
+            hold = _Hold(robot.tip, (_two_digits(ahead * robot.length), 0.0, height), (*turn, 0.0))
+            lifted = hold.matrix
+            lifted[2, 3] += rise
+            reach = search.search([hold.matrix, lifted], np.random.default_rng(0))
+            if reach is not None:
+                if len(search.lower) < 6 - len(free):  # digits that are written decide
+                    hold = _held(robot, reach.postures[0])
+                grades.append(_Grade(rank, reach.quality, hold))
+        if grades:
+            return max(grades, key=lambda grade: grade.quality)
+    return None
+
+
+def _turns(kind: type[Joint]) -> list[tuple[tuple[int, ...], tuple[float, float]]]:
+    """Components of the pose that are left free, and roll and pitch, the best first."""
+    return [*product(dict.fromkeys([(), tuple(kind.free or ())]), TURNS)]
+
+
+def _hold_anywhere(robot: _Robot, kind: type[Joint], rise: float) -> _Hold | None:
+    heights = [_two_digits(above * robot.length) for above in ABOVE]
+    grades = [_graded_hold(robot, kind, height, rise) for height in heights]
+    reached = [grade for grade in grades if grade is not None]
+    return min(reached, key=lambda grade: (grade.rank, -grade.quality)).hold if reached else None
+
+
+def _hold_nearby(robot: _Robot, kind: type[Joint], lowest: float) -> _Hold:
+    """Where an arm that reaches none of the places comes near one of them.
+
+    The place is at a height above the base of ``lowest`` [m] or more, where the arm is long enough.
+    """
+    free, turn = _turns(kind)[-1]
+    height = max(ABOVE[0] * robot.length, lowest)
+    height = height if height < ABOVE[1] * robot.length else 0.0
+    search = InverseKinematics(robot.arm, free)
+    place = _Hold(robot.tip, (AHEAD[1] * robot.length, 0.0, height), (*turn, 0.0)).matrix
+    return _held(robot, search.nearest(place, np.random.default_rng(0)).posture)
+
+
+def _held(robot: _Robot, posture: np.ndarray) -> _Hold:
+    """The hold of a posture, which is written: the place follows from its digits."""
+    posture = np.round(posture, 4) + 0.0
+    pose = robot.arm.tip_pose(posture)
     x, y, z = pose[:3, 3].tolist()
     roll, pitch, yaw = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz").tolist()
-    return _Hold(tip, (x, y, z), (roll, pitch, yaw), posture.tolist())
+    return _Hold(robot.tip, (x, y, z), (roll, pitch, yaw), posture.tolist())
 
 
 def _two_digits(number: float) -> float:

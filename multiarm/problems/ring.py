@@ -28,7 +28,8 @@ def ring_of_arms(
     The bases stand on a circle of radius ``max(0.8, 0.25 / sin(pi / n))`` m and face inward; the
     disc is 0.05 m thick, weighs 2.5 kg an arm, its centre of mass is 25 mm below the grips.  The
     torques hold everything statically and add sinusoids of 3 N m (joints 1 - 3) and 1 N m
-    (joints 4 - 6).  The equilibrium is unstable in open loop.
+    (joints 4 - 6; by balls 0.5 N m in joint 6, which spins freely and would pass its speed limit).
+    The equilibrium is unstable in open loop.
 
     Parameters
     ----------
@@ -45,6 +46,7 @@ def ring_of_arms(
         )
     radius = max(0.8, 0.25 / math.sin(math.pi / arms))
     names = [f"arm{i}" for i in range(arms)]
+    amplitude = [3.0, 3.0, 3.0, 1.0, 1.0, 0.5 if kind == "ball" else 1.0]
     heading = {name: 2.0 * math.pi * i / arms for i, name in enumerate(names)}
     height = float(tip_pose("ur5", "tool0", RING_POSTURE)[2, 3])
     return Scene(
@@ -71,7 +73,7 @@ def ring_of_arms(
         control={
             "kind": "harmonic",
             "frequency": frequency,
-            "amplitude": {name: [3.0, 3.0, 3.0, 1.0, 1.0, 1.0] for name in names},
+            "amplitude": dict.fromkeys(names, amplitude),
             "phase": {name: [0.7 * i + 1.3 * j for j in range(6)] for i, name in enumerate(names)},
         },
         run={"duration": duration, "accuracy": accuracy},

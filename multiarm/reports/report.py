@@ -15,13 +15,21 @@ import yaml
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
-from multiarm.notation import number, value_text
+from multiarm.notation import number, numbers, value_text
 from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
 from multiarm.reports.pages import heading
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import atomic_file, printable, resolved
-from multiarm.results.limit_use import LIMITS
+from multiarm.results.limit_use import (
+    LIMITS,
+    QUANTITIES,
+    Share,
+    joint_uses,
+    limit_warnings,
+    peaks,
+    percent,
+)
 from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
 
 SHOWN_EVENTS = 200
@@ -86,6 +94,7 @@ def render(trajectory: Trajectory) -> str:
             title: inline_svg(figure, f"f{place}-")
             for place, (title, figure) in enumerate(plots.figures(trajectory).items())
         },
+        limits=_limits(trajectory),
         works=_works(trajectory),
         statistics=_statistics(trajectory, summary),
         events=_events(trajectory.events),
@@ -131,6 +140,23 @@ def _course(certificate: Mapping[str, Any], events: Sequence[Event]) -> str:
     if not certificate["over_time"]["time"]:
         return ""
     return inline_svg(plots.accuracy_course(certificate, events), "accuracy-")
+
+
+def _limits(trajectory: Trajectory) -> dict[str, Any]:
+    """The use of the limits by each joint, and what is beyond them."""
+    uses = joint_uses(trajectory)
+    rows = [(use.joint, *_shares([getattr(use, name) for name in QUANTITIES])) for use in uses]
+    return {"rows": rows, "warnings": limit_warnings(peaks(uses))}
+
+
+def _shares(shares: Sequence[Share | None]) -> list[str]:
+    """Share and time of each, as text."""
+    cells = []
+    for share in shares:
+        cells += (
+            [number(None), ""] if share is None else [percent(share.value), number(share.time, "s")]
+        )
+    return cells
 
 
 def _works(trajectory: Trajectory) -> list[tuple[str, str]]:
@@ -188,7 +214,7 @@ def _row(group: Group) -> tuple[str, str, str, str]:
         time += f" to {value_text(last['time'])}"
     where, place = who(first), first.get("where")
     if isinstance(place, list | tuple):
-        where += f" at ({', '.join(f'{value:.3g}' for value in place)}) m"
+        where += f" at ({numbers(place, digits=3)}) m"
     return f"{time} s", group.what(), where.lstrip(), group.change()
 
 

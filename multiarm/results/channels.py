@@ -97,10 +97,10 @@ def channels_of(channels: Iterable[str], quantity: str) -> dict[str, str]:
     """Arm, or "floor" -> name of its channel of a quantity, of the channels of a run."""
     known = dict.fromkeys(channels)
     names = {arm: f"arms/{arm}/{quantity}" for arm in arm_names(known)}
-    found = {arm: name for arm, name in names.items() if name in known}
+    channel_of = {arm: name for arm, name in names.items() if name in known}
     if f"environment/{quantity}" in known:
-        found.setdefault(FLOOR, f"environment/{quantity}")  # an arm may have this name
-    return found
+        channel_of.setdefault(FLOOR, f"environment/{quantity}")  # an arm may have this name
+    return channel_of
 
 
 def trajectory_channels(

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -97,7 +97,8 @@ class Peak:
 
     joint: str  # arm/joint
     quantity: str  # one of QUANTITIES
-    share: Share
+    share: float  # 1 at the limit
+    time: float  # [s]
     beyond: int  # joints beyond 100 %
 
     @property
@@ -107,8 +108,8 @@ class Peak:
             return ""
         rest = f" ({self.beyond} joints are beyond 100 %)" if self.beyond > 1 else ""
         return (
-            f"{self.joint} uses {self.share.value:.0%} of its {self.quantity} limit at "
-            f"t = {self.share.time:.3g} s{rest}, which the robot cannot do: "
+            f"{self.joint} uses {percent(self.share)} of its {self.quantity} limit "
+            f"at t = {self.time:.3g} s{rest}, which the robot cannot do: "
             f"{_REMEDIES[self.quantity]}"
         )
 
@@ -154,14 +155,27 @@ def peaks(uses: Sequence[JointUse]) -> dict[str, Peak | None]:
         known = {joint: share for joint, share in shares.items() if share is not None}
         joint = max(known, key=lambda name: known[name].value, default="")
         beyond = sum(share.value > 1.0 + ROUNDING for share in known.values())
-        largest[quantity] = Peak(joint, quantity, known[joint], beyond) if known else None
+        peak = known.get(joint)
+        largest[quantity] = peak and Peak(joint, quantity, peak.value, peak.time, beyond)
     return largest
+
+
+def percent(share: float) -> str:
+    """A share in words; below a tenth of a percent it is called so."""
+    return "below 0.1 %" if share < 1e-3 else f"{100.0 * share:.3g} %"
 
 
 def largest_shares(trajectory: Samples) -> dict[str, float | None]:
     """The largest share of any joint of a run: of effort, speed and range; None where unknown."""
     largest = peaks(joint_uses(trajectory))
-    return {name: None if peak is None else peak.share.value for name, peak in largest.items()}
+    return {name: None if peak is None else peak.share for name, peak in largest.items()}
+
+
+def limit_summary(trajectory: Samples) -> dict[str, Any]:
+    """Rows of all joints, and what is largest, in types of JSON."""
+    uses = joint_uses(trajectory)
+    largest = {name: peak and asdict(peak) for name, peak in peaks(uses).items()}
+    return {"joints": [use.row() for use in uses], "largest": largest}
 
 
 def limit_warnings(largest: Mapping[str, Peak | None]) -> list[str]:

@@ -142,7 +142,7 @@ class MemoryStore:
     @cached_property
     def metadata(self) -> dict[str, Any]:
         """Provenance, and the scene's text under `scene`."""
-        return _found(self._metadata)
+        return _evaluated(self._metadata)
 
     @cached_property
     def _columns(self) -> Columns:
@@ -184,7 +184,7 @@ class Hdf5Sink(Sink):
 
         self._columns = self._columns_of(self._channels)
         target = TrajectoryReader.writable_target(self.path)
-        self._writer = TrajectoryWriter(target, self._channels, _found(self._metadata))
+        self._writer = TrajectoryWriter(target, self._channels, _evaluated(self._metadata))
 
     def _keep(self, rows: np.ndarray) -> None:
         block = {
@@ -229,7 +229,7 @@ def provenance(scene_text: str, created: float | None = None) -> dict[str, Any]:
     }
 
 
-def _found(metadata: Metadata) -> dict[str, Any]:
+def _evaluated(metadata: Metadata) -> dict[str, Any]:
     """Metadata in types of JSON."""
     return plain(metadata() if callable(metadata) else metadata)
 

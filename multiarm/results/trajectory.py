@@ -25,6 +25,13 @@ from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import STATUSES, temporary_name
+from multiarm.results.limit_use import (
+    JointUse,
+    joint_uses,
+    largest_shares,
+    limit_summary,
+    percent,
+)
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -132,6 +139,12 @@ class Trajectory:
             "events": len(self.events) or "",
         }
         if len(self):
+            shares = {
+                name: share and percent(share) for name, share in largest_shares(self).items()
+            }
+            facts["of joint limits"] = ", ".join(
+                f"{name} {share}" for name, share in shares.items() if share
+            )
             facts["largest gap"] = f"{np.max(self.position_drift):.1g} m"
             facts["energy balance"] = f"{np.max(np.abs(self.energy_balance)):.1g} J"
         return facts_html("Trajectory", facts)
@@ -186,8 +199,6 @@ class Trajectory:
             The limits in the file cannot be read.
         """
         import pandas
-
-        from multiarm.results.limit_use import JointUse, joint_uses
 
         columns = tuple(JointUse("", None, None, None).row())
         frame = pandas.DataFrame([use.row() for use in joint_uses(self)], columns=columns)
@@ -468,8 +479,11 @@ class Trajectory:
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
             contact_force_max_N, the largest magnitude per arm, and of the floor; wrench_max, per
             arm, and of the floor: force_N and moment_N_m, the largest magnitudes of force and
-            moment on the object, at force_time_s and moment_time_s; rank_lowest, rank_highest and
-            coupled_steps. Numbers are finite; unknown ones are None.
+            moment on the object, at force_time_s and moment_time_s; limit_use: the rows of
+            :attr:`limit_use` as ``joints``, and as ``largest`` the joint that uses most of its
+            effort, speed and range (joint, share, time, and how many joints are beyond their
+            limit); rank_lowest, rank_highest and coupled_steps. Numbers are finite; unknown ones
+            are None.
         """
         counted = (
             "steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
@@ -490,6 +504,7 @@ class Trajectory:
             "final_object_position": self._last("object/position"),
             "final_object_quaternion_xyzw": self._last("object/quaternion_xyzw"),
             "contact_force_max_N": {arm: self._largest(name) for arm, name in forces.items()},
+            "limit_use": limit_summary(self),
             "wrench_max": {arm: self._largest_wrench(name) for arm, name in wrenches.items()},
             "rank_lowest": plain(self._outcome.statistics.get("lowest_rank")),
             "rank_highest": plain(self._outcome.statistics.get("highest_rank")),

@@ -129,10 +129,10 @@ class TrajectoryReader(StoredFile):
 
     def _counters(self, name: str) -> list[int]:
         """Two numbers of rows."""
-        found = self.dataset(name, "iu", 1)[:].tolist()
-        if len(found) != 2 or min(found) < 0:
+        counters = self.dataset(name, "iu", 1)[:].tolist()
+        if len(counters) != 2 or min(counters) < 0:
             raise self.broken(f"'{name}' is not two numbers of rows")
-        return found
+        return counters
 
     def _pieces(self, name: str, begin: int, end: int) -> str:
         """The text in some rows of a dataset, see :func:`_in_pieces`."""
@@ -153,8 +153,8 @@ class TrajectoryReader(StoredFile):
             if self.channels.get(channel.name, channel).shape != channel.shape:
                 raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):
-            own = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
-            if len({self.channels[name].shape for name in own if name in self.channels}) > 1:
+            joints = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
+            if len({self.channels[name].shape for name in joints if name in self.channels}) > 1:
                 raise self.broken(f"channels of arm '{arm}' have different numbers of joints")
         times = self.file["time"][: self.samples]
         if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
@@ -408,8 +408,9 @@ def outcome_fault(outcome: Mapping[str, Any]) -> str:
     if certificate is not None and not isinstance(certificate, dict):
         return "'certificate' is none"
     for event in outcome["events"]:
-        own = event if isinstance(event, dict) else {}
-        if not isinstance(own.get("time"), (int, float)) or not isinstance(own.get("kind"), str):
+        entry = event if isinstance(event, dict) else {}
+        time, kind = entry.get("time"), entry.get("kind")
+        if not isinstance(time, (int, float)) or not isinstance(kind, str):
             return "an event has no time or no kind"
     return ""
 
@@ -417,7 +418,7 @@ def outcome_fault(outcome: Mapping[str, Any]) -> str:
 def _identity(path: Path) -> tuple[int, ...]:
     """Identity of the file at a path; empty where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return ()
-    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
+    return status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size

@@ -390,7 +390,7 @@ def _free_joints(
         if joint.kind not in CHAIN_JOINTS:
             found.fault(
                 text=f"joint {joint.name!r} on the way to {tip!r} is {joint.kind}; arms move "
-                f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: ({joint.name}: 0.0))"
+                f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: {{{joint.name}: 0.0}})"
             )
         if joint.mimic is not None:
             found.fault(

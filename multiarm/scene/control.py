@@ -438,6 +438,11 @@ control:
     )
     """[1/s]; twice the root of the stiffness lets errors die out without overshoot."""
 
+    @property
+    def carries(self) -> bool:
+        """Always: inverse dynamics takes the weight into account."""
+        return True
+
 
 class ObjectImpedanceControl(_ObjectControl):
     """The object on a spring and a damper; arms and object carry their own weight.

@@ -50,7 +50,7 @@ _repr.maxlevel = 3
 
 def fault(message: str) -> PydanticCustomError:
     """The error that a validator raises; a user reads ``message`` as it is."""
-    return PydanticCustomError("fault", message.replace("{", "(").replace("}", ")"))
+    return PydanticCustomError("fault", "{message}", {"message": message})
 
 
 def shown(value: object) -> str:

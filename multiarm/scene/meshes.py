@@ -1,52 +1,228 @@
-"""Files of meshes: where the address in a URDF leads, and whether a reader may open the file."""
+"""Files of meshes: where the address in a URDF leads, and their triangles.
+
+trimesh reads all formats.  It trusts the counts that a file declares and computes with whatever
+numbers it has, so that a file is inspected first; and it never opens a further file, such as a
+texture.  Collada is the one usual format of robots whose colours are read.
+"""
 
 from __future__ import annotations
 
+import io
 import re
+import warnings
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from multiarm.scene.urdf import read_xml
 
-_MOST_MESH_BYTES = 1 << 30
+if TYPE_CHECKING:
+    import numpy as np
+
+MESH_FORMATS = (".dae", ".obj", ".off", ".ply", ".stl")
+MOST_MESH_BYTES = 1 << 30
+_TEXTURED = 0.8  # brightness of what has a texture in place of a colour
 
 
-def readable_visuals(
-    urdf: Path, package_dirs: tuple[Path, ...], loader: Any = None
-) -> tuple[str, list[str]]:
-    """The text of a URDF without visuals whose meshes cannot be read, and what these are.
+class TriangleMesh(NamedTuple):
+    """The triangles of a file."""
 
-    Its meshes have their paths.  With a ``loader`` of coal's, each is read, which takes long.
+    vertices: np.ndarray
+    """Corners [m], shape (V, 3)."""
+    triangles: np.ndarray
+    """Numbers of corners, counter-clockwise seen from outside, shape (T, 3)."""
+    colors: np.ndarray | None
+    """Of each triangle, sRGB in 0..1, shape (T, 3); absent where a format has none that is read."""
+
+
+class ShapeMesh(NamedTuple):
+    """The mesh of a shape of a URDF."""
+
+    path: str
+    """Where it is, or where it is missing; the address of one in an unknown package."""
+    scale: tuple[float, ...]
+    """Along the axes of the mesh."""
+
+
+def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleMesh:
+    """Read the triangles of a file, scaled along its axes.
+
+    The unit of a Collada file is applied and its up axis is not, as readers of URDFs do.
+
+    Raises
+    ------
+    ValueError
+        There is no such file, its format is none of :data:`MESH_FORMATS`, it is damaged or too
+        large, or it has no triangles, or numbers that are not finite; the message says which.
     """
-    robot, faults, lost = read_xml(urdf), {}, []
+    import numpy as np
+
+    if not path.is_file():
+        raise ValueError("there is no such file")
+    ending, size = path.suffix.lower(), path.stat().st_size
+    if ending not in MESH_FORMATS:
+        raise ValueError(f"it has no known format; these are {', '.join(MESH_FORMATS)}")
+    if size > MOST_MESH_BYTES:
+        raise ValueError(f"it has {size:,} bytes, more than {MOST_MESH_BYTES:,}")
+    content = _inspected(path.read_bytes(), ending)
+    try:
+        with warnings.catch_warnings():  # of what is wrong with a text; its numbers are checked
+            warnings.simplefilter("ignore")
+            vertices, triangles, colors = _triangles(content, ending)
+    except Exception as error:  # readers of the formats raise what they please
+        raise ValueError(f"it is damaged, or no {ending} file") from error
+    if not len(triangles):
+        raise ValueError("it has no triangles")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise ValueError("a triangle has a corner that is not there")
+    vertices = vertices * np.asarray(scale, float)
+    if not np.isfinite(vertices).all():
+        raise ValueError("a number is not finite")
+    outward = triangles if np.prod(scale) > 0 else triangles[:, ::-1]
+    return TriangleMesh(vertices, outward, colors if ending == ".dae" else None)
+
+
+def _inspected(content: bytes, ending: str) -> bytes:
+    """The part of a file that is to be read, if it holds what it declares.
+
+    Raises
+    ------
+    ValueError
+        It does not.
+    """
+    size = len(content)
+    if ending == ".stl":
+        declared = int.from_bytes(content[80:84], "little")
+        end = 84 + 50 * declared
+        if size == end or not content.startswith(b"solid"):  # some binary files begin so, too
+            if not declared or size < end:
+                raise ValueError(
+                    f"it declares {declared:,} triangles, and has {max(size - 84, 0) // 50:,}"
+                )
+            return content[:end]
+    elif ending == ".ply":
+        header = content.partition(b"end_header")[0]
+        declared = sum(map(int, re.findall(rb"^element \w+ (\d{1,18})", header, re.M)))
+        if not 0 < declared <= size:
+            raise ValueError(f"it declares {declared:,} vertices and faces")
+    elif ending == ".dae":
+        if b"\0" in content:
+            raise ValueError("it is not written in UTF-8")
+        if b"<!DOCTYPE" in content:
+            raise ValueError("it has a document type, whose entities may expand to any length")
+        if b"instance_node" in content:
+            raise ValueError("its nodes contain other nodes by reference; export it without")
+        largest = max(map(len, re.split(rb"</[\w.:-]*geometry\s*>", content)))
+        if content.count(b"instance_geometry") * largest > MOST_MESH_BYTES:
+            raise ValueError("it shows its geometry too many times")
+    return content
+
+
+def _triangles(content: bytes, ending: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners [m], triangles and their colours, of all nodes of a file."""
+    import numpy as np
+    import trimesh
+
+    scene: Any = trimesh.load_scene(
+        io.BytesIO(content),
+        file_type=ending[1:],
+        resolver=_grey_textures(),
+        process=False,
+        skip_materials=True,  # of OBJ, which are in further files
+    )
+    parts: list[tuple[np.ndarray, ...]] = []
+    start = 0
+    for node in scene.graph.nodes_geometry:
+        pose, name = scene.graph[node]
+        part = scene.geometry[name]
+        if not isinstance(part, trimesh.Trimesh):
+            continue
+        faces = np.array(part.faces, int)
+        inward = np.linalg.det(pose[:3, :3]) < 0.0
+        parts.append(
+            (
+                part.vertices @ pose[:3, :3].T + pose[:3, 3],
+                (faces[:, ::-1] if inward else faces) + start,
+                np.tile(_color(part), (len(faces), 1)),
+            )
+        )
+        start += len(part.vertices)
+    if not parts:
+        return np.empty((0, 3)), np.empty((0, 3), int), np.empty((0, 3))
+    vertices, triangles, colors = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))
+    unit = trimesh.units.unit_conversion(scene.units, "meters") if scene.units else 1.0
+    return unit * vertices, triangles, colors
+
+
+def _color(part: Any) -> np.ndarray:
+    """The colour of a part of a mesh, sRGB (3,) in 0..1: grey if it has none, or a texture."""
+    import numpy as np
+
+    material: Any = getattr(part.visual, "material", None)
+    base = getattr(material, "baseColorFactor", None)
+    if base is None or material.baseColorTexture is not None:
+        return np.full(3, _TEXTURED)
+    # Exporters write linear light; screens expect sRGB.
+    return (np.asarray(base, float)[:3] / 255.0) ** (1.0 / 2.2)
+
+
+def _grey_textures() -> Any:
+    """What trimesh asks for the textures of a file: each is a grey pixel, and no file is opened."""
+    from PIL import Image
+    from trimesh.resolvers import Resolver
+
+    class GreyTextures(Resolver):
+        def __init__(self) -> None:
+            pixel = io.BytesIO()
+            Image.new("L", (1, 1)).save(pixel, "png")
+            self._pixel = pixel.getvalue()
+
+        def get(self, key: str) -> bytes:
+            return self._pixel
+
+        def write(self, name: str, data: Any) -> None:
+            raise NotImplementedError
+
+        def namespaced(self, namespace: str) -> Resolver:
+            return self
+
+        def keys(self) -> tuple[str, ...]:
+            return ()
+
+    return GreyTextures()
+
+
+# --- The shapes of a URDF -------------------------------------------------------------------------
+
+
+def shapes_without_meshes(
+    urdf: Path, package_dirs: tuple[Path, ...], role: str
+) -> tuple[str, dict[str, ShapeMesh]]:
+    """The text of a URDF with spheres in place of the meshes of its shapes, and these meshes.
+
+    ``role`` is ``visual`` or ``collision``.  Names are those of Pinocchio: the link's, and the
+    number of the shape in it.
+
+    Raises
+    ------
+    ValueError
+        A mesh has no scale of three numbers.
+    """
+    robot, meshes = read_xml(urdf), {}
     for link in robot.findall("link"):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            if mesh is None:
+        for number, shape in enumerate(link.findall(role)):
+            geometry, mesh = shape.find("geometry"), shape.find("geometry/mesh")
+            if geometry is None or mesh is None:
                 continue
             address = mesh.get("filename", "")
-            path = resolve_mesh(address, urdf, package_dirs)
-            if address not in faults:
-                faults[address] = _fault(path, loader)
-            if faults[address]:
-                lost.append(f"{path or address} of link '{link.get('name')}' ({faults[address]})")
-                link.remove(visual)
-            mesh.set("filename", str(path))
-    return ElementTree.tostring(robot, "unicode"), lost
-
-
-def _fault(path: Path | None, loader: Any) -> str:
-    """Why a mesh of a URDF cannot be read; empty where it can."""
-    if path is None:
-        return "there is no such file"
-    fault = mesh_fault(path)
-    if not fault and loader is not None:
-        try:
-            loader.load(str(path))
-        except (ValueError, RuntimeError):
-            return "it is no mesh of a known format"
-    return fault
+            missing = address if "://" in address else urdf.parent / address
+            path = resolve_mesh(address, urdf, package_dirs) or missing
+            x, y, z = map(float, mesh.get("scale", "1 1 1").split())
+            meshes[f"{link.get('name')}_{number}"] = ShapeMesh(str(path), (x, y, z))
+            geometry.remove(mesh)
+            ElementTree.SubElement(geometry, "sphere", radius="1")
+    return ElementTree.tostring(robot, "unicode"), meshes
 
 
 def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Path | None:
@@ -63,35 +239,3 @@ def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Pa
     else:
         candidates = [folder / rest.lstrip("/") for folder in package_dirs]
     return next((path for path in candidates if path.is_file()), None)
-
-
-def mesh_fault(path: Path) -> str:
-    """Why no reader of meshes should open a file; empty where one may.
-
-    Readers trust the counts that a file declares, and compute with whatever numbers it has.
-    """
-    if not path.is_file():
-        return "there is no such file"
-    size = path.stat().st_size
-    if size > _MOST_MESH_BYTES:
-        return f"it has {size:,} bytes, more than {_MOST_MESH_BYTES:,}"
-    content = path.read_bytes()
-    ending = path.suffix.lower()
-    declared = int.from_bytes(content[80:84], "little")
-    binary = size == 84 + 50 * declared or not content.startswith(b"solid")  # some say so too
-    if ending == ".stl" and binary:
-        if not declared or size < 84 + 50 * declared:
-            return f"it declares {declared:,} triangles, and has {max(size - 84, 0) // 50:,}"
-        import numpy as np
-
-        triangles = np.frombuffer(content, np.dtype("<12f4,u2"), declared, 84)
-        corners = triangles["f0"][:, 3:]  # normals are not used
-        return "" if np.isfinite(corners).all() else "a number is not finite"
-    if ending == ".ply":
-        declared = sum(map(int, re.findall(rb"^element \w+ (\d{1,18})", content[:4096], re.M)))
-        return "" if 0 < declared <= size else f"it declares {declared:,} vertices and faces"
-    lower = content.lower()
-    suspicious = b"\0" not in content and (b"nan" in lower or b"inf" in lower)  # found fast
-    if suspicious and re.search(rb"(?<![\w#])[-+]?(nan|inf|infinity)(?!\w)", lower):
-        return "a number is not finite"
-    return ""

@@ -27,6 +27,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
+from multiarm.scene.meshes import read_mesh
 from multiarm.scene.values import (
     Color,
     FilePath,
@@ -267,13 +268,20 @@ class Mesh(Spec):
     """A mesh, its origin at the centre of mass."""
 
     file: FilePath
-    """An STL or OBJ file, for instance."""
+    """An STL, OBJ, PLY, OFF or Collada file."""
     scale: Annotated[
         tuple[float, float, float],
         BeforeValidator(_scale),
         WithJsonSchema({"anyOf": [_LENGTH, _LENGTHS]}),
     ] = (1.0, 1.0, 1.0)
     """Metres for each unit of the file, for all axes or one for each."""
+
+    def triangles(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Corners (N, 3) in the object's frame [m] and triangles (T, 3); None if unreadable."""
+        try:
+            return read_mesh(self.file, self.scale)[:2]
+        except ValueError:  # the replay says so
+            return None
 
 
 class Shape(OneOf):
@@ -334,17 +342,8 @@ class Shape(OneOf):
         if self.hull is not None:
             points = np.array(self.hull)
             return nearest_in(points, hull_triangles(points), point)
-        if self.mesh is None:
-            return None
-        import trimesh
-
-        try:
-            loaded: Any = trimesh.load_mesh(str(self.mesh.file), process=False)
-            points = np.array(loaded.vertices, float) * self.mesh.scale
-            triangles = np.array(loaded.faces, int)
-        except Exception:  # readers of the formats raise what they please; the replay says so
-            return None
-        return nearest_in(points, triangles, point) if len(triangles) else None
+        triangles = None if self.mesh is None else self.mesh.triangles()
+        return None if triangles is None else nearest_in(*triangles, point)
 
 
 NO_SHAPE = Shape.model_construct()

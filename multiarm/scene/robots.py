@@ -20,6 +20,7 @@ import os
 import re
 from collections import Counter
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 
@@ -101,14 +102,14 @@ class RobotEntry:
 
 def available_robots() -> dict[str, RobotEntry]:
     """All robots that can be used by name on this machine, the project's own first."""
-    found = _own_robots()
+    robots = _project_robots()
     for name, urdf in _example_files().items():
-        found.setdefault(name, RobotEntry(name, urdf, _DISTRIBUTION))
+        robots.setdefault(name, RobotEntry(name, urdf, _DISTRIBUTION))
     for name in described_robots():
         local = local_urdf(name)
         if local is not None:
-            found.setdefault(name, RobotEntry(name, local, DESCRIPTIONS))
-    return {name: entry for name, entry in found.items() if _is_usable(entry)}
+            robots.setdefault(name, RobotEntry(name, local, DESCRIPTIONS))
+    return {name: entry for name, entry in robots.items() if _is_usable(entry)}
 
 
 def find_robot(name: str) -> RobotEntry:
@@ -119,9 +120,9 @@ def find_robot(name: str) -> RobotEntry:
     SceneError
         If there is none, or it has to be downloaded first; the message says what to do.
     """
-    own, examples = _own_robots(), _example_files()
-    if name in own:
-        return own[name]
+    project, examples = _project_robots(), _example_files()
+    if name in project:
+        return project[name]
     if name in examples:
         return RobotEntry(name, examples[name], _DISTRIBUTION)
     described = described_robots()
@@ -131,12 +132,27 @@ def find_robot(name: str) -> RobotEntry:
             fetch = f"python -m {DESCRIPTIONS} pull {name}"
             raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
         return RobotEntry(name, urdf, DESCRIPTIONS)
-    message = unknown("robot", name, [*own, *examples, *described])
     if name in {*_FILES, *_TIPS} and _share_folder() is None:
         message = f"robot {name!r} comes with {_DISTRIBUTION}; pip install {_DISTRIBUTION}"
-    elif name.endswith(SUFFIX) and not described:
-        message = f"robot {name!r} may come with {DESCRIPTIONS}; pip install {DESCRIPTIONS}"
+    else:
+        message = _unknown(name, described)
+    if not described:
+        message += f"; more come with {DESCRIPTIONS} (pip install {DESCRIPTIONS})"
     raise SceneError(f"{message}; or give the path of a file with 'urdf:'")
+
+
+def _unknown(name: str, described: tuple[str, ...]) -> str:
+    """That there is no such robot, with near names: of arms, else of any robot."""
+    robots = available_robots()
+    arms = [robot for robot, entry in robots.items() if _is_arm(entry)]
+    arms += [robot for robot in described if robot not in robots]
+    near_arm = get_close_matches(name, arms, 1)
+    return unknown("robot", name, arms if near_arm else dict.fromkeys([*arms, *robots]))
+
+
+def _is_arm(entry: RobotEntry) -> bool:
+    """Whether something tells its tip, and a joint moves it."""
+    return any(entry.outline.movable(tip) for tip in entry.tips)
 
 
 def described_robots() -> tuple[str, ...]:
@@ -201,7 +217,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
     return tuple(dict.fromkeys(folders))
 
 
-def _own_robots() -> dict[str, RobotEntry]:
+def _project_robots() -> dict[str, RobotEntry]:
     """Those of the first folder that there is: inside the package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "robots", package.parent / "robots"):

@@ -34,7 +34,7 @@ from multiarm.dynamics.evaluation import (
     failure_text,
 )
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
+from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SolverError
@@ -43,6 +43,7 @@ from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.notation import count_of
 from multiarm.results.trajectory import plain
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
 
@@ -133,38 +134,6 @@ class RunFacts:
 
 
 @dataclass(frozen=True)
-class Carrying:
-    """Whether the contact forces can carry the object at rest."""
-
-    possible: bool
-    # what the best contact forces leave of the weight [N] and of its moment about the centre of
-    # mass [N m]
-    force_residual: float
-    moment_residual: float
-    largest_force: float  # [N], of these contact forces
-
-
-@dataclass(frozen=True)
-class EffectFacts:
-    """Cost of an effect in an evaluation at the start."""
-
-    microseconds: float | None = None
-    uncertainty_microseconds: float | None = None  # twice the standard error
-    bytes: int = 0
-    states: int = 0
-    rows: int = 0
-    callbacks: int = 0
-    trouble: str = ""  # why it was not measured
-
-    @property
-    def within_noise(self) -> bool:
-        """Whether the time is zero within its uncertainty."""
-        if self.microseconds is None or self.uncertainty_microseconds is None:
-            return False
-        return abs(self.microseconds) <= self.uncertainty_microseconds
-
-
-@dataclass(frozen=True)
 class Inspection:
     """Result of :func:`inspect_system`.
 
@@ -179,7 +148,7 @@ class Inspection:
     joints: list[JointFacts]
     freedom: Freedom | None  # all contacts of the joints closed, those with a floor open
     coming_and_going: list[str]  # unilateral constraints
-    effects: dict[str, EffectFacts | None]  # active ones, and gravity; None: not measured
+    effects: dict[str, Any]  # active ones, and gravity, with their parameters
     control: str
     run: RunFacts
     start: StartReport | None  # gaps of the written start, and its correction
@@ -216,8 +185,6 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         _place_at_start(closed, system)
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
         freedom = None if away else count_freedom(closed)
-        carries = _carries(scene) and not away
-        carrying = carrying_capacity(closed, scene) if carries else None
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
@@ -230,14 +197,14 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         ],
         freedom=freedom,
         coming_and_going=[] if away else coming_and_going(system),
-        effects=dict.fromkeys(active_effects(scene)),
+        effects=active_effects(scene),
         control=scene.control.kind,
         run=resolve_run(scene.run),
         start=None if away else system.start_report,
         position_residual=None if evaluation is None else evaluation.position_residual,
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
-        carrying=carrying,
+        carrying=None if evaluation is None else carrying_capacity(system, evaluation),
         warnings=scene.warnings + ([] if away else start_warnings(system)),
         not_looked_at=[_not_looked_at(code) for code in left],
     )
@@ -274,24 +241,6 @@ def count_freedom(data: Data) -> Freedom:
     )
 
 
-def carrying_capacity(data: Data, scene: Scene) -> Carrying:
-    r"""How well contact forces can carry the object at rest: :math:`W_o \lambda = [-m g; 0]`."""
-    weight = np.zeros(6)
-    weight[:3] = -scene.object.mass * np.array(scene.gravity)
-    W_o = data.arrays.Wo.T  # (6, N)
-    reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
-    scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
-    forces = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
-    left = W_o @ forces - weight
-    size = float(np.linalg.norm(weight))
-    return Carrying(
-        possible=float(np.linalg.norm(scale * left)) <= 1e-6 * size,
-        force_residual=float(np.linalg.norm(left[:3])),
-        moment_residual=float(np.linalg.norm(left[3:])),
-        largest_force=float(np.max(np.abs(forces))),
-    )
-
-
 def coming_and_going(system: System) -> list[str]:
     """The unilateral constraints of a system, counted by arm and kind."""
     if system.model.unilateral is None:
@@ -310,10 +259,10 @@ def _unit_words(unit: Constraint) -> str:
     return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.compliant)
 
 
-def active_effects(scene: Scene) -> list[str]:
-    """Names of the effects that the scene models."""
-    gravity = ["gravity"] if scene.gravity is not None and any(scene.gravity) else []
-    return gravity + list(scene.effects.named)
+def active_effects(scene: Scene) -> dict[str, Any]:
+    """The effects that the scene models, gravity [m/s^2] among them, with their parameters."""
+    gravity = {"gravity": scene.gravity} if scene.gravity is not None and any(scene.gravity) else {}
+    return gravity | scene.effects.model_dump(mode="json", exclude_none=True)
 
 
 def resolve_run(spec: RunSpec) -> RunFacts:
@@ -438,12 +387,6 @@ def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFa
 def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
     quaternion = matrix_to_quaternion(matrix[:3, :3])
     return matrix[:3, 3].tolist(), np.asarray(quaternion).tolist()
-
-
-def _carries(scene: Scene) -> bool:
-    """Whether the control, and no floor, carries the object."""
-    weighs = scene.gravity is not None and any(scene.gravity)
-    return weighs and scene.effects.floor is None and scene.control.carries
 
 
 def _place_at_start(data: Data, system: System) -> None:

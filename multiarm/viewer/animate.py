@@ -16,6 +16,7 @@ import colorsys
 import warnings
 from collections import Counter
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.scene import with_code, without_code
 from multiarm.scene.control import NoControl
+from multiarm.scene.faults import counted
 from multiarm.viewer.animation import (
     Animation,
     Body,
@@ -45,7 +47,7 @@ from multiarm.viewer.contact_tracks import (
     surface_bodies,
 )
 from multiarm.viewer.mesh import Z_TO_X, Mesh, box, capsule, cylinder, merge
-from multiarm.viewer.shapes import PLAIN, geometry_mesh, mesh_loader, object_mesh
+from multiarm.viewer.shapes import PLAIN, geometry_mesh, is_mesh_file, object_mesh
 
 if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
@@ -119,16 +121,17 @@ def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
     start = {
         "object_position": trajectory.object_position[0],
         "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[0],
-        "joint_positions": {arm: own[0] for arm, own in trajectory.joint_positions.items()},
+        "joint_positions": {arm: q[0] for arm, q in trajectory.joint_positions.items()},
     }
-    scene, left = (with_code(scene, True), []) if code else without_code(scene)
+    scene, left_out = (with_code(scene, True), []) if code else without_code(scene)
     system = geometry_of(scene, start)
-    unseen = [one for one in left if one.arm]
-    if not unseen:
+    not_drawn = [item for item in left_out if item.arm]
+    if not not_drawn:
         return system, []
+    arms = ", ".join(dict.fromkeys(f"arm {item.arm!r}" for item in not_drawn))
     missing = (
-        f"contacts and surfaces of {', '.join(dict.fromkeys(f'arm {one.arm!r}' for one in unseen))}"
-        f" that need {', '.join(dict.fromkeys(one.what for one in unseen))} are not drawn, since "
+        f"contacts and surfaces of {arms} that need "
+        f"{', '.join(dict.fromkeys(item.what for item in not_drawn))} are not drawn, since "
         "code that a result names is not loaded; if you trust its author, allow it with --code "
         "(`code=True` in Python)"
     )
@@ -203,7 +206,7 @@ def _robot_bodies(
         parts = shapes.parts(first, shapes.visuals(first))
         return _bodies(first, parts, angles[first.name], colors[first.name]), []
     bodies, visuals = [], {arm.name: shapes.visuals(arm) for arm in arms}
-    carried = {item.name for own in visuals.values() for item in own if item.parentJoint > 0}
+    carried = {item.name for arm in arms for item in visuals[arm.name] if item.parentJoint > 0}
     trunk = [item for item in visuals[first.name] if item.name not in carried]
     for arm in arms:
         parts = shapes.parts(arm, [item for item in visuals[arm.name] if item.parentJoint > 0])
@@ -211,8 +214,8 @@ def _robot_bodies(
             parts = [part for part in parts if part.joint > 0]
         bodies += _bodies(arm, parts, angles[arm.name], colors[arm.name])
     fixed = shapes.seen(first, trunk, subdued=False)
-    both = "+".join(arm.name for arm in arms)
-    return bodies, _bodies(first, fixed, angles[first.name], WHITE, both)
+    robot = "+".join(arm.name for arm in arms)
+    return bodies, _bodies(first, fixed, angles[first.name], WHITE, robot)
 
 
 def _bodies(
@@ -227,8 +230,8 @@ def _bodies(
         poses[:, k] = np.reshape(placed, (-1, 7))
     names = _distinct([part.name.replace("/", "_") for part in parts])
     return [
-        Body(f"arms/{name or arm.name}/{own}", part.mesh, pose[:, :3], pose[:, 3:], color)
-        for own, part, pose in zip(names, parts, poses, strict=True)
+        Body(f"arms/{name or arm.name}/{link}", part.mesh, pose[:, :3], pose[:, 3:], color)
+        for link, part, pose in zip(names, parts, poses, strict=True)
     ]
 
 
@@ -247,13 +250,12 @@ class _Shapes:
 
     def __init__(self, meshes: bool) -> None:
         self._meshes = meshes  # False leaves mesh files out
-        self._loader = mesh_loader()
-        self._known: dict[tuple, Mesh] = {}
+        self._of_files: dict[tuple, Mesh] = {}
 
     def visuals(self, arm: Arm) -> list[pin.GeometryObject]:
         """Return all visuals of an arm's robot and tool."""
-        items = arm.visual_model(self._loader).geometryObjects
-        return [item for item in items if self._meshes or not item.meshPath]
+        items = arm.visual_model().geometryObjects
+        return [item for item in items if self._meshes or not is_mesh_file(item)]
 
     def parts(self, arm: Arm, visuals: list[pin.GeometryObject]) -> list[_Part]:
         """Return visuals of an arm as parts; bars replace links without a shape."""
@@ -263,29 +265,33 @@ class _Shapes:
     def seen(
         self, arm: Arm, visuals: list[pin.GeometryObject], subdued: bool = True
     ) -> list[_Part]:
-        """Return visuals as parts, without those that cannot be shown."""
-        parts = []
+        """Return visuals as parts; a warning names those that cannot be shown."""
+        parts: list[_Part] = []
+        lost: dict[str, None] = {}  # each file once
         for item in visuals:
             try:
                 mesh = self._mesh(item, subdued)
-            except ValueError:
-                warnings.warn(
-                    f"{item.meshPath or 'a shape'} of '{item.name}' of arm '{arm.name}' has no "
-                    "size that can be shown; it is left out",
-                    stacklevel=2,
-                )
+            except ValueError as error:
+                shape = item.meshPath if is_mesh_file(item) else "a shape"
+                lost[f"{shape} of link '{item.name.rpartition('_')[0]}' ({error})"] = None
                 continue
             parts.append(_Part(item.name, item.parentJoint, item.placement, mesh))
+        if lost:
+            warnings.warn(
+                f"{arm.files.urdf.name}: the replay leaves out {counted([*lost], 3)}; a joint with "
+                "no shape left has a bar",
+                stacklevel=2,
+            )
         return parts
 
     def _mesh(self, item: pin.GeometryObject, subdued: bool) -> Mesh:
-        if not item.meshPath:
+        if not is_mesh_file(item):
             return geometry_mesh(item, subdued)
         color = (item.overrideMaterial, *item.meshColor)
         key = (item.meshPath, *item.meshScale, *color, subdued)
-        if key not in self._known:
-            self._known[key] = geometry_mesh(item, subdued)
-        return self._known[key]
+        if key not in self._of_files:
+            self._of_files[key] = geometry_mesh(item, subdued)
+        return self._of_files[key]
 
 
 def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
@@ -450,7 +456,7 @@ REGION_LIFT = 1e-3
 
 def scene_grasp(system: System) -> SceneGrasp | None:
     """The grasp at the start if it has regions to show; else None."""
-    if not any(contact.pushes_only for own in system.contacts.values() for contact in own):
+    if not any(contact.pushes_only for contact in chain(*system.contacts.values())):
         return None
     try:
         grasp = read_grasp(system)

@@ -203,7 +203,7 @@ def _material(kind: str, **properties: Any) -> dict[str, Any]:
 
 
 def _uuid() -> str:
-    """Return a name unique within this process; equal films still compress to equal pages."""
+    """Return a name unique within this process; equal animations still compress to equal pages."""
     return f"multiarm-{next(_counter)}"
 
 
@@ -219,9 +219,9 @@ class Script:
         self._commands: list[Command] = []
         self._tracks: dict[str, dict[str, np.ndarray]] = {}
 
-    def add(self, *given: Command) -> None:
+    def add(self, *commands: Command) -> None:
         """Append commands as they are."""
-        self._commands += given
+        self._commands += commands
 
     def put(self, path: str, thing: dict[str, Any], seen: np.ndarray | None = None) -> None:
         """Put an object, made by a function of `commands`, at a path.

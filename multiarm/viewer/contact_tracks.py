@@ -48,14 +48,14 @@ def contacts_of(
     points, normals = (np.array(side) for side in zip(*places, strict=True))  # (K, N, 3)
     tracks, wrenches = [], channels_of(trajectory.channels, "wrench")
     for owner, channel in channels_of(trajectory.channels, "contact_force").items():
-        own = rows_of(system, owner)
-        shown = {k: r for k in own if isinstance(r := system.model.records[k], Contact)}
+        rows_of_w = rows_of(system, owner)
+        shown = {k: r for k in rows_of_w if isinstance(r := system.model.records[k], Contact)}
         if not shown:
             continue
         k, records = list(shown), list(shown.values())
-        columns = np.array(k) - own.start
+        columns = np.array(k) - rows_of_w.start
         labels = trajectory.channels[channel].labels
-        if len(labels) != len(own):  # contacts of code that was not loaded are missing
+        if len(labels) != len(rows_of_w):  # contacts of code that was not loaded are missing
             columns = np.array([labels.index(record.name) for record in records])
         tracks.append(
             ContactTracks(
@@ -181,14 +181,14 @@ def surface_bodies(
         records = [record for record in system.contacts[name] if isinstance(record, Contact)]
         touched = _touched(system, name)
         states = row_states(trajectory, name, records, rows)
-        for (side, *_), of_it in _surfaces(records).items():
-            k = of_it[0]
+        for (side, *_), on_surface in _surfaces(records).items():
+            k = on_surface[0]
             if side == "object" and not faces and records[k].object.kind == PLANE:
                 continue
             mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
             if mesh is None:
                 continue
-            met = None if states is None else (states[:, of_it] != OPEN).any(axis=1)
+            met = None if states is None else (states[:, on_surface] != OPEN).any(axis=1)
             path = f"surfaces/{name}/{k + 1}_{side}"
             bodies.append(Body(path, mesh, *poses[side], colors[name], SURFACE_OPACITY, met))
     return bodies
@@ -202,13 +202,13 @@ def placed(poses: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
     """Return the contacts of each surface: one surface may be touched at many points."""
-    found: dict[tuple, list[int]] = {}
+    contacts_of_surface: dict[tuple, list[int]] = {}
     for k, contact in enumerate(contacts):
         for side in ("arm", "object"):
             surface: Surface = getattr(contact, side)
             key = (side, surface.kind, surface.origin.tobytes(), surface.axes.tobytes())
-            found.setdefault(key, []).append(k)
-    return found
+            contacts_of_surface.setdefault(key, []).append(k)
+    return contacts_of_surface
 
 
 def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh | None:

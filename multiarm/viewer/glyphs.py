@@ -10,7 +10,8 @@ normal for touching, with a ring for sliding, with a square plate for sticking; 
 normal for resting; and a faint ring for open.
 
 A joint's axis is a slim rod on the body that carries it: with a head at both ends (it is turned
-about), with arrowheads (it is slid along), or with arrowheads and a sleeve (both).  A ball is one.
+about), with arrowheads (it is slid along), or with arrowheads and a sleeve (both).  A ball joint
+is drawn as a ball.
 An angle with limits is a sector at the upper end of the axis, clear of the arm, with a hand that
 turns with the tip; a slide with limits is a rail between two stops with a bead. Hand and bead are
 red where they are beyond the limits.
@@ -55,7 +56,7 @@ class Marks:
 
     def __init__(self, animation: Animation, size: float) -> None:
         self.longest = 0.17 * size  # arrow of the animation's `force_scale`
-        self._film = animation
+        self._animation = animation
         body = _object_size(animation)
         dot = min(0.006 * size, 0.05 * body)  # its radius
         normal = min(0.04 * size, 0.3 * body)
@@ -68,7 +69,7 @@ class Marks:
 
     def draw(self, contacts: ContactTracks, script: Script) -> None:
         """Draw the contacts of one arm."""
-        lengths = self._film.arrow_lengths(contacts)  # (K, N)
+        lengths = self._animation.arrow_lengths(contacts)  # (K, N)
         turns = along(contacts.normal)
         marks = self._marks(contacts)
         for i in range(contacts.point.shape[1]):
@@ -289,8 +290,8 @@ def draw_events(
     Times of events and of the frames, shape (K,), are seconds of the viewer.
     """
     for k, family in enumerate(FAMILIES):
-        own = [event for event in events if event.family is family]
-        for slot, (position, scale) in enumerate(event_tracks(own, time)):
+        of_family = [event for event in events if event.family is family]
+        for slot, (position, scale) in enumerate(event_tracks(of_family, time)):
             path = f"events/{k}_{slot}"
             shape = _shape(family, RADIUS * size)
             color = commands.rgb(family.colour)

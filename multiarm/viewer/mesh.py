@@ -198,10 +198,11 @@ def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
     corner = np.repeat(order, count)
     offset = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
     neighbour = order[np.repeat(np.repeat(starts, counts), count) + offset]
-    own, other = corner // 3, neighbour // 3
-    smooth = np.einsum("ij,ij->i", unit[own], unit[other]) > np.cos(crease_angle)
-    corner, other = corner[smooth], other[smooth]
-    total = np.stack([np.bincount(corner, faces[other, k], len(order)) for k in range(3)], axis=1)
+    face, adjacent = corner // 3, neighbour // 3
+    smooth = np.einsum("ij,ij->i", unit[face], unit[adjacent]) > np.cos(crease_angle)
+    corner, adjacent = corner[smooth], adjacent[smooth]
+    weighted = faces[adjacent]
+    total = np.stack([np.bincount(corner, weighted[:, k], len(order)) for k in range(3)], axis=1)
     return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 

@@ -96,10 +96,10 @@ def _largest_total(contacts: ContactTracks) -> float | None:
 
 def _states(animation: Animation) -> list[list[str]]:
     """Return name, sign and colour of each state that a contact of the animation has."""
-    found = {
+    codes = {
         int(code) for c in animation.contacts if c.state is not None for code in set(c.state.flat)
     }
-    return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(found)]
+    return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(codes)]
 
 
 def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:
@@ -127,10 +127,10 @@ class _Block:
 
 def _viewer_script() -> str:
     # Importing Meshcat would start ZeroMQ and print warnings: its file is all that is needed.
-    found = importlib.util.find_spec("meshcat")
-    if found is None or found.origin is None:
+    package = importlib.util.find_spec("meshcat")
+    if package is None or package.origin is None:
         raise ReplayError("a replay needs the package meshcat; install it: pip install meshcat")
-    viewer = Path(found.origin).parent / "viewer" / "dist" / "main.min.js"
+    viewer = Path(package.origin).parent / "viewer" / "dist" / "main.min.js"
     return viewer.read_text("utf-8").replace("</script", "<\\/script")
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from commands import multiarm
 from event_scenes import arm as plain_arm
 from event_scenes import box
@@ -14,10 +16,13 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.arms.arm import Arm
 from multiarm.assembly.bases import StandSearch
-from multiarm.assembly.compilation import arm_files
-from multiarm.assembly.inverse_kinematics import REACHED, InverseKinematics
+from multiarm.assembly.chain import REACHED
+from multiarm.assembly.compilation import arm_files, load_robots, with_bases
+from multiarm.assembly.inverse_kinematics import BASE_JOINTS, InverseKinematics
+from multiarm.assembly.postures import PostureSearch, overlapping_links
+from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import SceneError
-from multiarm.scene import ArmSpec, parse_scene, resolve_arm
+from multiarm.scene import ArmSpec, ObjectSpec, Pose, Scene, parse_scene, resolve_arm
 from multiarm.scene.text import parse_yaml, with_values, without_entry
 
 UR5 = {"robot": "ur5", "tip": "tool0"}
@@ -119,6 +124,91 @@ def test_an_arm_that_is_too_far_away_hears_where_to_go():
     ma.compile_system(scene({"a": {**UR5, "base": nearer}}, joints))
 
 
+@pytest.mark.parametrize("name", ["talos_arm", "ur5_limited", "panda", "kinova", "so101"])
+def test_a_posture_near_the_limits_is_found(name, rng):
+    """Places that only postures reach of which joints are almost at their limits."""
+    arm = robot(robot=name)
+    lower, upper = whole_ranges(arm)
+    for _ in range(8):
+        q = rng.uniform(lower, upper)
+        pressed = rng.integers(0, arm.dof, 2)
+        q[pressed] = np.where(rng.random(2) < 0.5, lower[pressed] + 0.003, upper[pressed] - 0.003)
+        there = arm.tip_pose(q)
+        posture = posture_search(arm, there).best()
+        low, high = arm.position_limits.T
+        assert np.all((low <= posture) & (posture <= high))
+        np.testing.assert_allclose(arm.tip_pose(posture), there, atol=1e-7)
+
+
+def test_sliding_joints_are_sought_as_far_as_they_go_and_however_short_they_are(tmp_path):
+    """Travels of 9 m and of 2 cm; a turn either way, or a margin, would leave nothing of them."""
+    path = tmp_path / "gantry.urdf"
+    slides = "".join(
+        f"<joint name='j{k}' type='prismatic'><parent link='l{k}'/><child link='l{k + 1}'/>"
+        f"<axis xyz='{axis}'/><limit lower='0' upper='{travel}' effort='1' velocity='1'/></joint>"
+        for k, (axis, travel) in enumerate([("1 0 0", 9.0), ("0 1 0", 0.02)])
+    )
+    links = "".join(
+        f"<link name='l{k}'><inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' "
+        f"ixz='0' iyz='0'/></inertial></link>"
+        for k in range(3)
+    )
+    path.write_text(f"<robot name='gantry'>{links}{slides}</robot>")
+    arm = robot(urdf=path, tip="l2")
+    q = np.array([8.7, 0.017])
+    np.testing.assert_allclose(posture_search(arm, arm.tip_pose(q)).best(), q, atol=1e-7)
+
+
+def whole_ranges(arm: Arm) -> np.ndarray:
+    endless = ~np.isfinite(arm.position_limits)
+    return np.where(endless, [-np.pi, np.pi], arm.position_limits).T
+
+
+def posture_search(arm: Arm, there: np.ndarray, body: ObjectSpec | None = None) -> PostureSearch:
+    body = body or ObjectSpec(mass=1.0, shape={"sphere": 1e-3}, pose=pose_table(far_off(there)))
+    return PostureSearch(arm, np.eye(4), there, (), body)
+
+
+def far_off(there: np.ndarray) -> np.ndarray:
+    """A pose from which an object is in nobody's way."""
+    pose = np.eye(4)
+    pose[:3, 3] = there[:3, 3] + [50.0, 0.0, 0.0]
+    return pose
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda", "so101", "tiago"])
+@pytest.mark.parametrize("free", [(), (3, 4, 5), (0, 3, 4, 5)])
+def test_what_an_arm_reaches_is_never_called_out_of_reach(name, free, rng):
+    arm = robot(robot=name)
+    search = InverseKinematics(arm, free, to_limits=True)
+    for q in rng.uniform(*whole_ranges(arm), (200, arm.dof)):
+        assert search.farther_than_it_reaches(arm.tip_pose(q)) is None
+
+
+def test_a_place_beyond_the_stretched_arm_is_called_out_of_reach():
+    """Closed form: three bars of 0.5 m in a plane."""
+    arm = robot(robot="planar_3r")
+    stretched = float(np.sum(arm.levers(np.zeros(3))[:1]))
+    search = InverseKinematics(arm, to_limits=True)
+    place = arm.tip_pose(np.zeros(3))
+    first = arm.skeleton(np.zeros(3))[0]
+    way = (place[:3, 3] - first) / np.linalg.norm(place[:3, 3] - first)
+    for part, beyond in ((0.999, False), (1.001, True)):
+        place[:3, 3] = first + part * stretched * way
+        distance_and_reach = search.farther_than_it_reaches(place)
+        assert (distance_and_reach is not None) == beyond
+        if beyond:
+            np.testing.assert_allclose(distance_and_reach, [part * stretched, stretched])
+
+
+def test_where_nothing_is_found_the_message_says_how_hard_it_was_tried():
+    """Within the length of the arm, but turned as it cannot be."""
+    turned = {"xyz": [0, 0, 0.1], "rpy": [0.0, 0.0, 0.7]}
+    arms = {"a": {**plain_arm("xyzX"), "posture": "solve"}}
+    with pytest.raises(SceneError, match=r"arms.a.posture: .* were found .* in 2096 searches"):
+        ma.compile_system(scene(arms, [{"arm": "a", "kind": "weld", "at": turned}]))
+
+
 def test_every_arm_that_cannot_be_placed_is_named():
     arms = {name: {**UR5, "base": {"xyz": [x, 0, 0]}} for name, x in (("a", 3.0), ("b", -3.0))}
     arms["c"] = {**UR5, "posture": "solve"}
@@ -140,7 +230,141 @@ def test_a_written_posture_stays():
     assert np.array_equal(system.initial_state().joint_positions["a"], near)
 
 
+# --- links in the way -----------------------------------------------------------------------------
+
+
+def ring_scene(tmp_path, **arms) -> Scene:
+    """Two UR5 arms hold a ring, a mesh, at opposite sides."""
+    path = tmp_path / "ring.stl"
+    trimesh.creation.annulus(0.25, 0.4, 0.08).export(path)
+    sides = {"left": (-0.4, [0, np.pi / 2, 0]), "right": (0.4, [0, -np.pi / 2, 0])}
+    return parse_scene(
+        {
+            "object": {
+                "shape": {"mesh": {"file": str(path)}},
+                "mass": 4.0,
+                "inertia": [0.2, 0.2, 0.4],
+                "pose": {"xyz": [0, 0, 0.5]},
+            },
+            "arms": {name: {**UR5, **arms[name]} for name in sides},
+            "joints": [
+                {"arm": name, "kind": "weld", "at": {"xyz": [x, 0, 0], "rpy": rpy}}
+                for name, (x, rpy) in sides.items()
+            ],
+        }
+    )
+
+
+def overlap(system: ma.System) -> float:
+    """The deepest overlap of links with the object's hull, or with another arm's links [m].
+
+    By Pinocchio's collision pairs; the last link of each arm holds the object.
+    """
+    ring = trimesh.load_mesh(system.scene.object.shape.mesh.file)
+    hull = trimesh.convex.convex_hull(ring)
+    state, models, loader = system.initial_state(), {}, coal.MeshLoader()
+    for name, arm in system.arms.items():
+        geometry = arm.collision_model()
+        data = geometry.createData()
+        q = arm.configuration(state.joint_positions[name])
+        pin.updateGeometryPlacements(arm.model, arm.model.createData(), geometry, data, q)
+        models[name] = [
+            (
+                loader.load(item.meshPath, item.meshScale).vertices() @ pose.rotation.T
+                + pose.translation,
+                item.parentJoint,
+            )
+            for item, pose in zip(geometry.geometryObjects, data.oMg.tolist(), strict=True)
+            if isinstance(item.geometry, coal.BVHModelBase)
+        ]
+    pose = system.scene.object.pose.matrix()
+    depth = 0.0
+    for name, links in models.items():
+        for points, joint in links:
+            if joint < system.arms[name].tip_joint:
+                inside = hull.contains((points - pose[:3, 3]) @ pose[:3, :3])
+                depth = max(depth, float(inside.any()))
+        for other in models.keys() - {name}:
+            for points, _ in models[other]:
+                solid = trimesh.convex.convex_hull(points)
+                depth = max(depth, *(float(solid.contains(p).any()) for p, _ in links))
+    return depth
+
+
+@pytest.mark.slow
+def test_bases_and_postures_keep_off_a_mesh_and_off_each_other(tmp_path):
+    open_base = {"base": {"solve": ["x", "y", "yaw"]}}
+    system = ma.compile_system(ring_scene(tmp_path, left=open_base, right=open_base))
+    assert overlap(system) == 0.0 and not start_warnings(system)
+
+
+def test_postures_keep_off_a_mesh_where_the_best_ones_do_not(tmp_path):
+    """Bases under the ring: the best posture without regard to it goes through."""
+    under = {name: {"base": {"xyz": [x, 0.1, 0]}} for name, x in (("left", -0.2), ("right", 0.2))}
+    built = ring_scene(tmp_path, **under)
+    system = ma.compile_system(built)
+    arms = system.arms
+    careless = {j.arm: PostureSearch.of_joint(built, j, arms[j.arm]).best() for j in built.joints}
+    assert overlapping_links(built, arms, careless)
+    assert overlap(system) == 0.0 and not start_warnings(system)
+
+
+def test_a_posture_that_is_in_no_ones_way_stays(tmp_path):
+    beside = {name: {"base": {"xyz": [x, 0, 0]}} for name, x in (("left", -1.0), ("right", 1.0))}
+    built = ring_scene(tmp_path, **beside)
+    system = ma.compile_system(built)
+    for joint in built.joints:
+        careless = PostureSearch.of_joint(built, joint, system.arms[joint.arm]).best()
+        assert np.array_equal(system.model.robots[joint.arm].posture, careless)
+
+
+def test_links_that_cannot_keep_off_are_told(tmp_path):
+    """Both arms on one spot: their shoulders are in each other."""
+    spot = {"base": {"xyz": [0.0, -0.5, 0]}}
+    turned = {"base": {"xyz": [0.0, -0.5, 0], "rpy": [0, 0, 0.1]}}
+    system = ma.compile_system(ring_scene(tmp_path, left=spot, right=turned))
+    (text, *_) = [text for text in start_warnings(system) if "overlaps" in text]
+    assert text.startswith("$.arms.left.posture: link ") and "arm 'right' by" in text
+
+
 # --- places to stand ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("components", [(0, 1, 5), (2, 3, 4), (5,), (0, 1, 2, 3, 4, 5)])
+def test_joints_below_an_arm_move_it_as_its_base_does(components, rng):
+    numbers = rng.uniform(-1.0, 1.0, 6)
+    arm = robot(**UR5, base={"xyz": [0.1, -0.2, 0.3], "rpy": [0.2, 0.5, -0.4]})
+    base = Pose(xyz=numbers[:3].tolist(), rpy=numbers[3:].tolist())
+    moving = InverseKinematics(arm).on_moving_base(base, dict.fromkeys(components, (-1.0, 1.0)))
+    q = rng.uniform(-1.0, 1.0, 6)
+    order = [k for k in BASE_JOINTS if k in components]
+    pose, _ = moving.pose(np.concatenate([numbers[order], q]))
+    there = robot(**UR5, base={"xyz": numbers[:3].tolist(), "rpy": numbers[3:].tolist()})
+    np.testing.assert_allclose(pose, there.tip_pose(q), atol=1e-13)
+
+
+@pytest.mark.parametrize("solve", [["x"], ["yaw"], ["x", "y"]])
+def test_a_base_is_found_from_which_only_few_postures_reach(solve, rng):
+    """Of an arm with five joints: bases that are drawn never suffice."""
+    place = {"x": 0.3, "y": 0.2, "z": 0.1, "roll": 0.0, "pitch": 0.0, "yaw": 0.7}
+    xyz, rpy = np.split(np.array(list(place.values())), 2)
+    arm = robot(robot="so101", base={"xyz": xyz, "rpy": rpy})
+    for _ in range(2):
+        there = arm.tip_pose(rng.uniform(*whole_ranges(arm)))
+        xyz, rpy = np.split(np.array(list({**place, **dict.fromkeys(solve, 0.0)}.values())), 2)
+        base, body = {"xyz": xyz, "rpy": rpy, "solve": solve}, far_off(there)
+        at = pose_table(np.linalg.solve(body, there))
+        built = parse_scene(
+            {
+                "object": {"mass": 1.0, "shape": {"sphere": 1e-3}, "pose": pose_table(body)},
+                "arms": {"a": {"robot": "so101", "base": base}},
+                "joints": [{"arm": "a", "kind": "weld", "at": at}],
+            }
+        )
+        robots = load_robots(with_bases(built))
+        np.testing.assert_allclose(
+            robots.arms["a"].tip_pose(robots.resolved["a"].posture), there, atol=1e-7
+        )
 
 
 def test_a_stand_holds_its_mount_as_the_arm_that_stands_there_does(rng):
@@ -212,7 +436,11 @@ def _dexterity(arm: Arm, q: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("base", "more", "message"),
     [
-        ({"solve": ["z"], "xyz": [9, 0, 0]}, {}, r"arms.a.base.solve: from nowhere with other 'z'"),
+        (
+            {"solve": ["z"], "xyz": [9, 0, 0]},
+            {},
+            r"arms.a.base.solve: no 'z' of the base were",
+        ),
         ({"solve": ["x", "x"]}, {}, "names a component twice"),
         ({"solve": ["u"]}, {}, r"\$.arms.a.base.solve\[0\]: .*'x', 'y', 'z', 'roll', 'pitch'"),
         ({"solve": ["yaw"], "quaternion_xyzw": [0, 0, 0, 1]}, {}, "need 'rpy' for the others"),

@@ -122,6 +122,23 @@ def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("seed", "says"), [(0, ""), (3, "turned at the start"), (1, "by search")])
+def test_random_convex_bodies_are_held_by_hands_that_reach_them(tmp_path, seed, says):
+    """Eight faces in general position; of the last body arms do not reach the first grasp."""
+    points = np.random.default_rng(seed).normal(size=(6, 3))
+    points *= 0.7 / np.linalg.norm(points, axis=1, keepdims=True)
+    Polyhedron.hull(points).save(tmp_path / "body.stl")
+    target = tmp_path / "held.yaml"
+    result = grasp("design", tmp_path / "body.stl", "--out", target)
+    assert result.exit_code == 0, result.output
+    assert says in result.stderr
+    system = ma.compile_system(ma.load_scene(target))
+    assert judge_grasp(system).closed
+    run = ma.simulate(system, duration=0.5, certificate=False)
+    assert min(forces.min() for forces in run.contact_forces.values()) > 0.0
+
+
+@pytest.mark.slow
 def test_a_grasp_of_a_scene_is_drawn_where_its_faces_are_known(designed, tmp_path):
     _, path = designed
     assert grasp("check", path, "--plot", tmp_path / "a.svg").exit_code == 0

@@ -13,7 +13,12 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses, largest_gripper, proven, two_groups
+from multiarm.grasp.assembling import (
+    assembled,
+    crosses,
+    largest_gripper,
+    proven,
+)
 from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.body_class import classify
 from multiarm.grasp.construction import design_grasp, search_grasp
@@ -26,6 +31,7 @@ from multiarm.grasp.parallel_bodies import (
     parallel_design,
 )
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import clearest_approach, hands_reach, two_groups
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp, wide_design
 
@@ -361,7 +367,9 @@ def test_bound_of_the_wider_class_is_the_worked_one():
 def test_bodies_of_the_wider_class_are_held(name):
     grasp = design_wide_grasp(WIDE[name])
     assert sound(grasp)
-    assert [g.contacts for g in grasp.grippers] == [(0, 1, 2), (3, 4, 5, 6)]
+    groups, designed = [g.contacts for g in grasp.grippers], [(0, 1, 2), (3, 4, 5, 6)]
+    assert hands_reach(grasp.contacts.normals, groups)
+    assert groups == designed or not hands_reach(grasp.contacts.normals, designed)
     assert grasp.faces[5] == grasp.faces[6] and len(set(grasp.faces[:3])) == 3
     opposed = next(t for t in classify(WIDE[name]).triples if t.faces == grasp.faces[:3]).opposed
     assert set(grasp.faces[3:]) <= set(opposed)
@@ -372,6 +380,17 @@ def test_bodies_of_the_wider_class_are_held(name):
     )
     residual = np.linalg.norm(np.cross(p - meet[0], n))
     assert residual < 1e-9 * WIDE[name].size  # the three normal lines meet in one point
+
+
+def test_progress_of_a_design_goes_through_the_triples_of_faces():
+    told = []
+    design_grasp(WIDE["hull"], progress=lambda *news: told.append(news))
+    corners, places = (
+        [news for news in told if where in news[2]] for where in ("corners", "places")
+    )
+    for stage in (corners, places):
+        assert [done for done, _, _ in stage] == list(range(stage[0][1]))
+    assert told == corners + places
 
 
 @pytest.mark.parametrize("name", ["cut wedge", "hexagon", "L"])
@@ -479,8 +498,41 @@ def test_the_two_groups_of_a_search_are_the_most_compact():
     rng = np.random.default_rng(0)
     near = rng.normal(size=(4, 3)) * 0.1
     points = np.vstack([near[:2], [9, 0, 0] + near[2:], near[:1] + 0.05])
-    first, second = two_groups(points)
+    first, second = two_groups(Contacts.along(points, np.ones((5, 3))))
     assert (first, second) == ((0, 1, 4), (2, 3))
+
+
+def test_compact_groups_that_no_hand_reaches_are_passed_over():
+    """Two pairs on opposite faces of a plate: each hand takes one face."""
+    points = [[0, 0, 0.1], [0, 0, -0.1], [9, 0, 0.1], [9, 0, -0.1]]
+    opposite = [[0, 0, -1], [0, 0, 1], [0, 0, -1], [0, 0, 1]]
+    assert two_groups(Contacts(points, [[0, 0, 1]] * 4)) == ((2, 3), (0, 1))
+    assert two_groups(Contacts(points, opposite)) == ((1, 3), (0, 2))
+
+
+def test_two_hands_reach_any_seven_contacts_from_one_side_each(rng):
+    for _ in range(30):
+        contacts = Contacts.along(rng.normal(size=(7, 3)), rng.normal(size=(7, 3)))
+        for group in two_groups(contacts):
+            inward = contacts.normals[list(group)]
+            direction, clearance = clearest_approach(inward)
+            assert clearance >= (1.0 - 1e-9) / 7.0
+            assert np.min(inward @ direction) == pytest.approx(clearance)
+
+
+def test_the_clearest_approach_is_not_beaten_by_any_other(rng):
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    reached = 0
+    for count in (1, 2, 3, 6):
+        for _ in range(10):
+            inward = rng.normal(size=(count, 3)) + [0.0, 0.0, 0.3]
+            inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+            best = float(np.max(np.min(directions @ inward.T, axis=1)))
+            clearance = clearest_approach(inward)[1]
+            assert max(best, 0.0) <= clearance + 1e-12 and clearance <= max(best, 0.0) + 0.1
+            reached += clearance > 0.0
+    assert 10 < reached < 40
 
 
 @pytest.mark.slow

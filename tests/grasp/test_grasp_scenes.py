@@ -230,6 +230,46 @@ def test_a_hand_comes_from_outside_all_faces_that_it_touches():
                 assert direction @ grasp.contacts.normals[j] > 0.2
 
 
+def test_a_hand_that_no_mean_of_its_faces_leads_to_comes_the_clearest_way():
+    """Of faces at 0, 20 and 150 degrees the first two outweigh the last, 112 degrees away."""
+    turns = np.radians([0.0, 20.0, 150.0, 220.0, 290.0])
+    lines = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    pairs = zip(lines, np.roll(lines, -1, axis=0), strict=True)
+    body = Polyhedron.prism([np.linalg.solve(pair, np.ones(2)) for pair in pairs], 1.0)
+    faces = [int(np.argmax(body.normals[:, :2] @ line)) for line in lines]
+    points = [body.faces[k].centre for k in faces]
+    grippers = (Gripper("left", (0, 1, 2), np.eye(4)), Gripper("right", (3, 4), np.eye(4)))
+    grasp = Grasp(body, Contacts(points, -body.normals[faces]), tuple(faces), grippers)
+    direction = approach(grasp, grippers[0])
+    np.testing.assert_allclose(-direction[:2], [np.cos(turns[2] / 2), np.sin(turns[2] / 2)])
+
+
+@pytest.mark.slow
+def test_an_object_that_the_arms_do_not_reach_upright_is_turned():
+    """The hands come to a block from above and below, until it lies on its side."""
+    upright = block_grasp()
+    turn = np.eye(4)
+    up = upright.grippers[0].frame[:3, :3] @ np.ones(3)
+    turn[:3, :3] = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up / np.linalg.norm(up)])[
+        0
+    ].as_matrix()
+    grasp = upright.placed(turn)
+    scene = grasp.to_scene(duration=2.0)
+    start = scene.object.pose.matrix()
+    assert not np.allclose(start[:3, :3], np.eye(3), atol=0.1)
+    for gripper in grasp.grippers:
+        assert abs((start[:3, :3] @ approach(grasp, gripper))[2]) < 1e-6
+    first = scene.control.path[0].matrix() @ np.linalg.inv(start)
+    assert first[:3, 3] - (np.eye(3) - first[:3, :3]) @ start[:3, 3] == pytest.approx(
+        [0.0, 0.06, 0.08]
+    )
+    run = ma.simulate(ma.compile_system(scene), certificate=False)
+    assert run.status == "completed"
+    least = 0.25 * scene.object.mass * 9.81 / 7
+    forces = np.hstack([run.contact_forces[arm] for arm in scene.arms])
+    assert 0.98 * least < forces.min() < 2.0 * least
+
+
 # --- what is refused -----------------------------------------------------------------------------
 
 
@@ -275,5 +315,5 @@ def test_a_grasp_looks_at_its_contacts():
 
 
 def test_an_object_out_of_reach_is_refused_with_the_gripper():
-    with pytest.raises(GraspError, match=r"arm of gripper 'left' reaches its corner from nowhere"):
+    with pytest.raises(GraspError, match=r"arm of 'left' reaches its corner from nowhere"):
         grasp_scene(block_grasp(), ("panda", "panda"), height=4.0)

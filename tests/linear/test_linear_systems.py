@@ -35,9 +35,13 @@ from multiarm.dynamics.effect_kernels import ACTUATOR, STATE, EffectKernel
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.linear import equilibrium as equilibrium_module
+from multiarm.linear.equilibrium import _Search
 from multiarm.linear.motion import modes_trajectory
 from multiarm.problems import HARD_CASES
 from multiarm.problems.loops import bricard_motion
+from multiarm.problems.random_scenes import random_scene
+from multiarm.scene.changes import changed
 
 G = 9.81
 CART, BOB, LEVER, TURNING = 3.0, 2.0, 0.4, 0.05  # [kg, kg, m, kg m^2]
@@ -277,6 +281,54 @@ def test_springs_under_a_load_come_to_rest_where_the_search_ends():
         np.testing.assert_allclose(q, run.joint_positions[arm][-1], atol=1e-6)
 
 
+def soft_scene(seed):
+    """Arms drawn at random whose servos are soft springs, with a weight and a load."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng)
+    stiffness = float(10.0 ** rng.uniform(0.5, 2.5))
+    compensated, load = bool(rng.random() < 0.2), {}
+    if rng.random() < 0.5:
+        wrench = {"force": rng.uniform(-60, 60, 3), "torque": rng.uniform(-8, 8, 3)}
+        load["external_wrenches"] = [{"on": "object"} | {k: v.tolist() for k, v in wrench.items()}]
+    control = {
+        "kind": "joint_pd", "stiffness": stiffness, "damping": 5.0,
+        "gravity_compensation": compensated,
+    }  # fmt: skip
+    return scene.replace(control=control, effects=load, gravity=[0, 0, -9.81])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1017, 1022, 1034])
+def test_a_minimum_of_the_potential_is_found_where_accelerations_have_others(seed):
+    """Each joint has a spring, so that there is one; accelerations alone lead elsewhere here."""
+    system = ma.compile_system(soft_scene(seed))
+    least = _Search(ma.linearise(system), 0.0)
+    least.run(1e-9)
+    assert least.here.largest_acceleration > 1.0
+    found = ma.find_equilibrium(system)
+    assert found.stability == "stable" and found.acceleration < 1e-9
+    # a push, much damped, comes back
+    pushed = found.linear.state_at(1e-3 * np.ones(len(found.linear.A)))
+    damped = ma.compile_system(
+        changed(system.scene, {"control.damping": 60.0, "effects.joint_damping": 20.0})
+    )
+    run = ma.simulate(damped, 30.0, state=pushed, accuracy=1e-6, certificate=False)
+    away = np.abs(run.object_position[[0, -1]] - found.state.object_position).max(axis=1)
+    assert run.status == "completed" and away[1] < 0.1 * away[0] + 1e-6
+
+
+def test_a_search_that_ends_too_early_claims_nothing_of_what_is_elsewhere(monkeypatch):
+    monkeypatch.setattr(equilibrium_module, "MOST_STEPS", 2)
+    with pytest.raises(SolverError, match=r"none found in 4 steps.*is not known"):
+        ma.find_equilibrium(ma.compile_system(soft_scene(1034)))
+
+
+def test_a_force_without_a_spring_drives_on_without_end(cart):
+    system = cart(kind="weld", control={"kind": "constant", "torques": {"a": 3.0}})
+    with pytest.raises(SolverError, match=r"drive the system on without end.*such as springs"):
+        ma.find_equilibrium(system)
+
+
 @pytest.mark.parametrize("upright", [False, True])
 def test_a_tilted_pendulum_finds_the_equilibrium_on_its_side(cart, upright):
     linear = ma.linearise(cart(upright=upright))
@@ -342,8 +394,9 @@ def test_given_torques_hold_a_posture():
     assert found.steps == 0 and found.acceleration < 1e-10
     for arm, torques in held.torques.items():
         np.testing.assert_allclose(found.torques[arm], torques)
-    with pytest.raises(SolverError, match=r"none found near .* are left and no motion lessens"):
-        ma.find_equilibrium(system, torques={})
+    hanging = ma.find_equilibrium(system, torques={})
+    low, high = (state.object_position[2] for state in (hanging.state, system.initial_state()))
+    assert low < high - 0.1 and hanging.stability != "unstable", "arms without torques hang down"
     with pytest.raises(ModelError, match="unknown arm 'third'; arms are left, right"):
         ma.find_equilibrium(system, torques={"third": [0.0]})
 

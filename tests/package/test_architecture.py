@@ -23,15 +23,16 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "notation", "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results",
-    "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly",
-    "events", "simulation", "linear", "gradients", "grasp", "sweeps", "plots", "reports", "viewer",
-    "problems", "studies", "multiarm", "cli", "__main__",
+    "notation", "errors", "public", "geometry", "jit", "spatial", "programs", "tableaus", "scene",
+    "results", "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal",
+    "assembly", "events", "simulation", "linear", "gradients", "grasp", "sweeps", "plots",
+    "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("contacts.unilateral", "viewer.shapes"),
+    "PIL": ("scene.meshes",),
+    "coal": ("arms.arm", "assembly.collisions", "viewer.shapes"),
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
@@ -53,6 +54,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pinocchio": (
         "arms.arm",
         "arms.backends",
+        "assembly.collisions",
         "scene.mjcf",
         "viewer",
         "studies.pinocchio_peer",
@@ -69,14 +71,16 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "events.event_detection",
         "control.recorded",
         "dynamics.solver.dense",
+        "assembly.collisions",
         "assembly.loop_closure",
-        "contacts.internal_forces",
+        "programs",
         "effects.external_wrenches",
         "gradients.collocation",
         "linear.coordinates",
         "linear.linearisation",
         "problems",
         "scene.object",
+        "simulation.holding",
         "sweeps.axes",
         "sweeps.plan",
         "studies.timing",
@@ -85,7 +89,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
-    "trimesh": ("grasp.boundaries", "scene.object"),
+    "trimesh": ("grasp.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "yaml": ("reports.report", "scene", "sweeps.spec"),

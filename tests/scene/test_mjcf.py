@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import coal
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -153,7 +152,7 @@ def test_poses_inertia_and_bias_are_those_of_mujoco(hard, rng):
 
 def test_its_shapes_are_where_mujoco_has_them(hard):
     arm = arm_of(mjcf=hard, base={})
-    (shape,) = arm.visual_model(coal.MeshLoader()).geometryObjects
+    (shape,) = arm.visual_model().geometryObjects
     model = mujoco.MjModel.from_xml_path(str(hard))
     data = mujoco.MjData(model)
     data.qpos[:] = 0.3

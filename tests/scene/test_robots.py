@@ -147,6 +147,19 @@ def test_unknown_robot_names_alternatives():
         find_robot("ur6")
 
 
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [("tiago_no", "tiago"), ("ur5_griper", "ur5_gripper"), ("anymal_c_simpel", "anymal_c_simple")],
+)
+def test_near_names_are_those_of_arms_or_else_of_any_robot(name, near):
+    with pytest.raises(SceneError) as caught:
+        find_robot(name)
+    (text,) = caught.value.faults
+    assert f"did you mean '{near}'?" in text
+    if name == "tiago_no":  # nearer is the name of a robot of which nothing tells the tip
+        assert "'tiago_no_hand'" not in text and "pip install robot_descriptions" in text
+
+
 def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr("multiarm.scene.robots._share_folder", lambda: None)
     assert set(available_robots()) == set(OWN)
@@ -412,7 +425,7 @@ def test_missing_meshes_are_a_warning(tmp_path):
     path = write_urdf(tmp_path / "arm.urdf", text)
     scene = scene_of({"urdf": str(path), "tip": "l1"})
     (warning,) = scene.warnings
-    assert "1 of 1 meshes" in warning
+    assert "1 of 1 mesh " in warning
     assert "package://nowhere/a.stl" in warning
 
 

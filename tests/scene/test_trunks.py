@@ -14,7 +14,6 @@ from multiarm.arms import arm as arms_room
 from multiarm.errors import SceneError
 from multiarm.scene import find_robot, load_scene, read_urdf
 from multiarm.viewer.animate import WHITE, animate, lowest
-from multiarm.viewer.shapes import mesh_loader
 
 EXAMPLE = SCENES / "two_arms_one_trunk.yaml"
 TORSO = {"torso_lift_joint": 0.15}
@@ -153,7 +152,7 @@ def test_a_replay_shows_every_link_once_and_the_trunk_in_its_own_colours(moving)
     trunk = [b for b in bodies if b.name.startswith("arms/left+right/")]
     assert trunk and animation.floor == min(0.0, *map(lowest, trunk))
     shown = [b.name.rpartition("/")[2] for b in bodies if b.name.startswith("arms/")]
-    visuals = moving.arms["left"].visual_model(mesh_loader()).geometryObjects
+    visuals = moving.arms["left"].visual_model().geometryObjects
     assert sorted(shown) == sorted(item.name for item in visuals)
     outline = read_urdf(find_robot("tiago_pro").urdf)
     for part in bodies:

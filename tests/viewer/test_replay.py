@@ -1,6 +1,7 @@
 """Replays of real runs, looked at with a real browser."""
 
 import re
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
@@ -166,6 +167,23 @@ def test_links_stand_where_the_joint_angles_put_them(trajectory):
         np.testing.assert_allclose(turn, about_z @ about_y, atol=1e-12)
 
 
+@pytest.mark.parametrize("meshes", [True, False])
+def test_every_cylinder_has_the_size_of_the_urdf(trajectory, meshes):
+    """Two links of a robot may differ by their size only."""
+    sizes = {
+        body.name: np.ptp(body.mesh.vertices, axis=0)
+        for body in animate(trajectory, fps=30, speed=1, meshes=meshes).bodies
+    }
+    robot = ElementTree.fromstring(robot_text("textbook_6r"))
+    for link in robot.findall("link"):
+        for number, visual in enumerate(link.findall("visual")):
+            cylinder = visual.find("geometry/cylinder")
+            if cylinder is not None:
+                radius, length = float(cylinder.get("radius")), float(cylinder.get("length"))
+                size = sizes[f"arms/left/{link.get('name')}_{number}"]
+                np.testing.assert_allclose(size, [2 * radius, 2 * radius, length], rtol=1e-12)
+
+
 @pytest.mark.slow
 def test_a_replay_seeks_no_posture_assembles_no_start_and_has_no_control(monkeypatch, trajectory):
     def refuse(*given, **more):
@@ -237,7 +255,11 @@ def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
 
 @pytest.mark.parametrize(
     ("file", "content", "fault"),
-    [("lost.stl", None, "there is no such file"), ("bad.obj", b"hello", "no mesh of a known")],
+    [
+        ("lost.stl", None, "there is no such file"),
+        ("package://nowhere/lost.stl", None, "there is no such file"),
+        ("bad.obj", b"hello", "it has no triangles"),
+    ],
 )
 def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
     tmp_path, trajectory, file, content, fault

@@ -113,7 +113,7 @@ def test_open_contact_has_no_arrow_whatever_force_was_recorded(animation):
 
 
 @pytest.mark.slow
-def test_film_of_a_run_without_states_is_as_before(plain):
+def test_animation_of_a_run_without_states_is_as_before(plain):
     animation = animate(plain, fps=10, speed=1, meshes=False)
     assert [contacts.state for contacts in animation.contacts] == [None, None]
     assert {body.touched is None for body in animation.bodies} == {True}

@@ -1,4 +1,4 @@
-"""Meshes, films and the camera of a replay: geometry, checked against closed forms."""
+"""Meshes, animations and the camera of a replay: geometry, checked against closed forms."""
 
 import gzip
 import importlib.metadata
@@ -29,41 +29,9 @@ from multiarm.viewer.mesh import (
     sharp_edges,
     sphere,
 )
-from multiarm.viewer.shapes import object_mesh, read_collada
+from multiarm.viewer.shapes import object_mesh
 
 POLYGON = SEGMENTS / 2 * np.sin(2 * np.pi / SEGMENTS)  # area of the polygon in a unit circle
-ROBOT_MESHES = [
-    "ur_description/meshes/ur5/visual/upperarm.dae",
-    "ur_description/meshes/ur5/visual/wrist3.dae",
-    "panda_description/meshes/visual/link6.dae",
-]
-
-SQUARE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
-  <asset><unit name="centimeter" meter="0.01"/></asset>
-  <library_effects><effect id="violet-effect"><profile_COMMON><technique sid="common"><phong>
-    <diffuse><color>1 0 0.5 1</color></diffuse>
-  </phong></technique></profile_COMMON></effect></library_effects>
-  <library_materials><material id="violet"><instance_effect url="#violet-effect"/></material>
-  </library_materials>
-  <library_geometries><geometry id="square"><mesh>
-    <source id="places"><float_array id="numbers" count="12">0 0 0 1 0 0 1 1 0 0 1 0</float_array>
-      <technique_common><accessor source="#numbers" count="4" stride="3"/></technique_common>
-    </source>
-    <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
-    <polylist count="1" material="paint">
-      <input semantic="VERTEX" source="#corners" offset="1"/>
-      <input semantic="NORMAL" source="#corners" offset="0"/>
-      <vcount>4</vcount><p>9 0 9 1 9 2 9 3</p>
-    </polylist>
-  </mesh></geometry></library_geometries>
-  <library_visual_scenes><visual_scene id="all"><node>
-    <translate>3 0 1</translate><rotate>0 0 1 90</rotate>
-    <node><scale>2 1 1</scale><instance_geometry url="#square"><bind_material>
-      <technique_common><instance_material symbol="paint" target="#violet"/></technique_common>
-    </bind_material></instance_geometry></node>
-  </node></visual_scene></library_visual_scenes>
-  <scene><instance_visual_scene url="#all"/></scene>
-</COLLADA>"""
 
 
 def robot_mesh(name):
@@ -128,34 +96,6 @@ def test_shading_keeps_surface_and_colours():
     assert volume(shaded) == pytest.approx(volume(two))
     red = np.all(shaded.colors == [1, 0, 0], axis=1)
     assert red.sum() == 24
-
-
-@pytest.mark.parametrize("name", ROBOT_MESHES)
-def test_collada_reader_agrees_with_pinocchios_loader(name):
-    path = robot_mesh(name)
-    own, loaded = read_collada(path), coal.MeshLoader().load(str(path), np.ones(3))
-    np.testing.assert_allclose(own.bounds()[0], loaded.vertices().min(axis=0), atol=1e-6)
-    np.testing.assert_allclose(own.bounds()[7], loaded.vertices().max(axis=0), atol=1e-6)
-    assert len(np.unique(own.colors, axis=0)) > 1
-    if "panda" in name:  # the loader mixes up the corners where a node has several materials
-        assert volume(own) == pytest.approx(loaded.computeVolume(), rel=1e-6)
-
-
-def test_collada_nodes_place_scale_and_colour_their_polygons(tmp_path):
-    path = tmp_path / "square.dae"
-    path.write_text(SQUARE)
-    mesh = read_collada(path)
-    # [0, 2] x [0, 1], turned by 90 degrees about z, moved by (3, 0, 1), in centimetres
-    np.testing.assert_allclose(mesh.bounds()[0], [0.02, 0, 0.01], atol=1e-12)
-    np.testing.assert_allclose(mesh.bounds()[7], [0.03, 0.02, 0.01], atol=1e-12)
-    assert len(mesh.triangles) == 2
-    np.testing.assert_allclose(mesh.colors, np.tile([1, 0, 0.5 ** (1 / 2.2)], (2, 1)))
-
-
-def test_collada_reader_leaves_what_it_does_not_know_to_the_loader(tmp_path):
-    path = tmp_path / "broken.dae"
-    path.write_text("<COLLADA><scene/></COLLADA>")
-    assert read_collada(path) is None
 
 
 def test_object_with_a_lost_mesh_is_shown_as_the_box_of_its_inertia(tmp_path):

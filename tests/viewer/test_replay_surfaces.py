@@ -84,7 +84,7 @@ def test_parametrised_surface_is_drawn_with_its_outside_out(flip):
 
 
 @pytest.mark.slow
-def test_film_carries_the_surfaces_of_both_bodies():
+def test_an_animation_carries_the_surfaces_of_both_bodies():
     pad = {"ellipsoid": {"center": [0, 0, -0.05], "semi_axes": [0.09, 0.06, 0.05]}}
     face = {"plane": {"point": [0.6, 0, 0], "normal": [1, 0, 0]}}
     scene = ur5_pair(

@@ -35,9 +35,9 @@ from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import (
     Progress,
+    UnreachableError,
     contacts,
     fingers,
-    lifted,
     pose_table,
     require_room,
     stand_arms,
@@ -47,7 +47,7 @@ from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robo
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import PartProgress, displayed
 
-__all__ = ["grasp_scene", "motion_wrenches", "needed_squeeze"]
+__all__ = ["UnreachableError", "grasp_scene", "motion_wrenches", "needed_squeeze"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 # The usual path, as parts of a 10 s run: lift and shift, turn, and back to the start.
@@ -95,8 +95,8 @@ def grasp_scene(
     height : float, optional
         Of the object's centre at the start [m]; left out: where the arms reach best.
     path : sequence of Waypoint, optional
-        Poses of the object relative to the start, by their times.  Left out: it is lifted, shifted,
-        turned and brought back.
+        Motions of the object from the start, by their times, about its centre in axes of the world.
+        Left out: it is lifted, shifted, turned and brought back.
     duration, accuracy : float
         Of the run [s], and its accuracy.
     squeeze : float, optional
@@ -115,7 +115,8 @@ def grasp_scene(
     Raises
     ------
     GraspError
-        A grasp without closure, another number of arms, hands or postures that cannot be.
+        A grasp without closure, another number of arms; as `UnreachableError`, hands or postures
+        that cannot be.
     SceneError
         Robots that do not exist.
     """
@@ -132,21 +133,21 @@ def grasp_scene(
     course = [waypoint.matrix() for waypoint in way]
     rng = np.random.default_rng(seed)
     with displayed(progress, PartProgress) as show:
-        z, stands = stand_arms(grasp, specs, course, tip_radius, height, rng, show)
-    properties = grasp.body.mass_properties(mass)
+        start = stand_arms(grasp, specs, course, tip_radius, height, rng, show)
+    upright = grasp.placed(start.turn)
     if squeeze is None:
-        wrenches = motion_wrenches(way, mass, properties.inertia, np.array(GRAVITY))
+        inertia = upright.body.mass_properties(mass).inertia
+        wrenches = motion_wrenches(way, mass, inertia, np.array(GRAVITY))
         least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
-        squeeze = needed_squeeze(grasp.contacts, wrenches, least)
+        squeeze = needed_squeeze(upright.contacts, wrenches, least)
     names = _arm_names(grasp)
-    start = lifted(z)
     return Scene(
         name=name
         or f"{len(arms)} arms hold a body of {len(grasp.body.faces)} faces by its corners",
         gravity=GRAVITY,
-        object={**body, "pose": pose_table(start)},
+        object={**body, "pose": pose_table(start.pose(np.eye(4)))},
         arms={
-            arm: _arm(grasp, k, specs[k], stands[k], tip_radius, hand_mass)
+            arm: _arm(upright, k, specs[k], start.arms[k], tip_radius, hand_mass)
             for k, arm in enumerate(names)
         },
         joints=[
@@ -166,7 +167,7 @@ def grasp_scene(
             "relative_stiffness": STIFFNESS,
             "squeeze": _upwards(squeeze),
             "path": [
-                {"time": waypoint.time, **pose_table(start @ waypoint.matrix())}
+                {"time": waypoint.time, **pose_table(start.pose(waypoint.matrix()))}
                 for waypoint in way[1:]
             ],
         },

@@ -2,20 +2,23 @@
 
 A hand's frame ``corner`` is the gripper's frame; in the joint it coincides with the corner of the
 object.  The hand comes from outside, along a mean of the inward normals of the faces that it
-touches, so that its palm and its fingers stay on the outer side of all of them; how it is turned
-about this direction is left to the search for postures.
+touches, or where that is too steep along the direction that clears them best, so that its palm and
+its fingers stay on the outer side of all of them; how it is turned about this direction is left to
+the search for postures.
 
 Each arm holds its corner from a base on the ground or on a pedestal, somewhere beyond the corner as
 seen from the middle of the object.  Heights of the object, places of the bases and turns of the
 hands are tried in turn; whether a place will do is decided by inverse kinematics
 (:mod:`multiarm.assembly.inverse_kinematics`) at every pose that the object shall pass.  The best is
 the one whose worst arm is farthest from singular postures, from the limits of its joints, from the
-object and from the ground.
+object and from the ground.  The object stands upright, as its file has it; where the arms reach it
+so from nowhere, it is turned until both hands come from the side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -29,15 +32,22 @@ from multiarm.errors import GraspError
 from multiarm.grasp.face import frame_of
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.reachability import clearest_approach
 from multiarm.scene import ArmSpec, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 
 # Fingers of a small gripper are at least so long [m]; those of a large one grow with it.
 SHORTEST, SLENDER = 0.1, 0.6
+# A hand comes to each of its faces at an angle with at least this sine.
+LEAST_CLEARANCE = 0.05
 # The palm clears every face that the gripper touches by so many radii of a fingertip.
 CLEAR = 6.0
 # Digits of lengths in a scene, and of directions.
 DIGITS, DIRECTION_DIGITS = 12, 15
+
+
+class UnreachableError(GraspError):
+    """Hands or arms do not reach the contacts of a grasp; another grasp may do."""
 
 
 def approach(grasp: FaceContacts, gripper: Gripper, level: float = 1.0) -> np.ndarray:
@@ -51,20 +61,22 @@ def approach(grasp: FaceContacts, gripper: Gripper, level: float = 1.0) -> np.nd
 
     Raises
     ------
-    GraspError
+    UnreachableError
         The gripper touches faces around so sharp an edge that no direction clears them all.
     """
     faces = sorted({grasp.faces[j] for j in gripper.contacts})
     inward = -np.array([grasp.body.faces[k].normal for k in faces])
     weights = np.where(np.abs(inward[:, 2]) > 0.7, level, 1.0)
-    direction = weights @ inward
-    length = float(np.linalg.norm(direction))
-    if length < 1e-6 or np.min(inward @ direction) < 0.05 * length:
-        raise GraspError(
+    mean = weights @ inward
+    if np.min(inward @ mean) > LEAST_CLEARANCE * np.linalg.norm(mean):
+        return mean / np.linalg.norm(mean)
+    direction, clearance = clearest_approach(inward)
+    if clearance < LEAST_CLEARANCE:
+        raise UnreachableError(
             f"gripper '{gripper.name}' touches faces that look away from each other; no rigid hand "
             "reaches them from one side"
         )
-    return direction / length
+    return direction
 
 
 def hand_pose(
@@ -148,7 +160,7 @@ def require_room(grasp: FaceContacts, tip_radius: float) -> None:
 
     Raises
     ------
-    GraspError
+    UnreachableError
         Naming the contacts, how far apart they are, and the remedy.
     """
     points, names = grasp.contacts.points, grasp.contacts.names
@@ -157,7 +169,7 @@ def require_room(grasp: FaceContacts, tip_radius: float) -> None:
     apart[np.diag_indices(len(centres))] = np.inf
     i, j = divmod(int(np.argmin(apart)), len(centres))
     if apart[i, j] < 2.0 * tip_radius:
-        raise GraspError(
+        raise UnreachableError(
             f"fingertips of radius {tip_radius:g} m do not fit: those of {names[i]} and {names[j]} "
             f"would be {apart[i, j]:.3g} m apart; choose a smaller tip_radius or larger grippers"
         )
@@ -207,6 +219,29 @@ PEDESTAL_COST = 0.8
 Progress = Callable[[float, str], None]
 
 
+@dataclass(frozen=True, eq=False)
+class Stands:
+    """Where the object starts, and where each arm stands.
+
+    Attributes
+    ----------
+    height : float
+        Of the object's centre [m].
+    turn : ndarray, shape (4, 4)
+        How the object is turned against its upright pose; a rotation.
+    arms : list of Stand
+        Mounts are in axes of the upright object.
+    """
+
+    height: float
+    turn: np.ndarray
+    arms: list[Stand]
+
+    def pose(self, motion: np.ndarray) -> np.ndarray:
+        """Pose (4, 4) of the object after a motion (4, 4) from the start, in upright axes."""
+        return lifted(self.height) @ motion @ self.turn
+
+
 def stand_arms(
     grasp: FaceContacts,
     arms: list[ArmSpec],
@@ -215,8 +250,8 @@ def stand_arms(
     height: float | None,
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[float, list[Stand]]:
-    """Height of the object's frame at the start [m], and a place for each arm.
+) -> Stands:
+    """A start of the object, and a place for each arm.
 
     Parameters
     ----------
@@ -237,45 +272,52 @@ def stand_arms(
 
     Raises
     ------
-    GraspError
+    UnreachableError
         When an arm reaches its corner from nowhere.
     """
-    clear = _clear_of(grasp.body)
     robots = [InverseKinematics(_robot(spec)) for spec in arms]
     reaches = [farthest(robot.arm, rng) for robot in robots]
-    lowest = -float(np.min(grasp.body.vertices[:, 2]))
-    heights = [height] if height is not None else [lowest + h * max(reaches) for h in HEIGHTS]
-    heights = [round(z, 4) for z in heights]  # as they will be written
-    best: tuple[float, list[Stand]] | None = None
-    parts = [(z, g) for z in heights for g in range(len(robots))]
-    found: dict[float, list[Stand]] = {z: [] for z in heights}
-    missed = ""
-    for k, (z, g) in enumerate(parts):
-        if len(found[z]) < g:  # an arm before this one found no place
-            continue
-        gripper = grasp.grippers[g]
-        progress(k / len(parts), f"postures of '{gripper.name}', object at {z:.2f} m")
-        poses = [lifted(z) @ pose for pose in course]
-        search = StandSearch(robots[g], poses, clear, rng)
-        stand = search.best(_places(grasp, gripper, poses[0], reaches[g], tip_radius))
-        if stand is None or stand.reach.quality < POOREST:
-            missed = gripper.name
-            continue
-        found[z].append(stand)
-        if len(found[z]) == len(robots) and (best is None or _worst(found[z]) > _worst(best[1])):
-            best = z, found[z]
-    if best is None:
-        tried = ", ".join(f"{z:.2f}" for z in heights)
-        raise GraspError(
-            f"the arm of gripper '{missed}' reaches its corner from nowhere nearby at every pose "
-            f"of the path, with the object's frame at {tried} m; choose a longer arm, another "
-            f"height or a shorter path"
-        )
-    return best
+    turns = [np.eye(4), *_sideways(grasp)]
+    tried, missed = [], ""
+    for number, turn in enumerate(turns):
+        turned = grasp.placed(turn)
+        clear = _clear_of(turned.body)
+        lowest = -float(np.min(turned.body.vertices[:, 2]))
+        heights = [height] if height is not None else [lowest + h * max(reaches) for h in HEIGHTS]
+        starts: list[Stands] = []
+        for k, z in enumerate(round(z, 4) for z in heights):  # as they will be written
+            tried.append(f"{'turned' if number else 'upright'} at {z:.2f} m")
+            stands: list[Stand] = []
+            for g, gripper in enumerate(turned.grippers):
+                finished = (number + (k + g / len(robots)) / len(heights)) / len(turns)
+                progress(finished, f"postures of '{gripper.name}', object {tried[-1]}")
+                poses = [lifted(z) @ motion for motion in course]
+                search = StandSearch(robots[g], poses, clear, rng)
+                stand = search.best(_places(turned, gripper, poses[0], reaches[g], tip_radius))
+                if stand is None or stand.reach.quality < POOREST:
+                    missed = gripper.name
+                    break
+                stands.append(stand)
+            else:
+                starts.append(Stands(z, turn, stands))
+        if starts:
+            return max(starts, key=lambda start: min(stand.quality for stand in start.arms))
+    raise UnreachableError(
+        f"the arm of '{missed}' reaches its corner from nowhere nearby at every pose of the path; "
+        f"the object was tried {', '.join(tried)}.  Choose a longer arm, another height or a "
+        "shorter path"
+    )
 
 
-def _worst(stands: list[Stand]) -> float:
-    return min(stand.quality for stand in stands)
+def _sideways(grasp: FaceContacts) -> list[np.ndarray]:
+    """Two turns (4, 4) of an object with which all hands come from the side as far as can be.
+
+    The object's axis that is most nearly perpendicular to all approaches points up, or down.
+    """
+    ways = np.array([approach(grasp, gripper) for gripper in grasp.grippers])
+    axis = np.linalg.eigh(ways.T @ ways)[1][:, 0]
+    across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    return [np.linalg.inv(frame_of(up, across, np.zeros(3))) for up in (axis, -axis)]
 
 
 def _places(

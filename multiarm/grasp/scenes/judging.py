@@ -34,6 +34,7 @@ from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion, region_of
 from multiarm.grasp.stability import configuration_stability
 from multiarm.scene import ObjectSpec
+from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import Progress, Report, displayed
 
@@ -290,6 +291,10 @@ class GraspJudgement:
         1: closed; 2: held to second order by the flat faces; 0: movable.
     stability : StabilityFacts or None
         For grasps by contacts that only push.
+    carrying : Carrying or None
+        Whether the object can be carried within the efforts of the drives, and the largest share of
+        an effort limit when holding. None without gravity, on a floor, or
+        where the control does not carry it.
     carrying_force : float or None
         The weight carried with contact forces whose largest is as small as can be: that one [N].
         None without gravity, or where pushes alone do not carry it.
@@ -310,6 +315,7 @@ class GraspJudgement:
     motion: list[float] | None
     immobility_order: int | None
     stability: StabilityFacts | None
+    carrying: Carrying | None
     carrying_force: float | None
     frame_position: float | None
     frame_rotation: float | None
@@ -342,10 +348,12 @@ def judge_grasp(
         grasp = read_grasp(system) if grasp is None else grasp
         closure = grasp.closure
         show(1, 4, "judging the grasp: where each contact may be")
-        contacts = _contacts(grasp, evaluate(system))
+        evaluation = evaluate(system)
+        contacts = _contacts(grasp, evaluation)
         show(2, 4, "judging the grasp: how far contacts may slip")
         stability = _stability(grasp)
         show(3, 4, "judging the grasp: forces and the object's frame")
+        carrying = carrying_capacity(system, evaluation)
         force, frame = _carrying_force(system, grasp), _frame(grasp)
     return GraspJudgement(
         scene=system.scene.name,
@@ -360,6 +368,7 @@ def judge_grasp(
         motion=None if closure.motion is None else closure.motion.tolist(),
         immobility_order=closure.order,
         stability=stability,
+        carrying=carrying,
         carrying_force=force,
         frame_position=None if frame is None else float(frame[0]),
         frame_rotation=None if frame is None else float(frame[1]),

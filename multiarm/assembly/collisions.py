@@ -1,0 +1,251 @@
+"""Distances of an arm's links from the object and from the links of other arms.
+
+Links and objects count with their convex hulls: a URDF's collision shapes (where it has none, the
+visual ones), a box, sphere, cylinder or hull as it is, a mesh by its hull.  What holds the object
+touches it by design: the hand, that is, the last link and those within a tenth of the arm's length
+of the joint, is not compared with the object, nor with other hands.  Links of one arm are not
+compared with each other, nor what two arms of one robot have in common; the ground is no shape
+either.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
+
+from multiarm.arms.arm import Arm
+from multiarm.scene import ObjectSpec, Scene
+from multiarm.scene.faults import counted
+from multiarm.scene.meshes import read_mesh
+
+# Distances beyond this one need not be known [m].
+HORIZON = 0.05
+# Links within this part of the arm's length of the joint are the hand's.
+HAND = 0.1
+OBJECT = "the object"
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A convex shape of a link, or of the object.
+
+    Attributes
+    ----------
+    name : str
+        In messages.
+    shape : coal.CollisionGeometry
+    joint : int
+        That moves it, Pinocchio's number; 0 of what stands.
+    holds : bool
+        Whether it touches the object, or is the object.
+    """
+
+    name: str
+    shape: Any
+    joint: int
+    holds: bool
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Solids of an arm, or of several, at a posture.
+
+    Attributes
+    ----------
+    solids : tuple of Solid
+    poses : list of pinocchio.SE3
+        In the world.
+    centres, radii : ndarray, shapes (k, 3) and (k,)
+        Of balls around them [m], in the world.
+    """
+
+    solids: tuple[Solid, ...]
+    poses: list[pin.SE3]
+    centres: np.ndarray
+    radii: np.ndarray
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The nearest two of some solids, and their distance [m], below zero where they overlap."""
+
+    distance: float
+    link: str = ""
+    obstacle: str = ""
+
+
+class Surroundings:
+    """The solids of a scene: its arms, at whatever postures, and its object.
+
+    Parameters
+    ----------
+    scene : Scene
+    arms : mapping arm -> Arm
+        Those that are looked at.
+    """
+
+    def __init__(self, scene: Scene, arms: Mapping[str, Arm]) -> None:
+        self._arms = arms
+        places = {joint.arm: joint.at_tip.matrix()[:3, 3] for joint in scene.joints}
+        self._links = {name: _links(arm, places[name]) for name, arm in arms.items()}
+        self._object = object_hull(scene.object)
+        if self._object is not None:
+            self._object.computeLocalAABB()
+        self._object_pose = pin.SE3(scene.object.pose.matrix())
+        self._robots = {name: scene.robot_of(name) for name in arms}
+
+    def placed(
+        self, name: str, posture: np.ndarray, standing: bool, shift: np.ndarray | None = None
+    ) -> Placed:
+        """The links of an arm at a posture, with those that no joint moves if ``standing``.
+
+        Parameters
+        ----------
+        shift : ndarray, shape (4, 4), optional
+            Motion of the base from where the arm's model has it.
+        """
+        arm, (geometry, solids) = self._arms[name], self._links[name]
+        data = geometry.createData()
+        q = arm.configuration(posture)
+        pin.updateGeometryPlacements(arm.model, arm.model.createData(), geometry, data, q)
+        moved = pin.SE3.Identity() if shift is None else pin.SE3(shift)
+        pairs = [
+            (solid, moved * pose)
+            for solid, pose in zip(solids, data.oMg.tolist(), strict=True)
+            if standing or solid.joint > 0
+        ]
+        return _placed(pairs)
+
+    def obstacles(self, name: str, postures: Mapping[str, np.ndarray]) -> Placed:
+        """The object, and the links of the arms beside ``name`` that have a posture."""
+        pairs = []
+        if self._object is not None:
+            pairs.append((Solid(OBJECT, self._object, 0, holds=True), self._object_pose))
+        for neighbour in self._arms:
+            if neighbour == name or neighbour not in postures:
+                continue
+            shared = self._robots[neighbour] is self._robots[name]
+            links = self.placed(neighbour, postures[neighbour], standing=not shared)
+            pairs += zip(links.solids, links.poses, strict=True)
+        return _placed(pairs)
+
+
+def nearest(links: Placed, obstacles: Placed) -> Contact:
+    """The pair of a link and an obstacle that are nearest to each other, up to the horizon."""
+    ways = links.centres[:, None] - obstacles.centres
+    gaps = np.linalg.norm(ways, axis=2) - links.radii[:, None] - obstacles.radii
+    contact = Contact(HORIZON)
+    for i, j in np.argwhere(gaps < HORIZON):
+        link, obstacle = links.solids[i], obstacles.solids[j]
+        if (link.holds and obstacle.holds) or gaps[i, j] >= contact.distance:
+            continue
+        distance = coal.distance(
+            link.shape,
+            _transform(links.poses[i]),
+            obstacle.shape,
+            _transform(obstacles.poses[j]),
+            coal.DistanceRequest(),
+            coal.DistanceResult(),
+        )
+        if distance < contact.distance:
+            contact = Contact(distance, link.name, obstacle.name)
+    return contact
+
+
+def object_hull(body: ObjectSpec) -> Any:
+    """The convex shape of the object in its frame; None where it has none that can be read."""
+    shape = body.shape
+    if shape.box is not None:
+        return coal.Box(*shape.box)
+    if shape.sphere is not None:
+        return coal.Sphere(shape.sphere)
+    if shape.cylinder is not None:
+        return coal.Cylinder(shape.cylinder.radius, shape.cylinder.height)
+    points = corners_of(body)
+    return None if points is None else _hull(points)
+
+
+def corners_of(body: ObjectSpec) -> np.ndarray | None:
+    """The corners (N, 3) of a hull or a mesh in the object's frame [m]."""
+    shape = body.shape
+    if shape.hull is not None:
+        return np.array(shape.hull)
+    triangles = None if shape.mesh is None else shape.mesh.triangles()
+    return None if triangles is None else triangles[0]
+
+
+def _hull(points: np.ndarray) -> Any:
+    """The convex hull of points (N, 3); None where they lie in a plane."""
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    numbers, triangles = np.unique(hull.simplices, return_inverse=True)
+    vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    vertices.extend(list(points[numbers]))
+    faces.extend([coal.Triangle(*face) for face in triangles.reshape(-1, 3).tolist()])
+    return coal.Convex(vertices, faces)
+
+
+def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
+    """The shapes of an arm's links; ``place`` (3,) is where its tip holds the object [m]."""
+    geometry = arm.collision_model()
+    levers = arm.levers(place)
+    last = arm.tip_joint
+    hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
+    solids, lost = [], []
+    for item in geometry.geometryObjects.tolist():
+        shape, link = item.geometry, arm.model.frames[item.parentFrame].name
+        name = f"link {link!r} of arm {arm.name!r}"
+        if isinstance(shape, coal.BVHModelBase):
+            path = Path(item.meshPath)
+            stamp = path.stat().st_mtime_ns if path.is_file() else 0
+            try:
+                shape = _hull_of_mesh(path, stamp, tuple(item.meshScale))
+            except ValueError as error:
+                lost.append(f"{path} of link '{link}' ({error})")
+                geometry.removeGeometryObject(item.name)
+                continue
+        shape.computeLocalAABB()
+        solids.append(Solid(name, shape, item.parentJoint, item.parentJoint in hand))
+    if lost:
+        warnings.warn(
+            f"{arm.files.urdf.name}: postures are found without regard to {counted(lost, 3)}",
+            stacklevel=2,
+        )
+    return geometry, tuple(solids)
+
+
+@lru_cache(maxsize=256)
+def _hull_of_mesh(path: Path, _stamp: int, scale: tuple[float, ...]) -> Any:
+    """The hull of a file's mesh; the mesh itself where its points lie in a plane."""
+    points, triangles, _ = read_mesh(path, scale)
+    hull = _hull(points[np.unique(triangles)])
+    if hull is not None:
+        return hull
+    sheet = coal.BVHModelOBBRSS()
+    sheet.beginModel(len(triangles), len(points))
+    sheet.addVertices(points)
+    sheet.addTriangles(triangles)
+    sheet.endModel()
+    return sheet
+
+
+def _placed(pairs: list[tuple[Solid, pin.SE3]]) -> Placed:
+    centres = [pose.act(np.array(solid.shape.aabb_center)) for solid, pose in pairs]
+    radii = [solid.shape.aabb_radius for solid, _ in pairs]
+    solids, poses = tuple(solid for solid, _ in pairs), [pose for _, pose in pairs]
+    return Placed(solids, poses, np.reshape(centres, (-1, 3)), np.array(radii))
+
+
+def _transform(pose: pin.SE3) -> Any:
+    return coal.Transform3s(pose.rotation, pose.translation)

@@ -1,0 +1,214 @@
+r"""Holding: torques of the drives with which the arms hold the object still.
+
+Object and arms are at rest when the contact forces :math:`\lambda` carry the weight and the drives
+carry the arms and the contact forces,
+
+.. math:: W_o \lambda = -f_g, \qquad \tau = g(q) - W \lambda,
+
+with the wrench :math:`f_g = [m g; 0]` of gravity and the torques :math:`g(q)` of the unloaded arms.
+Contacts beyond the rank of :math:`W_o` squeeze the object by as much as one likes, and this changes
+the torques. Of all forces, those are best that take the smallest share of the drives' limits
+:math:`\hat\tau`, a linear program for :math:`y` and :math:`s`:
+
+.. math:: \min s, \qquad |g - W (\lambda_0 + A y)|_j \le s \, \hat\tau_j,
+    \qquad \lambda_0 = -W_o^+ f_g, \quad W_o A = 0 .
+
+If its :math:`s` exceeds 1, no control holds the object here. Contacts that can only push do, also
+in scenes that do not let them open; friction is bounded by a polygon of :data:`SIDES` sides inside
+its cone, which is 2 % smaller at most. Friction of the joints does not help.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.evaluation import Evaluation, failure_text
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.errors import SolverError
+from multiarm.geometry.records import Contact
+from multiarm.results.limit_use import ROUNDING
+
+SIDES = 16
+"""Of the polygon in a cone of friction."""
+INFEASIBLE = 2
+"""Status of SciPy's `linprog`."""
+
+
+@dataclass(frozen=True)
+class EffortShares:
+    """Shares of the joints' effort limits, 1 at the limit."""
+
+    largest: float
+    joint: str  # arm/joint, that uses most
+    by_joint: dict[str, float]  # those whose limit is known
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether a joint is beyond its limit."""
+        return self.largest > 1.0 + ROUNDING
+
+
+@dataclass(frozen=True)
+class Carrying:
+    """Whether contacts and drives can carry the object at rest."""
+
+    possible: bool  # whether the verdict is "carried"
+    # "carried"; "wrench": no contact forces balance the weight; "pushing": none that only push;
+    # "effort": such forces take more than the drives have
+    verdict: Literal["carried", "wrench", "pushing", "effort"]
+    # what the best contact forces leave of the weight [N] and of its moment about the centre of
+    # mass [N m]
+    force_residual: float
+    moment_residual: float
+    largest_force: float  # [N], of the contact forces of least norm
+    control: EffortShares | None  # of the control at the start; None: no limit is known
+    least: EffortShares | None  # torques that hold, of which the largest share is smallest
+
+
+def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None:
+    """Whether contacts and drives can carry the object at rest where the system was evaluated.
+
+    None where nothing weighs, a floor carries too, or the control does not carry the object.
+    """
+    state, scene = evaluation.state, system.scene
+    weighs = scene.gravity is not None and any(scene.gravity)
+    if not weighs or scene.effects.floor is not None or not scene.control.carries:
+        return None
+    gravity = np.array(scene.gravity)
+    weight = np.append(-scene.object.mass * gravity, np.zeros(3))
+    with system.borrow() as data:
+        W_o, W = _contact_matrices(data, state)
+    columns = _force_rows(system)
+    W_o, W, bounds = W_o[:, columns], W[:, columns], _force_bounds(system)[:, columns]
+    unloaded = np.concatenate(
+        [system.arms[n].gravity_torque(state.joint_positions[n], gravity) for n in system.arm_names]
+    )
+    reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
+    scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
+    some = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
+    left, size = W_o @ some - weight, float(np.linalg.norm(weight))
+    balanced = float(np.linalg.norm(scale * left)) <= 1e-6 * size
+    torques, least = None, None
+    if balanced:
+        internal = size * null_space(scale[:, None] * W_o).basis
+        torques = _least_torques(
+            unloaded - W @ some, W @ internal, bounds @ some, bounds @ internal, _efforts(system)
+        )
+        least = None if torques is None else _effort_shares(system, torques)
+    verdict: Literal["carried", "wrench", "pushing", "effort"] = "carried"
+    if torques is None:
+        verdict = "pushing" if balanced else "wrench"
+    elif least is not None and least.overloaded:
+        verdict = "effort"
+    return Carrying(
+        possible=verdict == "carried",
+        verdict=verdict,
+        force_residual=float(np.linalg.norm(left[:3])),
+        moment_residual=float(np.linalg.norm(left[3:])),
+        largest_force=float(np.max(np.abs(some))),
+        control=_effort_shares(system, np.concatenate(list(evaluation.joint_torques.values()))),
+        least=least,
+    )
+
+
+def _contact_matrices(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """``W_o`` (6, N) and ``W`` (n, N) of all rows, open ones too."""
+    data.set_state(0.0, state)
+    status = update_kinematics(data.struct)
+    if status != OK:
+        data.reraise()
+        raise SolverError(failure_text(data, status))
+    layout = data.model.layout
+    W = np.zeros((layout.joints, layout.contacts))
+    for i in range(len(layout.names)):
+        joints, rows = slice(*layout.dofs[i : i + 2]), slice(*layout.rows[i : i + 2])
+        shape = joints.stop - joints.start, rows.stop - rows.start
+        W[joints, rows] = data.work.Y[i, : shape[0], : shape[1]]
+    return data.arrays.Wo.T.copy(), W
+
+
+def _force_rows(system: System) -> np.ndarray:
+    """Rows with which the arms act on the object: contacts and their friction."""
+    units = system.model.unilateral
+    if units is None:
+        return np.arange(system.constraint_count)
+    tangents = [row for unit in units.contacts if not unit.bilateral for row in unit.tangents]
+    return np.array(sorted({*units.model, *tangents}))
+
+
+def _force_bounds(system: System) -> np.ndarray:
+    """``P`` (k, N), with ``P lambda <= 0`` for forces that only push, with friction in its cone."""
+    units, turns = system.model.unilateral, 2.0 * np.pi * np.arange(SIDES) / SIDES
+    pushing = [
+        row
+        for row, record in enumerate(system.model.records)
+        if isinstance(record, Contact) and record.pushes_only and record.tangent == 0
+    ]
+    normals = -np.eye(system.constraint_count)
+    bounds = [normals[pushing]]
+    for unit in () if units is None else units.contacts:
+        if unit.tangents and not unit.bilateral:
+            polygon = unit.mu * np.cos(np.pi / SIDES) * np.tile(normals[unit.row], (SIDES, 1))
+            polygon[:, list(unit.tangents)] = np.column_stack([np.cos(turns), np.sin(turns)])
+            bounds.append(polygon)
+    return np.concatenate(bounds)
+
+
+def _efforts(system: System) -> np.ndarray:
+    return np.concatenate([system.arms[name].effort_limits for name in system.arm_names])
+
+
+def _least_torques(
+    torques: np.ndarray,
+    by_internal: np.ndarray,
+    bounded: np.ndarray,
+    bounded_by_internal: np.ndarray,
+    efforts: np.ndarray,
+) -> np.ndarray | None:
+    """Torques (n,) whose largest share of the efforts is smallest; None where no forces push.
+
+    ``torques - by_internal @ y`` hold the object for any y with ``bounded + bounded_by_internal @ y
+    <= 0``.
+    """
+    from scipy.optimize import linprog
+
+    known = np.isfinite(efforts)
+    shares = torques[known] / efforts[known]
+    slopes = by_internal[known] / efforts[known, None]
+    column = np.ones((len(shares), 1))
+    unknowns = by_internal.shape[1]
+    best = linprog(
+        np.append(np.zeros(unknowns), 1.0),
+        A_ub=np.block(
+            [[-slopes, -column], [slopes, -column], [bounded_by_internal, 0.0 * bounded[:, None]]]
+        ),
+        b_ub=np.concatenate([-shares, shares, -bounded]),
+        bounds=[(None, None)] * unknowns + [(0.0, None)],
+    )
+    if best.status == INFEASIBLE:
+        return None
+    if best.status != 0:
+        raise SolverError(f"the torques that hold the start were not found: {best.message}")
+    return torques - by_internal @ best.x[:-1]
+
+
+def _effort_shares(system: System, torques: np.ndarray) -> EffortShares | None:
+    """Shares of stacked torques (n,); None where no limit is known."""
+    joints = [f"{name}/{j}" for name in system.arm_names for j in system.arms[name].joint_names]
+    shares = {
+        joint: float(abs(torque) / effort)
+        for joint, torque, effort in zip(joints, torques, _efforts(system), strict=True)
+        if np.isfinite(effort)
+    }
+    if not shares:
+        return None
+    joint = max(shares, key=lambda name: shares[name])
+    return EffortShares(shares[joint], joint, shares)
