@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import ur5_pair
-from sweep_runs import repeatable
+from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
@@ -18,9 +18,9 @@ from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import struct_at
 from multiarm.scene import CONTROLS, Scene, dump_scene, named_code, parse_scene
 from multiarm.scene.control import BUILT_IN, ControlKind
-from multiarm.sweeps.executors import run_in_process, run_in_processes
+from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
+from multiarm.sweeps.run import Context
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 TORQUES = {"left": (3.0, -2.0, 1.0, 0.5, 0.0, 0.0), "right": {"elbow_joint": -4.0}}
@@ -240,9 +240,10 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
         ma.register_control(own)
     over = {"control": [{"kind": "pull", "stiffness": 5.0}, {"kind": "firm"}]}
     plan = make_plan(scene_of("none"), over, keep=["final_z"], run=RUN)
-    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
-    assert [row[1] for row in here] == ["completed"] * 2
-    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
+    context, jobs = Context.of(plan), jobs_of(plan)
+    here = repeatable(run_here(context, jobs))
+    assert [row["status"] for row in here] == ["completed"] * 2
+    assert repeatable(run_in_processes(context, jobs, 2)) == here
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
     "docstring_parser": ("scene.parameters",),
-    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
+    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file"),
     "jinja2": ("reports.pages",),
     "joblib": (
         "jit.ahead",
@@ -60,8 +60,8 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer",
         "studies.pinocchio_peer",
     ),
-    "pandas": ("results.trajectory",),
-    "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
+    "pandas": ("results.trajectory", "sweeps.folder", "sweeps.plan", "sweeps.result"),
+    "pyarrow": ("control.tables", "sweeps.folder"),
     "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
@@ -89,7 +89,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
-    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
+    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
     "trimesh": ("grasp.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
@@ -122,8 +122,8 @@ PUBLIC_ATTRIBUTES = {
     "Stepper": "advance reset time state contact_forces wrenches tip_positions "
     "tip_quaternions_xyzw tip_twists events trajectory",
     "Surface": "name patch record",
-    "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
-    "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
+    "Sweep": "scene plan count complete runs paths quantities columns table status_counts "
+    "summary values_of scene_of trajectory provenance",
     "System": "scene arm_names arms initial_state state kinematics",
     "TipKinematics": "position rotation twist jacobian joint_names",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "

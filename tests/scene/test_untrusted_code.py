@@ -296,7 +296,7 @@ SWEEP = "over: {object.mass: [1.0, 2.0]}\nkeep: [final_z, 'shapes.py:number']\n"
 
 @pytest.mark.slow
 def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stranger):
-    over, out, page = (stranger.folder / name for name in ("s.yaml", "s.h5", "a.html"))
+    over, out, page = (stranger.folder / name for name in ("s.yaml", "s.sweep", "a.html"))
     over.write_text(SWEEP)
     words = ["sweep", stranger.scene, "--over", over, "--out", out, "--workers", 1]
     result = multiarm(*words, "--no-code")
@@ -342,7 +342,7 @@ def test_code_that_the_values_of_a_sweep_name_is_told_and_refused_too(folder, ov
     plain = written(folder, "wrench")
     plain.scene.write_text(SCENE.format(surface=PLANE, effects="{}"))
     (folder / "s.yaml").write_text(f"over: {{{over}}}\nkeep: [final_z]\n")
-    words = ["sweep", plain.scene, "--over", folder / "s.yaml", "--out", folder / "s.h5"]
+    words = ["sweep", plain.scene, "--over", folder / "s.yaml", "--out", folder / "s.sweep"]
     result = multiarm(*words, "--no-code")
     assert result.exit_code == 2 and what.format(folder=folder) in told(result)
     assert plain.marks() == set()
@@ -422,7 +422,7 @@ def test_a_file_names_code_by_plain_names_and_no_files_elsewhere(function, reaso
     (inner / "plain.yaml").write_text(SCENE.format(surface=PLANE, effects="{}"))
     (inner / "s.yaml").write_text(f"over: {{object.mass: [1]}}\nkeep: ['{function}']\n")
     with pytest.raises(SweepError) as caught:
-        ma.sweep(inner / "plain.yaml", inner / "s.yaml", out=folder / "s.h5")
+        ma.sweep(inner / "plain.yaml", inner / "s.yaml", out=folder / "s.sweep")
     assert any(reason in fault for fault in caught.value.faults)
     assert not (folder / "marker").exists()
 
@@ -488,6 +488,6 @@ def test_controllers_quantities_and_effects_that_are_built_end_no_program(folder
         ma.compile_system(scene.replace(effects={"leaving": {}}))
     (folder / "shapes.py").write_text("import sys\ndef number(trajectory):\n    sys.exit()\n")
     (folder / "s.yaml").write_text(SWEEP)
-    found = ma.sweep(scene, folder / "s.yaml", out=folder / "s.h5", workers=1)
+    found = ma.sweep(scene, folder / "s.yaml", out=folder / "s.sweep", workers=1)
     assert found.status_counts == {"failed": 2}
     assert "quantity 'number' raised SystemExit" in found.row(1).message

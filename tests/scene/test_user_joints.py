@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import kernel_rows, random_pose, ur5_pair
-from sweep_runs import repeatable
+from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
@@ -31,9 +31,9 @@ from multiarm.scene import (
     named_code,
     parse_scene,
 )
-from multiarm.sweeps.executors import run_in_process, run_in_processes
+from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
+from multiarm.sweeps.run import Context
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 
@@ -356,9 +356,10 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
         ma.register_joint(own)
     over = {"joints[0].kind": ["hitch", "loose"]}
     plan = make_plan(scene_of({"kind": "ball"}), over, keep=["final_z"], run=RUN)
-    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
+    context, jobs = Context.of(plan), jobs_of(plan)
+    here = repeatable(run_here(context, jobs))
     assert len(here) == 2
-    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
+    assert repeatable(run_in_processes(context, jobs, 2)) == here
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
-"""What a worker does: it simulates a job and returns its record.
+"""One run of a sweep, as any worker carries it out.
 
-A run is a pure function of (scene, values).  Every worker compiles the scene of the sweep once and
-makes the system of each run from it, never from the system of the previous run, so that a run gives
-the same numbers on every worker and in every order.
+A run is a pure function of the scene and its values.  Every worker compiles the scene of the sweep
+once and makes the system of each run from it, never from the system of the previous run, so that a
+run gives the same numbers on every worker and in every order.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,20 +20,21 @@ from threadpoolctl import threadpool_limits
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
+from multiarm.results.files import printable
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import REGISTRIES, Scene, parse_scene
 from multiarm.scene.code import is_reference
-from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
+from multiarm.simulation.certified import INTERRUPTED
 from multiarm.simulation.simulate import simulate
-from multiarm.sweeps.plan import Job, Record, SweepPlan, program_version
+from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
 
-__all__ = ["JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
+__all__ = ["Context", "lost_run", "prepare", "run", "simulate_run"]
 
 
 @dataclass(frozen=True)
-class JobContext:
-    """What all jobs of a sweep share; it is sent to the workers."""
+class Context:
+    """What all runs of a sweep share; it is sent to the workers."""
 
     scene: str  # as YAML text
     quantities: tuple[Quantity, ...]
@@ -47,7 +48,7 @@ class JobContext:
     session: str = ""
 
     @classmethod
-    def of(cls, plan: SweepPlan, session: str = "") -> JobContext:
+    def of(cls, plan: SweepPlan, session: str = "") -> Context:
         """The context of a plan."""
         return cls(
             scene=plan.scene_text,
@@ -55,9 +56,9 @@ class JobContext:
             certificate=plan.spec.certificate,
             version=program_version(),
             classes=tuple(
-                (own.group, one)
-                for own in REGISTRIES
-                for name, one in own.registered.items()
+                (registry.group, kind)
+                for registry in REGISTRIES
+                for name, kind in registry.registered.items()
                 if name in plan.words and not is_reference(name)  # files are read by each worker
             ),
             folder=str(plan.scene.folder),
@@ -65,15 +66,22 @@ class JobContext:
         )
 
 
-def run_jobs(context: JobContext, jobs: Sequence[Job]) -> list[Record]:
-    """Carry out some jobs, one after the other.
+def run(context: Context, number: int, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Carry out one run and return its row.
+
+    Returns
+    -------
+    dict
+        ``run``; ``status``, "completed" or "failed", the latter also if a user-defined quantity
+        raised an error; ``message``; every quantity by name, None if the run failed, or where it is
+        not defined; ``wall_time`` [s]; ``worker``, computer and process.
 
     Raises
     ------
     SweepError
         When this worker has another version of multiarm.
     KeyboardInterrupt
-        When Ctrl-C was pressed: these jobs are lost and are repeated when the sweep is resumed.
+        When Ctrl-C was pressed: a part of a run is no result.
     """
     here = program_version()
     if context.version != here:
@@ -81,12 +89,59 @@ def run_jobs(context: JobContext, jobs: Sequence[Job]) -> list[Record]:
             f"worker {_worker()} has multiarm {here}, the sweep was begun by "
             f"{context.version}; install the same version everywhere: others may give other numbers"
         )
-    warm_up(context)  # loads the libraries whose threads are limited below
-    with threadpool_limits(1):  # workers share the processors already
-        return [run_job(context, job) for job in jobs]
+    prepare(context)  # loads the libraries whose threads are limited below
+    began = time.perf_counter()
+    numbers: dict[str, float | None] = {}
+    try:
+        with threadpool_limits(1):  # workers share the processors already
+            trajectory = _simulated(context, values)
+        status, message = trajectory.status, trajectory.message
+        if status == "completed":
+            numbers, fault = measure(context.quantities, trajectory)
+            status, message = ("failed", fault) if fault else (status, message)
+    except MultiarmError as error:
+        status, message = "failed", f"the run could not begin: {error}"
+    except USER_FAULTS as error:  # user-defined functions and effects may raise anything
+        status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
+    wall_time = time.perf_counter() - began
+    return _row(context, number, status, message, numbers, wall_time, _worker())
 
 
-def warm_up(context: JobContext) -> None:
+def lost_run(context: Context, number: int, deaths: int) -> dict[str, Any]:
+    """The row of a run whose workers died every time."""
+    message = (
+        f"its worker died {deaths} times: the process was ended, by lack of memory perhaps, or "
+        "broke down in compiled code"
+    )
+    return _row(context, number, "failed", message, {}, 0.0, "")
+
+
+def _row(
+    context: Context, number: int, status: str, message: str,
+    numbers: Mapping[str, float | None], wall_time: float, worker: str,
+) -> dict[str, Any]:  # fmt: skip
+    quantities = {quantity.name: numbers.get(quantity.name) for quantity in context.quantities}
+    return {
+        "run": number, "status": status, "message": printable(message), **quantities,
+        "wall_time": wall_time, "worker": worker,
+    }  # fmt: skip
+
+
+def simulate_run(plan: SweepPlan, number: int) -> Trajectory:
+    """Simulate one run of a plan as a worker does; returns all samples.
+
+    Raises
+    ------
+    MultiarmError
+        When it cannot begin.
+    """
+    # not cached: files that it names may have changed
+    system = compile_system(plan.scene_of(number))
+    with threadpool_limits(1):
+        return simulate(system, certificate=plan.spec.certificate)
+
+
+def prepare(context: Context) -> None:
     """Compile the scene of a sweep in this process and load the libraries of a run.
 
     Raises
@@ -97,54 +152,23 @@ def warm_up(context: JobContext) -> None:
     _base(context)
 
 
-def run_job(context: JobContext, job: Job) -> Record:
-    """Carry out one job.
-
-    Returns
-    -------
-    Record
-        A run that fails gives one too.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        When Ctrl-C was pressed: a part of a run is no result.
-    """
-    warm_up(context)
-    began = time.perf_counter()
-    numbers: dict[str, float | None] = dict.fromkeys([own.name for own in context.quantities])
-    try:
-        trajectory = _simulated(context, job.values)
-        status, message = trajectory.status, trajectory.message
-        _raise_interrupt(trajectory)
-        if status == "completed":
-            numbers, fault = measure(context.quantities, trajectory)
-            status, message = ("failed", fault) if fault else (status, message)
-    except MultiarmError as error:
-        status, message = "failed", f"the run could not begin: {error}"
-    except USER_FAULTS as error:  # user-defined functions and effects may raise anything
-        status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
-    wall = time.perf_counter() - began
-    return Record(job.run, status, message, job.values, numbers, wall, _worker())
-
-
-def simulate_run(plan: SweepPlan, run: int) -> Trajectory:
-    """Simulate one run of a plan as a worker does; returns all samples.
-
-    Raises
-    ------
-    MultiarmError
-        When it cannot begin.
-    """
-    system = compile_system(plan.scene_of(run))  # not cached: files that it names may have changed
-    with threadpool_limits(1):
-        return simulate(system, certificate=plan.spec.certificate)
-
-
-def _simulated(context: JobContext, values: Mapping[str, Any]) -> Trajectory:
+def _simulated(context: Context, values: Mapping[str, Any]) -> Trajectory:
     base = _base(context)
     system = compile_system(base.scene.replace(values), like=base.system)
-    return simulate(system, certificate=context.certificate)
+    trajectory = simulate(system, certificate=context.certificate)
+    _raise_interrupt(trajectory)
+    by_accuracy = system.scene.run.accuracy is not None
+    if context.certificate and by_accuracy and trajectory.status == "completed":
+        certificate = trajectory.certificate
+        if certificate is None or certificate.get("reason") == INTERRUPTED:
+            raise KeyboardInterrupt  # Ctrl-C ended the check of the run
+    return trajectory
+
+
+def _raise_interrupt(trajectory: Trajectory) -> None:
+    """Raise if Ctrl-C ended the run: then there is no result."""
+    if trajectory.status == INTERRUPTED:
+        raise KeyboardInterrupt
 
 
 @dataclass(frozen=True)
@@ -160,14 +184,14 @@ class _Base:
 _memory = threading.local()
 
 
-def _base(context: JobContext) -> _Base:
+def _base(context: Context) -> _Base:
     """The compiled scene; a short run compiles or loads whatever the first use of it needs."""
     key = context.scene, context.session, context.classes
     if getattr(_memory, "key", None) == key:
         return _memory.base
-    registries = {own.group: own for own in REGISTRIES}
-    for group, one in context.classes:
-        registries[group].add(one)
+    registries = {registry.group: registry for registry in REGISTRIES}
+    for group, kind in context.classes:
+        registries[group].add(kind)
     scene = parse_scene(context.scene, context.folder)
     system: System | None = None
     try:
@@ -178,14 +202,6 @@ def _base(context: JobContext) -> _Base:
         pass  # every run that has this fault reports it
     _memory.key, _memory.base = key, _Base(scene, system)
     return _memory.base
-
-
-def _raise_interrupt(trajectory: Trajectory) -> None:
-    """Raise if Ctrl-C ended the run or its check: then there is no result."""
-    reason = (trajectory.certificate or {}).get("reason")
-    unchecked = trajectory.message.endswith(INTERRUPTED_WORDS)
-    if unchecked or INTERRUPTED in (trajectory.status, reason):
-        raise KeyboardInterrupt
 
 
 def _worker() -> str:
