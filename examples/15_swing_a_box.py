@@ -70,6 +70,8 @@ def main() -> None:
     print(f"target {1e3 * np.linalg.norm(SHIFT):.0f} mm away, missed by {left:.1f} mm")
     print(f"speed at the end {1e3 * np.linalg.norm(run.object_twist[-1, :3]):.1f} mm/s")
     print(f"torques beyond those of rest: up to {np.abs(found.x).max():.0f} N m")
+    used = 100.0 * run.limit_use[["effort", "speed", "range"]].max()
+    print("effort, speed and range: up to {:.0f}, {:.0f}, {:.0f} % of a limit".format(*used))
     print(f"the run is certified: {run.certificate['met']}")
     if options.replay_html:
         ma.replay(run, options.replay_html)

@@ -51,6 +51,11 @@ def figures(pattern: str, text: str) -> list[tuple[float, ...]]:
     return [tuple(float(number) for number in row) for row in rows]
 
 
+def assert_within_limits(text: str) -> None:
+    ((effort, speed, position),) = figures("range: up to#,#,# % of a limit", text)
+    assert 0.0 < max(effort, speed, position) <= 100.0
+
+
 def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
 
@@ -257,6 +262,7 @@ def test_two_arms_swing_a_box_to_its_target(printed):
     assert away > 140.0 and missed < 3.0
     assert figures("speed at the end# mm/s", text)[0][0] < 30.0
     assert "the run is certified: True" in text
+    assert_within_limits(text)
 
 
 @pytest.mark.slow
@@ -271,6 +277,7 @@ def test_crocoddyl_swings_the_box_too(printed):
 @pytest.mark.slow
 def test_a_load_is_weighed_by_how_it_moves(printed):
     text = printed("14_weigh_a_load.py")
+    assert_within_limits(text)
     ((misfit, rounding),) = figures("misfit# steps, by rounding alone#", text)
     assert misfit == pytest.approx(rounding, rel=0.1)
     ((mass, error, true),) = figures(r"mass# kg \+-#, true#", text)
