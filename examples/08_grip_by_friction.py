@@ -41,8 +41,8 @@ def fingertips(side: float) -> list[dict]:
 def gripped(scene: ma.Scene, mu: float) -> ma.Scene:
     """The scene with fingertips in place of the welds, and a table under the box."""
     return scene.replace(
+        {"object.mass": MASS},
         name=f"two UR5s hold a box by friction, mu = {mu:g}",
-        object=scene.object.model_copy(update={"mass": MASS}),
         joints=[
             {"arm": "left", "kind": "contacts", "contacts": fingertips(-1.0)},
             {"arm": "right", "kind": "contacts", "contacts": fingertips(1.0)},
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
 
     scene = ma.load_scene(SCENE)
-    light = scene.replace(object=scene.object.model_copy(update={"mass": MASS}))
+    light = scene.replace({"object.mass": MASS})
     planned = ma.simulate(ma.compile_system(light), duration=1.5, accuracy=1e-4, certificate=False)
     for mu in (0.6, 0.2):
         system = ma.compile_system(gripped(scene, mu))

@@ -1,6 +1,6 @@
 """A scene run many times on all cores: what mass, damping and a grip that is off do to the box.
 
-The sweep is killed half way, on purpose, and goes on where it was: rows that are in the file are
+The sweep is stopped half way, on purpose, and goes on where it was: rows that are in its folder are
 there for good.
 """
 
@@ -9,8 +9,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
 
 import multiarm as ma
 
@@ -32,19 +30,22 @@ def main() -> None:
     asked = options.parse_args()
     scene = ma.load_scene(SCENE)
     with TemporaryDirectory() as folder:
-        out = Path(folder) / "sweep.h5"
+        out = Path(folder) / "run.sweep"
         first = ma.sweep(scene, OVER, out=out, progress=end_half_way)
         print(f"ended half way: {len(first) < first.count}")
         sweep = ma.sweep(scene, OVER, out=out)
         print(f"{len(sweep)} of {sweep.count} runs: {sweep.status_counts}")
-        force, error = (sweep.table[name] for name in sweep.quantities[:2][::-1])
-        for mass in np.unique(sweep.table["object.mass"]):
-            own = sweep.table["object.mass"] == mass
-            print(
-                f"{mass:4.0f} kg: contact forces up to {force[own].max():5.1f} N, "
-                f"off its path by {1e3 * np.median(error[own]):.2f} mm at the end"
+        table = sweep.table
+        for mass, runs in table.groupby("object.mass"):
+            force, error = (
+                runs["largest_contact_force"].max(),
+                runs["final_position_error"].median(),
             )
-        worst = int(sweep.runs[np.argmax(error)])
+            print(
+                f"{mass:4.0f} kg: contact forces up to {force:5.1f} N, "
+                f"off its path by {1e3 * error:.2f} mm at the end"
+            )
+        worst = int(table["run"][table["final_position_error"].argmax()])
         again = sweep.trajectory(worst)
         print(f"run {worst} once more: {again.status}")
         if asked.plot is not None:

@@ -29,11 +29,9 @@ def carried(box: np.ndarray) -> ma.System:
     mass, *shift = box
     scene = ma.load_scene(SCENE)
     middle = np.array(scene.object.pose.xyz)
-    body = scene.object.model_dump(exclude_unset=True) | {
-        "mass": float(mass),
-        "pose": {"xyz": (middle + shift).tolist()},
-    }
-    return ma.compile_system(scene.replace(object=body))
+    return ma.compile_system(
+        scene.replace({"object.mass": mass, "object.pose.xyz": middle + shift})
+    )
 
 
 def shaken(box: np.ndarray, held: dict[str, np.ndarray], accuracy: float) -> ma.Trajectory:

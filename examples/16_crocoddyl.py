@@ -11,11 +11,17 @@ import argparse
 import time
 from pathlib import Path
 
-import crocoddyl
 import numpy as np
 import pinocchio as pin
 
 import multiarm as ma
+
+try:
+    import crocoddyl
+except ModuleNotFoundError:
+    raise SystemExit(
+        "this example needs Crocoddyl: pip install --no-deps crocoddyl libcrocoddyl"
+    ) from None
 
 SCENE = Path(__file__).parent / "scenes" / "two_ur5_box.yaml"
 SHIFT = np.array([0.0, 0.12, 0.08])  # [m] to the target

@@ -16,8 +16,8 @@ NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
 PLAIN = 1e6
 """Numbers below this have no power of ten, unless they are small."""
-ROUNDING = 1e-12
-"""Numbers smaller than this part of the largest beside them, or of 1, are roundings of zero."""
+ROUNDING, LEAST = 1e-9, 1e-12
+"""Of several numbers, those below this part of the largest, or below the least, are roundings."""
 
 
 def number(value: float | None, unit: str = "", digits: int = 3) -> str:
@@ -33,11 +33,16 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
     return f"{text} {unit}".rstrip()
 
 
-def numbers(values: Iterable[float], unit: str = "", digits: int = 4) -> str:
-    """Comma-separated numbers and their unit; roundings of zero are 0: ``0, 0, 9.81 m/s^2``."""
+def numbers(
+    values: Iterable[float], unit: str = "", digits: int = 4, rounding: float = ROUNDING
+) -> str:
+    """Comma-separated numbers and their unit: ``0, 0, 9.81 m/s^2``.
+
+    Those below ``rounding`` times the largest, or below ``LEAST``, are written as 0.
+    """
     values = [float(value) for value in values]
-    largest = max(map(abs, values), default=0.0)
-    shown = [0.0 if abs(value) < ROUNDING * max(largest, 1.0) else value for value in values]
+    zero = max(rounding * max(map(abs, values), default=0.0), LEAST)
+    shown = [0.0 if abs(value) < zero else value for value in values]
     return f"{', '.join(number(value, digits=digits) for value in shown)} {unit}".rstrip()
 
 

@@ -260,12 +260,12 @@ class Arm:
         # Coriolis matrices are computed about the world's origin and lose digits far from it
         near.jointPlacements[1].translation = np.zeros(3)
         data = model.createData(), near.createData()
-        found = []
+        terms = []
         for angle, rate in zip(angles, rates, strict=True):
             q = self.configuration(angle)
             coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
-            found.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
-        return found
+            terms.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
+        return terms
 
     def visual_model(self) -> pin.GeometryModel:
         """The visual geometry of robot and tool, placed consistently with :attr:`model`.

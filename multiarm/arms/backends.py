@@ -82,11 +82,11 @@ class ArmBackends:
         first_joints = np.cumsum([0, *(arm.dof for arm in every)])
         self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
         self.configuration = 0
-        rest = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
-        for places in _neighbours(rest):
+        left = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
+        for places in _neighbours(left):
             start = int(first_joints[places[0]]), self.configuration
-            own = [every[place] for place in places]
-            group = ArmGroup(own, places[0], start, gravity, with_gravity_torque)
+            members = [every[place] for place in places]
+            group = ArmGroup(members, places[0], start, gravity, with_gravity_torque)
             self._groups.append(group)
             self.q_slots[group.joints] = group.q_slots + self.configuration
             self.configuration += group.model.nq
@@ -94,12 +94,12 @@ class ArmBackends:
 
     def copy(self) -> ArmBackends:
         """The same arms with their own terms; models and tables are shared."""
-        other = copy(self)
-        other._compiled = None if self._compiled is None else self._compiled.copy()
-        other._groups = [group.copy() for group in self._groups]
-        other._coriolis = None
-        other.pointers = other._table()
-        return other
+        twin = copy(self)
+        twin._compiled = None if self._compiled is None else self._compiled.copy()
+        twin._groups = [group.copy() for group in self._groups]
+        twin._coriolis = None
+        twin.pointers = twin._table()
+        return twin
 
     def connect(
         self, angles: np.ndarray, rates: np.ndarray, q: np.ndarray, bodies: np.ndarray, status: Any
@@ -137,14 +137,14 @@ class ArmBackends:
         """
         if self._coriolis is None:
             places = np.zeros((len(self.by_arm), 2), dtype=np.int64)
-            found, call = Coriolis(np.zeros(4, dtype=np.int64), places), None
+            coriolis, call = Coriolis(np.zeros(4, dtype=np.int64), places), None
             if self._compiled is not None:
-                self._compiled.connect_coriolis(found)
+                self._compiled.connect_coriolis(coriolis)
             if self._groups:
                 updates = [group.bind_coriolis(self._state, places) for group in self._groups]
                 call = PythonCallback(_all_of(updates), status)
-                found.calls[0] = call.address
-            self._coriolis = found, call
+                coriolis.calls[0] = call.address
+            self._coriolis = coriolis, call
         return self._coriolis
 
     def pose_address(self, arm: int, joint: int) -> int:
@@ -234,10 +234,10 @@ class ArmGroup:
 
     def copy(self) -> ArmGroup:
         """The same arms with their own terms; the model is shared."""
-        other = copy(self)
-        other.data, other.pointers = self.model.createData(), np.zeros_like(self.pointers)
-        other._fill_pointers()
-        return other
+        twin = copy(self)
+        twin.data, twin.pointers = self.model.createData(), np.zeros_like(self.pointers)
+        twin._fill_pointers()
+        return twin
 
     def bind(self, state: ArmState) -> Callable[[], None]:
         """Function without arguments that updates all terms from positions and velocities."""
@@ -270,8 +270,8 @@ class ArmGroup:
         update()
         at = _address(data.C)
         _require_layout(sorted(data.C.strides) == [8, 8 * n] or n == 1, "C is not stored densely")
-        first_dof, own = self._first_dof[:-1], slice(self.place, self.place + len(self.pointers))
-        places[own, 0], places[own, 1] = at + 8 * (n + 1) * first_dof, n
+        first_dof, group = self._first_dof[:-1], slice(self.place, self.place + len(self.pointers))
+        places[group, 0], places[group, 1] = at + 8 * (n + 1) * first_dof, n
         return update
 
     def pose_address(self, arm: int, joint: int) -> int:

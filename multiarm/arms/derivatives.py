@@ -272,10 +272,10 @@ def write_inverse_dynamics(links, i, load, scratch, by_q, by_v):
         )
         by_q[k, k], by_v[k, k] = _power(S, of_q), _power(S, of_v)
         for j in range(k):
-            other = scratch[j]
-            S_j, rate_j = _pair(other, _S), _pair(other, _PSI)
+            joint = scratch[j]
+            S_j, rate_j = _pair(joint, _S), _pair(joint, _PSI)
             by_q[j, k], by_v[j, k] = _power(S_j, of_q), _power(S_j, of_v)
-            by_q[k, j] = _power(_pair(other, _PSI_RATE), momentum) + dot(rate_j[1], turning)
+            by_q[k, j] = _power(_pair(joint, _PSI_RATE), momentum) + dot(rate_j[1], turning)
             by_v[k, j] = 2.0 * _power(rate_j, momentum) + dot(S_j[1], turning)
         if k > 0:
             before = scratch[k - 1]

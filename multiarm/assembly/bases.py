@@ -328,14 +328,14 @@ class _BaseSearch:
                 clear_of_object(base, points), clearance(np.linalg.norm(ways, axis=2) - FROM_BASES)
             )
 
-        for whole in (False, True):
+        for to_limits in (False, True):
             for free in dict.fromkeys([(), self.free]):
-                arm = InverseKinematics(self.arm, free, self.on_tip, whole)
-                starts = (WHOLE_FEW, WHOLE_FEW) if whole else (FEW, MANY)
+                arm = InverseKinematics(self.arm, free, self.on_tip, to_limits)
+                starts = (WHOLE_FEW, WHOLE_FEW) if to_limits else (FEW, MANY)
                 search = StandSearch(arm, [pose], clear, rng, allowed, starts)
-                best, quality = None, 0.0 if whole else POOREST
+                best, quality = None, 0.0 if to_limits else POOREST
                 for number, (count, part) in enumerate(ROUNDS):
-                    if whole and number == 0:
+                    if to_limits and number == 0:
                         bases = self._reaching(arm, rng)
                     else:
                         bases = self._drawn(best or self.written, part, count)

@@ -202,7 +202,8 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
     levers = arm.levers(place)
     last = arm.tip_joint
     hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
-    solids, lost = [], []
+    solids: list[Solid] = []
+    lost: dict[str, None] = {}  # each file once
     for item in geometry.geometryObjects.tolist():
         shape, link = item.geometry, arm.model.frames[item.parentFrame].name
         name = f"link {link!r} of arm {arm.name!r}"
@@ -212,14 +213,14 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
             try:
                 shape = _hull_of_mesh(path, stamp, tuple(item.meshScale))
             except ValueError as error:
-                lost.append(f"{path} of link '{link}' ({error})")
+                lost[f"{item.meshPath} of link '{link}' ({error})"] = None
                 geometry.removeGeometryObject(item.name)
                 continue
         shape.computeLocalAABB()
         solids.append(Solid(name, shape, item.parentJoint, item.parentJoint in hand))
     if lost:
         warnings.warn(
-            f"{arm.files.urdf.name}: postures are found without regard to {counted(lost, 3)}",
+            f"{arm.files.urdf.name}: postures are found without regard to {counted([*lost], 3)}",
             stacklevel=2,
         )
     return geometry, tuple(solids)

@@ -270,12 +270,13 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
         if like is not None and name in shared:
             resolved[name], arms[name] = like.model.robots[name], like.arms[name]
         else:
-            own = spec.model_copy(update={"lock": scene.robot_of(name).lock | spec.lock})
-            resolved[name] = resolve_arm(own, scene.folder)
+            locked = spec.model_copy(update={"lock": scene.robot_of(name).lock | spec.lock})
+            resolved[name] = resolve_arm(locked, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
     if seek:
-        found = find_postures(scene, arms, {name: own.posture for name, own in resolved.items()})
-        resolved |= {name: replace(resolved[name], posture=own) for name, own in found.items()}
+        written = {name: arm.posture for name, arm in resolved.items()}
+        for name, posture in find_postures(scene, arms, written).items():
+            resolved[name] = replace(resolved[name], posture=posture)
     return Robots(resolved, arms, shared)
 
 
@@ -298,12 +299,12 @@ def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
 
 def _make_arm(name: str, scene: Scene, resolved: ResolvedArm) -> Arm:
     spec, rotors = scene.arms[name], scene.effects.rotor_inertia
-    own = None
+    inertia = None
     if rotors is not None:
         from multiarm.effects.rotor_inertia import of_arm
 
-        own = of_arm(rotors, name, resolved.joint_names)
-    arm = Arm(name, arm_files(spec, resolved), spec.color, own)
+        inertia = of_arm(rotors, name, resolved.joint_names)
+    arm = Arm(name, arm_files(spec, resolved), spec.color, inertia)
     if arm.joint_names != resolved.joint_names:
         raise ModelError(
             f"arm '{name}': Pinocchio orders its joints {arm.joint_names}, the URDF's chain is "
@@ -400,7 +401,7 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
         on_links[name] = [record.moved_on_arm(*on_tip) for record in records[name]]
     if around:
         on_links[SURROUNDINGS] = around
-    table = pack([record for own in on_links.values() for record in own])
+    table = pack([record for on_link in on_links.values() for record in on_link])
     return Rows(layout, records, on_links, table, unilateral)
 
 
@@ -408,7 +409,7 @@ def _unilateral(
     scene: Scene, robots: Robots, contacts: Mapping[str, list]
 ) -> UnilateralConstraints | None:
     effects = scene.effects
-    has_friction = any(contact.mu for own in contacts.values() for contact in own)
+    has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
     if not (effects.with_events or has_friction):
         return None
     limits = {
@@ -417,7 +418,7 @@ def _unilateral(
     }
     dry = None
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
-        outlines = {name: own.joints for name, own in robots.resolved.items()}
+        outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
     return unilateral_constraints(scene, contacts, limits, dry)
 
@@ -434,7 +435,7 @@ def draft_model(
 ) -> Model:
     """The model without what depends on the assembled start."""
     arms, layout, unilateral = robots.arms, rows.layout, rows.unilateral
-    outlines = {name: own.joints for name, own in robots.resolved.items()}
+    outlines = {name: arm.joints for name, arm in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
     effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
     monitored = rows.on_links if unilateral is None else {name: [] for name in arms}
@@ -477,7 +478,7 @@ def draft_model(
         backends=backends,
         layout=layout,
         contacts={name: rows.records[name] for name in arms},
-        records=tuple(record for own in rows.on_links.values() for record in own),
+        records=tuple(record for on_link in rows.on_links.values() for record in on_link),
         surfaces=tuple(rows.table.functions),
         frames={name: joint.frame for name, joint in joints.items()},
         constants=with_rows(with_effects(constants, effects), rows.table, layout),
@@ -578,11 +579,11 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
 
 def _check_free(joint: JointSpec, data: Data, start: State) -> None:
     """Raise unless the components that a kind calls free are coordinates of its free motions."""
-    found = free_components(data, joint.arm, start)
+    free = free_components(data, joint.arm, start)
     space = null_space(joint_wrenches(data, joint.arm)).basis  # (6, m)
     parts = space[list(joint.free or ())]
-    if len(parts) != len(found) or np.linalg.matrix_rank(parts, 1e-6) < len(found):
-        motions = ", ".join(COMPONENTS[k] for k in found) or "no motion"
+    if len(parts) != len(free) or np.linalg.matrix_rank(parts, 1e-6) < len(free):
+        motions = ", ".join(COMPONENTS[k] for k in free) or "no motion"
         raise ModelError(
             f"joint of arm '{joint.arm}': joint kind {joint.kind!r} says free = {joint.free}, but "
             f"its contacts leave {motions} free; correct it, or leave it out"

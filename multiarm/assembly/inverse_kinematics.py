@@ -103,7 +103,7 @@ class InverseKinematics:
         along, 3 to 5 turns about x, y, z.
     frame : ndarray, shape (4, 4), optional
         The frame of the tip that is brought to the wanted places, in the tip's frame.
-    whole : bool
+    to_limits : bool
         Whether joints may come up to their limits, as far as sliding joints go, and lengths are
         compared with the arm's.
 
@@ -119,15 +119,15 @@ class InverseKinematics:
         arm: Arm,
         free: Sequence[int] = (),
         frame: np.ndarray | None = None,
-        whole: bool = False,
+        to_limits: bool = False,
     ) -> None:
         self.arm = arm
         structure, tip = arm.structure(), np.eye(4)
         tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
         end = tip if frame is None else tip @ frame
-        self._whole = whole
-        self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if whole else LENGTH
-        self.lower, self.upper = _bounds(arm, structure.slides if whole else None)
+        self._to_limits = to_limits
+        self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH
+        self.lower, self.upper = _bounds(arm, structure.slides if to_limits else None)
         self.free = tuple(free)
         self._counted = np.setdiff1d(np.arange(6), free)
         self._chain = chain_table(structure, end)
@@ -232,7 +232,7 @@ class InverseKinematics:
             if course is not None:
                 yield course
                 count += 1
-            if self._whole and count == WHOLE_POSTURES:
+            if self._to_limits and count == WHOLE_POSTURES:
                 return
 
     def nearest(self, place: np.ndarray, rng: np.random.Generator, starts: int = 24) -> Miss:
@@ -285,7 +285,7 @@ class InverseKinematics:
         limited = np.isfinite(self.arm.position_limits).all(axis=1)
         half = np.maximum(0.5 * (self.upper - self.lower), 1e-9)
         room = np.minimum(course - self.lower, self.upper - course)
-        room = (room + MARGIN if self._whole else room) / half
+        room = (room + MARGIN if self._to_limits else room) / half
         return Reach(course, dexterity, float(np.min(room[:, limited], initial=1.0)), clearance)
 
 
@@ -297,7 +297,7 @@ def points_on_links(origins: np.ndarray) -> np.ndarray:
 
 def clearance(*distances: np.ndarray) -> float:
     """A factor of the quality: 1 where all distances [m] are at least ``APART``, never zero."""
-    nearest = min(float(np.min(own, initial=APART)) for own in distances)
+    nearest = min(float(np.min(part, initial=APART)) for part in distances)
     return float(np.clip(nearest / APART, 0.02, 1.0))
 
 

@@ -122,8 +122,8 @@ def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
             here, radius = out, RADIUS
             continue
         there = linkage.moved(here, u)
-        kept = -1.0 if there is None else (1.0 - (there.norm / here.norm) ** 2) / promised
-        if there is None or not (kept >= 0.1 or there.worst <= tolerance):
+        progress = -1.0 if there is None else (1.0 - (there.norm / here.norm) ** 2) / promised
+        if there is None or not (progress >= 0.1 or there.worst <= tolerance):
             radius = 0.5 * min(radius, float(np.max(np.abs(u))))
             continue
         ends = linkage.branch_ends(here, there, ranks)
@@ -136,7 +136,7 @@ def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
                 radius = 0.5 * min(radius, float(np.max(np.abs(u))))
             continue
         here, guards = there, guards[:0]
-        if kept > 0.5:
+        if progress > 0.5:
             radius = min(RADIUS, 2.0 * radius)
     linkage.place(here)
     return Closing(status, linkage.changes(begin, here))
@@ -217,9 +217,9 @@ class Linkage:
         if with_object:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
         holds = every_row | (data.model.constants.codes[: work.rows[-1], KIND] != TANGENT)
-        self._own = [np.flatnonzero(holds[slice(*work.rows[i : i + 2])]) for i in arms]
+        self._held_rows = [np.flatnonzero(holds[slice(*work.rows[i : i + 2])]) for i in arms]
         self.rows = np.concatenate(
-            [work.rows[i] + own for i, own in zip(arms, self._own, strict=True)]
+            [work.rows[i] + held for i, held in zip(arms, self._held_rows, strict=True)]
         )
         self._first = 6 if with_object else 0
         self.blocks = self._blocks()
@@ -227,10 +227,10 @@ class Linkage:
     def _blocks(self) -> list[tuple[slice, slice]]:
         """Place of every arm in ``J``: its rows and its columns."""
         blocks, r, c = [], 0, self._first
-        for i, own in zip(self._arms, self._own, strict=True):
+        for i, held in zip(self._arms, self._held_rows, strict=True):
             n = int(self._data.work.dofs[i + 1] - self._data.work.dofs[i])
-            blocks.append((slice(r, r + own.size), slice(c, c + n)))
-            r, c = r + own.size, c + n
+            blocks.append((slice(r, r + held.size), slice(c, c + n)))
+            r, c = r + held.size, c + n
         return blocks
 
     def here(self) -> Posture:
@@ -241,8 +241,8 @@ class Linkage:
         if self.with_object:
             J[:, :6] = b.Wo[self.rows]
             L[:6, :6] = np.linalg.cholesky(b.inertia)
-        for i, own, (r, c) in zip(self._arms, self._own, self.blocks, strict=True):
-            J[r, c] = work.Y[i, : c.stop - c.start, own]
+        for i, held, (r, c) in zip(self._arms, self._held_rows, self.blocks, strict=True):
+            J[r, c] = work.Y[i, : c.stop - c.start, held]
             L[c, c] = self._factor(i, c.stop - c.start)
         gaps = b.contacts[self.rows, GAP].copy()
         return Posture(

@@ -51,8 +51,8 @@ def joint_path(
     times, poses = route(start, path)
     if any(joint.kind != "weld" for joint in scene.joints):
         rigid = compile_scene(_rigidly_held(scene, data, start))
-        with rigid.borrow() as own:
-            return _joint_path(own, rigid.initial_state(), times, poses)
+        with rigid.borrow() as rigid_data:
+            return _joint_path(rigid_data, rigid.initial_state(), times, poses)
     return _joint_path(data, start, times, poses)
 
 
@@ -187,7 +187,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
 
 def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:
     gaps = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, GAP]))
-    arm, gap = max(((arm, float(np.max(own))) for arm, own in gaps.items()), key=lambda a: a[1])
+    arm, gap = max(((arm, float(np.max(gap))) for arm, gap in gaps.items()), key=lambda a: a[1])
     return ControlError(
         f"control.path: on the way to waypoint {segment} the arms cannot follow the object beyond "
         f"{100 * part:.0f} % (arm '{arm}' is {gap:.3g} m off); choose a nearer pose or other base "

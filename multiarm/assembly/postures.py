@@ -102,8 +102,8 @@ class PostureSearch:
     def _searches(self) -> list[tuple[InverseKinematics, int]]:
         """Searches, and their starts: well inside the limits first, and with nothing left free."""
         return [
-            (InverseKinematics(self.arm, free, self.on_tip, whole), starts)
-            for whole, starts in ((False, STARTS), (True, WHOLE_STARTS))
+            (InverseKinematics(self.arm, free, self.on_tip, to_limits), starts)
+            for to_limits, starts in ((False, STARTS), (True, WHOLE_STARTS))
             for free in dict.fromkeys([(), self.free])
         ]
 

@@ -93,7 +93,9 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         gap_rates=rates,
         gaps_left=gaps_by_arm(data),
         joint_change=float(np.max(moved)),
-        joint_changes={arm: float(np.max(own)) for arm, own in layout.split_joints(moved).items()},
+        joint_changes={
+            arm: float(np.max(change)) for arm, change in layout.split_joints(moved).items()
+        },
         object_held=held,
         object_shift=float(np.linalg.norm(start.position[:3] - written.position[:3])),
         object_turn=float(np.linalg.norm(difference(written.position[3:7], start.position[3:7]))),
@@ -128,15 +130,15 @@ def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartR
     SolverError
         When an arm's inertia is not positive definite.
     """
-    given = "the given state"
+    described = "the given state"
     if not (np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity))):
-        raise ModelError(f"{given} is not finite; make it with `system.state(...)`")
+        raise ModelError(f"{described} is not finite; make it with `system.state(...)`")
     try:
         place_state(data, 0.0, state)
-        return assemble(data, scene, given)
+        return assemble(data, scene, described)
     except SceneError as error:
         raise ModelError(
-            f"{given} cannot be the beginning of a run:\n"
+            f"{described} cannot be the beginning of a run:\n"
             + "\n".join(f"  {fault}" for fault in error.faults)
             + "\n`system.initial_state()` satisfies the joints; begin near it"
         ) from error
@@ -225,8 +227,8 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     if max(gaps.values()) <= tolerance:
         return True
     everything = list(range(len(data.model.arm_names)))
-    whole = Linkage(data, everything, True, limits)
-    begin = whole.here()
+    linkage = Linkage(data, everything, True, limits)
+    begin = linkage.here()
     closed, swings = True, False
     for i, gap in enumerate(gaps.values()):
         if gap > tolerance:
@@ -237,15 +239,15 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
             closed, swings = closed and end.status == CLOSED, swings or not end.change <= far
     if closed and not swings:
         return True
-    arms_alone = whole.here()
-    whole.place(begin)
-    end = close_gaps(whole, tolerance)
+    arms_alone = linkage.here()
+    linkage.place(begin)
+    end = close_gaps(linkage, tolerance)
     if end.status == CLOSED:
         return False
     if closed:
-        whole.place(arms_alone)
+        linkage.place(arms_alone)
         return True
-    raise SceneError(_cannot_close(data, name, gaps, whole, end))
+    raise SceneError(_cannot_close(data, name, gaps, linkage, end))
 
 
 def _check_way_round(data: Data, scene: Scene, name: str) -> None:
@@ -364,20 +366,20 @@ def _too_far(
 
 
 def _cannot_close(
-    data: Data, name: str, gaps: dict[str, float], whole: Linkage, end: Closing
+    data: Data, name: str, gaps: dict[str, float], linkage: Linkage, end: Closing
 ) -> list[str]:
     """Why the linkage of object and all arms could not be closed, from ``gaps`` as written [m].
 
     The posture that was reached is in the data.
     """
-    faults = _contradictions(data, name, whole)
+    faults = _contradictions(data, name, linkage)
     if faults:
         return faults
     if end.status == FAR:
         names = [*["the object"] * 6, *(f"joint '{name}'" for name in joint_names(data.model))]
         worst = int(np.argmax(end.changes))
         why = f"{names[worst]} would have to move by more than "
-        why += f"{FARTHEST * whole.unit[worst]:.3g} rad or m for it, which is no correction"
+        why += f"{FARTHEST * linkage.unit[worst]:.3g} rad or m for it, which is no correction"
     else:
         left = {
             arm: f"{gap:.3g} m at '{_worst_contact(data, arm)}'"
@@ -406,21 +408,21 @@ def _worst_contact(data: Data, arm: str) -> str:
     return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name
 
 
-def _contradictions(data: Data, name: str, whole: Linkage) -> list[str]:
+def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
     """Joints whose own contacts cannot all be closed, wherever the arm is."""
     b, faults, tolerance = data.arrays, [], projection_tolerance(data)
-    wrenches = b.Wo[whole.rows] * whole.unit[:6]
-    phi = b.contacts[whole.rows, GAP]
-    for arm, (own, _) in zip(data.model.arm_names, whole.blocks, strict=True):
-        U, s, _ = np.linalg.svd(wrenches[own])
+    wrenches = b.Wo[linkage.rows] * linkage.unit[:6]
+    phi = b.contacts[linkage.rows, GAP]
+    for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
+        U, s, _ = np.linalg.svd(wrenches[of_arm])
         dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
-        opposed = dependent @ (dependent.T @ phi[own])
+        opposed = dependent @ (dependent.T @ phi[of_arm])
         worst = float(np.max(np.abs(opposed), initial=0.0))
         # at least a tenth of the joint's largest gap; contacts with less than a tenth of the worst
         # part are not named
-        if not worst > max(0.1 * float(np.max(np.abs(phi[own]), initial=0.0)), tolerance):
+        if not worst > max(0.1 * float(np.max(np.abs(phi[of_arm]), initial=0.0)), tolerance):
             continue
-        rows = whole.rows[own][np.abs(opposed) > 0.1 * worst]
+        rows = linkage.rows[of_arm][np.abs(opposed) > 0.1 * worst]
         names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
         faults.append(
             f"the contacts {counted(names, 6)} of arm '{arm}' contradict each other "

@@ -30,7 +30,7 @@ def start_warnings(system: System) -> list[str]:
 
 def _joints_off_the_object(system: System) -> list[str]:
     """Of joints whose kind states the contacts; listed contacts have surfaces of their own."""
-    found = []
+    warnings = []
     for number, joint in enumerate(system.scene.joints):
         point = system.frames[joint.arm].on_object[:3, 3]
         nearest = None if joint.as_listed else system.scene.object.shape.nearest(point)
@@ -43,12 +43,12 @@ def _joints_off_the_object(system: System) -> list[str]:
         if joint.at is None:
             remedy = "the posture or the base, since without 'at' the joint is where the tip is"
         there = ", ".join(f"{x:.3g}" for x in nearest)
-        found.append(
+        warnings.append(
             f"{where}: the joint of arm {joint.arm!r} is {distance:.3g} m off the object's shape, "
             f"whose nearest point is [{there}] in the object's frame; correct {remedy}, or "
             "leave it if the object has a handle there"
         )
-    return found
+    return warnings
 
 
 def _own_size(joint: JointSpec) -> float:
@@ -57,19 +57,19 @@ def _own_size(joint: JointSpec) -> float:
 
 
 def _joints_at_limits(system: System) -> list[str]:
-    start, found = system.initial_state().joint_positions, []
+    start, warnings = system.initial_state().joint_positions, []
     for path in system.start_report.at_limit:
         arm, joint = path.split("/", 1)
         k = system.arms[arm].joint_names.index(joint)
         written, limit = system.model.robots[arm].posture[k], start[arm][k]
         if abs(written - limit) > MOVED:
             unit = system.arms[arm].joint_units[joint]
-            found.append(
+            warnings.append(
                 f"{place(('arms', arm, 'posture'))}: {joint!r} is written at {written:.6g} {unit}; "
                 f"to close the joints, assembly pushed it into its limit {limit:.6g} {unit}; "
                 "correct the posture, the base or the joint's place"
             )
-    return found
+    return warnings
 
 
 def _links_in_the_way(system: System) -> list[str]:

@@ -13,11 +13,14 @@ import typer
 from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.options import (
     FILES,
+    Arms,
+    Duration,
     JsonFile,
     NoCode,
+    OutputStep,
+    chosen,
     file_option,
     option,
-    with_settings,
 )
 from multiarm.cli.studies import draw_files, lines_of, print_texts, write_files
 from multiarm.errors import MultiarmError
@@ -45,14 +48,15 @@ class Quantity(str, Enum):
     force = "force"
 
 
-@with_settings("duration", "output_step", "arms")
 def accuracy(
     scene: Annotated[
         Path | None,
         typer.Argument(help="The scene, a YAML file.", metavar="SCENE", show_default=False),
     ] = None,
     *,
-    settings: dict[str, Any],
+    duration: Duration = None,
+    output_step: OutputStep = None,
+    arms: Arms = None,
     peers: Annotated[
         bool,
         typer.Option(
@@ -141,6 +145,7 @@ def accuracy(
         found = read_results(source)
     else:
         assert scene is not None, "one of the two is there"
+        settings = chosen(duration=duration, output_step=output_step, arms=arms)
         target = out if out is not None else _own_file(scene, settings)
         check_targets(
             {"--out": target, "--plot": plot, "--html": html, "--json": json}, source=scene

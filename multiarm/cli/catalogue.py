@@ -75,13 +75,18 @@ class Card:
         """The card of one key of a table: its parameters, or the one value that it has."""
         from multiarm.scene.faults import models_in
 
-        (own,) = (parameter for parameter in parameters_of(owner) if parameter.name == name)
+        (key,) = (parameter for parameter in parameters_of(owner) if parameter.name == name)
         within = [
             parameter
             for model in models_in(owner.model_fields[name].annotation)
             for parameter in parameters_of(model)
         ]
-        return cls(name, own.meaning, within or [replace(own, default="required")], example)
+        return cls(
+            name,
+            key.meaning,
+            within or [replace(key, default="required")],
+            example,
+        )
 
     def figures(self) -> dict[str, Any]:
         """What is shown, as JSON."""
@@ -128,10 +133,11 @@ class Section:
         **shown: Any,
     ) -> Section:
         """Our classes of a sort and the users'; ``shown`` are further attributes."""
-        own, faults = registry.classes()
+        user_classes, faults = registry.classes()
         cards = {name: card(name, kind, kind) for name, kind in ours.items()}
         cards |= {
-            name: card(name, kind, registry.parameters_of(kind)) for name, kind in own.items()
+            name: card(name, kind, registry.parameters_of(kind))
+            for name, kind in user_classes.items()
         }
         return cls(title, registry.noun, registry.plural, cards, faults, **shown)
 
@@ -150,20 +156,20 @@ def show(
     first, *further = sections
     print_warnings(fault for section in sections.values() for fault in section.faults)
     known = list(sections[first].cards)
-    for other in further:
-        known += [other, *sections[other].cards]
+    for title in further:
+        known += [title, *sections[title].cards]
     if name is not None and name not in known:
         from multiarm.scene.faults import unknown
 
         noun, plural = sections[first].noun, sections[first].plural
         raise MultiarmError(unknown(noun, name, known, plural, f"multiarm {command}"))
     chosen = {
-        key: {own: card for own, card in section.cards.items() if name in (None, key, own)}
+        key: {kind: card for kind, card in section.cards.items() if name in (None, key, kind)}
         for key, section in sections.items()
     }
     if json is not None:
         figures = {
-            key: {own: card.figures() for own, card in cards.items()}
+            key: {kind: card.figures() for kind, card in cards.items()}
             for key, cards in chosen.items()
         }
         write_json(json, figures)

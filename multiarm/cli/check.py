@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
 from multiarm.cli.holding import carrying_rows, overload_warnings
-from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
-from multiarm.notation import count_of, number, numbers
+from multiarm.cli.options import Arms, Code, JsonFile, SceneFile
+from multiarm.notation import number, numbers, value_text
 from multiarm.terminal.console import (
     accuracy,
     columns,
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     from multiarm.dynamics.system import StartReport
     from multiarm.simulation.inspection import (
         ArmFacts,
-        EffectFacts,
         Freedom,
         Inspection,
         JointFacts,
@@ -37,17 +34,16 @@ if TYPE_CHECKING:
 __all__ = ["check"]
 
 
-@with_settings("arms")
 def check(
     scene: SceneFile,
-    settings: dict[str, Any],
+    arms: Arms = None,
     json: JsonFile = None,
     code: Code = False,
 ) -> None:
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
     All faults of a scene are listed together, each with its place and the alternatives; the exit
-    code is then 2.
+    code is then 2. What each effect costs and changes, **multiarm effects** measures.
 
     The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
     control, run, start, position_residual, velocity_residual, residuals, carrying, warnings,
@@ -58,16 +54,12 @@ def check(
     loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
     from multiarm.simulation.inspection import inspect_system
-    from multiarm.studies.effect_costs.study import effects_of_evaluation
 
     with Progress() as progress:
-        system, left = compile_for_inspection(loaded, settings.get("arms"))
+        system, left = compile_for_inspection(loaded, arms)
         progress(0, 0, "inspecting")
         inspection = inspect_system(system, left)
         print_warnings(inspection.warnings[len(loaded.warnings) :])
-        if inspection.start is not None:
-            progress(0, 0, "timing the effects")
-            inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     print_warnings(inspection.not_looked_at)
     print_warnings(overload_warnings(inspection.carrying))
     if json is not None:
@@ -77,31 +69,35 @@ def check(
         console.print(table)
 
 
-def _tables(found: Inspection) -> list[RenderableType]:
+def _tables(inspection: Inspection) -> list[RenderableType]:
     tables = [
-        facts(found.scene, _general(found)),
-        *(facts(f"Arm {name}", _arm(arm)) for name, arm in found.arms.items()),
+        facts(inspection.scene, _general(inspection)),
+        *(facts(f"Arm {name}", _arm(arm)) for name, arm in inspection.arms.items()),
         columns(
             "Joints to the object (z: the joint's axis or normal)",
             ("arm", "kind", "rows", "free motions", "contacts"),
-            [_joint(joint) for joint in found.joints],
+            [_joint(joint) for joint in inspection.joints],
         ),
-        _effects(found.effects),
+        facts(
+            "Effects",
+            {name: value_text(parameters) for name, parameters in inspection.effects.items()}
+            or {"none": "only control acts"},
+        ),
     ]
-    if found.freedom is not None:
-        tables.append(facts("Freedom", _freedom(found.freedom, found.coming_and_going)))
-    if found.start is not None:
-        tables.append(facts("Start", _start(found, found.start)))
-    return [*tables, facts("Run", _run(found.run))]
+    if inspection.freedom is not None:
+        tables.append(facts("Freedom", _freedom(inspection.freedom, inspection.coming_and_going)))
+    if inspection.start is not None:
+        tables.append(facts("Start", _start(inspection, inspection.start)))
+    return [*tables, facts("Run", _run(inspection.run))]
 
 
-def _general(found: Inspection) -> dict[str, RenderableType]:
-    body = found.object
+def _general(inspection: Inspection) -> dict[str, RenderableType]:
+    body = inspection.object
     return {
-        "gravity": "none" if found.gravity is None else numbers(found.gravity, "m/s^2"),
+        "gravity": "none" if inspection.gravity is None else numbers(inspection.gravity, "m/s^2"),
         "object": f"{body.shape}, {number(body.mass, 'kg')}, at {numbers(body.position, 'm')}",
         "inertia": _inertia(body.inertia),
-        "control": found.control,
+        "control": inspection.control,
     }
 
 
@@ -162,24 +158,6 @@ def _posture(arm: ArmFacts) -> Text:
     return text.append("".join(f"; {words}" for words in arm.lost_motions))
 
 
-def _effects(effects: Mapping[str, EffectFacts | None]) -> RenderableType:
-    """What each effect adds to an evaluation."""
-    title = "Effects, and what each adds to an evaluation"
-    if not effects:
-        return facts(title, {"none": "no effects: nothing is added"})
-    heads = ("effect", "\N{MICRO SIGN}s", "arrays", "states", "rows", "Python calls")
-    return columns(title, heads, [_effect(name, added) for name, added in effects.items()])
-
-
-def _effect(name: str, added: EffectFacts | None) -> tuple[RenderableType, ...]:
-    if added is None or added.microseconds is None:
-        return name, Text("" if added is None else added.trouble, "dim")
-    spread = f"{added.microseconds:.2f} \N{PLUS-MINUS SIGN} {added.uncertainty_microseconds:.2f}"
-    time = Text(f"{spread}, within noise" if added.within_noise else spread)
-    counts = (added.states, added.rows, added.callbacks)
-    return name, time, count_of(added.bytes, "byte"), *(str(count or "-") for count in counts)
-
-
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     kept, dropped = freedom.smallest_kept, freedom.largest_dropped
     cut = f"smallest relative singular value {number(kept)}"
@@ -199,19 +177,19 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     return rows
 
 
-def _start(found: Inspection, start: StartReport) -> dict[str, RenderableType]:
-    left = found.residuals
+def _start(inspection: Inspection, start: StartReport) -> dict[str, RenderableType]:
+    left = inspection.residuals
     assert left is not None, "a start has been evaluated"
     rows: dict[str, RenderableType] = {
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
         "corrections": "\n".join(start.lines()) or "none",
-        "left after them": f"gap {number(found.position_residual, 'm')}, "
-        f"rate {number(found.velocity_residual, 'm/s')}",
+        "left after them": f"gap {number(inspection.position_residual, 'm')}, "
+        f"rate {number(inspection.velocity_residual, 'm/s')}",
         "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
-    rows |= carrying_rows(found.carrying)
+    rows |= carrying_rows(inspection.carrying)
     return rows
 
 

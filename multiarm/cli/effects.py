@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from multiarm.cli.catalogue import show
 from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.joints import effect_section
-from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
+from multiarm.cli.options import (
+    Arms,
+    Duration,
+    JsonFile,
+    NoCode,
+    chosen,
+    file_option,
+    option,
+)
 from multiarm.cli.studies import print_texts, write_files
 from multiarm.errors import MultiarmError
 from multiarm.terminal.progress import Progress
@@ -22,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["effects"]
 
 
-@with_settings("duration", "arms")
 def effects(
     scene: Annotated[
         Path | None,
@@ -33,7 +40,8 @@ def effects(
         ),
     ] = None,
     *,
-    settings: dict[str, Any],
+    duration: Duration = None,
+    arms: Arms = None,
     listing: Annotated[
         bool,
         typer.Option("--list", help="List the effects with their parameters, or show one in full."),
@@ -80,6 +88,7 @@ def effects(
     if scene is None:
         raise MultiarmError("name a scene to measure, or '--list' to see what effects there are")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
+    settings = chosen(duration=duration, arms=arms)
     found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
     from multiarm.studies.effect_costs import page
 

@@ -147,7 +147,7 @@ def design(
     from multiarm.scene import dump_scene
 
     solid = body_of_text(body, scale)
-    made, scene = _first_in_reach(
+    grasp, scene = _first_in_reach(
         _designs(solid, offset, gripper_size, optimise, gap, tip_radius, seed),
         arms,
         mass=mass,
@@ -159,9 +159,9 @@ def design(
         name=f"{_who(arms)} hold {body} by two corners",
         progress=True,
     )
-    comments = "".join(f"# {line}\n" for line in (_command_line(context, body), *made.notes))
+    comments = "".join(f"# {line}\n" for line in (_command_line(context, body), *grasp.notes))
     text = comments + dump_scene(scene)
-    rows = design_facts(made)
+    rows = design_facts(grasp)
     if scene.object.pose.matrix()[2, 2] < UPRIGHT:
         rows["object"] = "turned at the start: upright, the arms do not reach it"
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
@@ -171,7 +171,7 @@ def design(
     messages().print(facts("Grasp", rows))
     print_warnings(overload_warnings(carrying))
     if plot is not None:
-        _draw(made, plot)
+        _draw(grasp, plot)
     if out is None:
         typer.echo(printable(text), nl=False)
         return
@@ -208,14 +208,14 @@ def check(
 
     with Progress() as progress:
         system, left = compile_for_inspection(loaded)
-        unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
+        unknown = [f"{part.what} ({part.place})" for part in left if part.arm]
         if unknown:
             raise GraspError(
                 f"this grasp cannot be judged without {', '.join(unknown)}, which this command "
                 "does not load; if you trust its author, allow it with --code"
             )
-        found = read_grasp(system)
-        judgement = judge_grasp(system, found, progress)
+        scene_grasp = read_grasp(system)
+        judgement = judge_grasp(system, scene_grasp, progress)
     if json is not None:
         write_json(json, judgement.as_dict())
     console = output()
@@ -223,7 +223,7 @@ def check(
         console.print(table)
     print_warnings(overload_warnings(judgement.carrying))
     if plot is not None:
-        _draw(found.as_grasp(), plot)
+        _draw(scene_grasp.as_grasp(), plot)
         print_written("picture", plot)
 
 
@@ -361,23 +361,23 @@ def design_facts(grasp: Grasp) -> dict[str, RenderableType]:
     return rows
 
 
-def judgement_tables(found: GraspJudgement) -> list[RenderableType]:
+def judgement_tables(judgement: GraspJudgement) -> list[RenderableType]:
     """The contacts of a scene's grasp, and its properties."""
     table = columns(
         "Contacts, in the object's frame, at the start; numbers are those of the picture",
         ("no.", "arm", "contact", "face", "at, m", "force", "may slide by", "share"),
         [
-            (str(place), *_contact(contact, found))
-            for place, contact in enumerate(found.contacts, 1)
+            (str(place), *_contact(contact, judgement))
+            for place, contact in enumerate(judgement.contacts, 1)
             if not contact.pulls
         ],
     )
     table.padding, table.pad_edge = (0, 1, 0, 0), False
-    return [table, facts("Grasp", _grasp_facts(found))]
+    return [table, facts("Grasp", _grasp_facts(judgement))]
 
 
-def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableType, ...]:
-    pulled = contact.force < 0.0 and found.only_pushes
+def _contact(contact: ContactFacts, judgement: GraspJudgement) -> tuple[RenderableType, ...]:
+    pulled = contact.force < 0.0 and judgement.only_pushes
     force = Text(number(contact.force, "N"), "yellow" if pulled else "")
     return (
         contact.arm,
@@ -390,25 +390,25 @@ def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableTy
     )
 
 
-def _grasp_facts(found: GraspJudgement) -> dict[str, RenderableType]:
+def _grasp_facts(judgement: GraspJudgement) -> dict[str, RenderableType]:
     rows: dict[str, RenderableType] = {
-        "verdict": _verdict(found.closed, found.verdict),
+        "verdict": _verdict(judgement.closed, judgement.verdict),
         "contacts": "all can only push"
-        if found.only_pushes
+        if judgement.only_pushes
         else "some hold both ways, as joints do",
     }
-    if found.borderline:
+    if judgement.borderline:
         rows["borderline"] = Text("roundings decide; move the contacts apart", "yellow")
-    if found.left_out:
-        rows["left out"] = f"no contacts in points: {', '.join(found.left_out)}"
-    if found.closed:
-        rows["margin"] = f"smallest share {number(found.margin)} of 1 at best"
-    elif found.immobility_order == 2:
+    if judgement.left_out:
+        rows["left out"] = f"no contacts in points: {', '.join(judgement.left_out)}"
+    if judgement.closed:
+        rows["margin"] = f"smallest share {number(judgement.margin)} of 1 at best"
+    elif judgement.immobility_order == 2:
         rows["to second order"] = "held, by what turning does to the flat faces"
-    if found.carrying_force is not None:
-        rows["weight"] = f"carried with at most {number(found.carrying_force, 'N')} a contact"
-    rows |= carrying_rows(found.carrying)
-    stability = found.stability
+    if judgement.carrying_force is not None:
+        rows["weight"] = f"carried with at most {number(judgement.carrying_force, 'N')} a contact"
+    rows |= carrying_rows(judgement.carrying)
+    stability = judgement.stability
     if stability is not None:
         if stability.closure_radius is not None:
             rows["all may slide by"] = (
@@ -418,10 +418,11 @@ def _grasp_facts(found: GraspJudgement) -> dict[str, RenderableType]:
             f"{', '.join(stability.six)}; they stay so within "
             f"{number(stability.independence_limit, 'm')}"
         )
-    if found.frame_position is not None and found.frame_rotation is not None:
+    if judgement.frame_position is not None and judgement.frame_rotation is not None:
         rows["object's frame"] = (
-            f"from contact points known to 0.1 mm: within {number(1e3 * found.frame_position)} mm "
-            f"and {number(1e3 * found.frame_rotation)} mrad (standard deviations)"
+            f"from contact points known to 0.1 mm: within "
+            f"{number(1e3 * judgement.frame_position)} mm and "
+            f"{number(1e3 * judgement.frame_rotation)} mrad (standard deviations)"
         )
     return rows
 

@@ -90,7 +90,7 @@ def _joint_card(kind: str, model: type[Joint], parameters: Any) -> Card:
     contacts, motions = _sample(model)
     rows, rank = len(contacts) or None, None if motions is None else motions.rank
     free = None if motions is None else motions.words()
-    made, names = _made_of(contacts), [contact.name for contact in contacts]
+    surfaces, names = _made_of(contacts), [contact.name for contact in contacts]
     moves = "depend on the scene, see multiarm check" if free is None else ", ".join(free)
     here = "; those of the example" if model.as_listed else ""
     return Card(
@@ -102,17 +102,17 @@ def _joint_card(kind: str, model: type[Joint], parameters: Any) -> Card:
         facts={
             "rows": f"{rows}, rank {rank}{here}" if rank else str(rows or ""),
             "free motions": moves or "none",
-            "made of": made,
+            "made of": surfaces,
             "names of the rows": ", ".join(names),
         },
-        listed={} if model.as_listed else {"free": moves or "nothing", "made of": made},
+        listed={} if model.as_listed else {"free": moves or "nothing", "made of": surfaces},
         key="kind",
         further={
             "as_listed": model.as_listed,
             "rows": rows,
             "rank": rank,
             "free": free,
-            "made_of": made,
+            "made_of": surfaces,
             "row_names": names,
         },
     )

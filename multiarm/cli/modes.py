@@ -110,9 +110,9 @@ def _row(place: int, mode: Mode) -> tuple[Any, ...]:
     return (
         str(place),
         Text(mode.kind, "bold red" if grows else ""),
-        number(mode.frequency, "Hz") if mode.frequency else "-",
-        f"{mode.damping_ratio:.3g}" if mode.frequency else "-",
-        "-" if math.isinf(mode.time_constant) else number(mode.time_constant, "s"),
+        number(mode.frequency or None, "Hz"),
+        number(mode.damping_ratio if mode.frequency else None),
+        number(None if math.isinf(mode.time_constant) else mode.time_constant, "s"),
         "\n".join(mode.moving) or "states of effects",
     )
 

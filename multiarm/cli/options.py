@@ -1,33 +1,37 @@
-"""Options of the commands: those that several share, and those that derive from the run's schema.
-
-A command with :func:`with_settings` has an option for each key of a scene's ``run``: its type,
-choices and help are those of :class:`multiarm.scene.RunSpec`.
-"""
+"""Options of the commands that several share, such as those of a run's settings."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
-from enum import Enum
-from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 
 __all__ = [
     "FILES",
     "METHOD",
-    "OF_SCENE",
+    "Accuracy",
+    "AccuracyOfRun",
+    "Arms",
+    "Closing",
     "Code",
+    "Duration",
     "JsonFile",
+    "Method",
+    "MostSteps",
     "NoCode",
+    "OutputStep",
     "Quiet",
     "SceneFile",
+    "Solver",
+    "Step",
+    "Tolerance",
+    "chosen",
     "file_option",
     "option",
     "switch",
-    "with_settings",
 ]
 
 OF_SCENE = "the scene's"
@@ -78,93 +82,94 @@ NoCode = Annotated[
 ]
 
 
-def with_settings(*names: str) -> Callable[[Callable[..., None]], _WithSettings]:
-    """Let a command's parameter ``settings`` be options: of a run, all or those that are named.
-
-    The command gets a table with the settings that are given.
-    """
-    return lambda command: _WithSettings(command, names)
+def setting(text: str, metavar: str) -> Any:
+    """The option of a setting of runs."""
+    return option(text, metavar, default=OF_SCENE, panel=METHOD)
 
 
-class _WithSettings:
-    """A command whose options are read from the schema when they are needed, not on import."""
-
-    def __init__(self, command: Callable[..., None], names: tuple[str, ...]) -> None:
-        update_wrapper(self, command, ("__module__", "__name__", "__qualname__", "__doc__"))
-        self._command, self._names = command, names
-
-    def __call__(self, **arguments: Any) -> None:
-        given = {name: arguments.pop(name, None) for name in self._options}
-        settings = {
-            name: value.value if isinstance(value, Enum) else value
-            for name, value in given.items()
-            if value is not None
-        }
-        self._command(**arguments, settings=settings)
-
-    @property
-    def __signature__(self) -> inspect.Signature:
-        """The command's, with options in place of ``settings``."""
-        written = inspect.signature(self._command, eval_str=True)
-        parameters: list[inspect.Parameter] = []
-        for parameter in written.parameters.values():
-            further = self._options.values() if parameter.name == "settings" else [parameter]
-            parameters += [own.replace(kind=inspect.Parameter.KEYWORD_ONLY) for own in further]
-        return written.replace(parameters=parameters)
-
-    @property
-    def __annotations__(self) -> dict[str, Any]:  # type: ignore[override]
-        return {own.name: own.annotation for own in self.__signature__.parameters.values()}
-
-    @cached_property
-    def _options(self) -> dict[str, inspect.Parameter]:
-        from multiarm.scene.run import STEPS_CHOSEN_BY, RunSpec
-
-        found = {}
-        for name, own in _settings_of(RunSpec).items():
-            sort = _type(name, own)
-            if sort is None or (self._names and name not in self._names):
-                continue
-            text = own.get("description", "")
-            if name == STEPS_CHOSEN_BY[0] and not self._names:
-                others = ", ".join(f"--{other}" for other in STEPS_CHOSEN_BY[1:])
-                text += f" Any of this, {others} replaces the scene's choice of all four."
-            if issubclass(sort, Enum) and any(choice.value not in text for choice in sort):
-                text += f" One of {', '.join(choice.value for choice in sort)}."
-            metavar = _metavar(name, text, sort)
-            declared = option(text, metavar, default=OF_SCENE, panel=METHOD)
-            found[name] = inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=None,
-                annotation=Annotated[sort | None, declared],
-            )
-        return found
+def choice(text: str, *choices: str) -> Any:
+    """The option of a setting with few values, which its help lists: in its table they break."""
+    unnamed = [name for name in choices if name not in text]
+    return setting(f"{text} One of {', '.join(choices)}." if unnamed else text, "NAME")
 
 
-@cache
-def _settings_of(model: Any) -> dict[str, Any]:
-    """The schema of each setting, made once for all commands."""
-    from multiarm.scene.json_schema import json_schema
+# Words and choices are those of multiarm.scene.RunSpec, as a test claims: the commands know them
+# without what reads scenes.
+if TYPE_CHECKING:
+    Integrator = str
+else:
+    Integrator = Literal[tuple(METHODS)]
+ACCURACY = (
+    "Largest error of the whole run at the worst output time: a number [m and rad], or a table "
+    "{position: [m], rotation: [rad], force: [N]}, some of them. The program chooses method and "
+    "steps, checks the result against a tightened rerun and repeats the run with smaller "
+    "tolerances if need be. 1e-6 by default."
+)
+Duration = Annotated[float | None, setting("Simulated time [s].", "S")]
+Accuracy = Annotated[float | None, setting(ACCURACY, "A")]
+AccuracyOfRun = Annotated[
+    float | None,
+    setting(
+        f"{ACCURACY} Any of this, --integrator, --step, --tolerance replaces the scene's choice of "
+        "all four.",
+        "A",
+    ),
+]
+Method = Annotated[
+    Integrator | None,
+    choice(
+        f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed 'step'; "
+        f"{', '.join(ADAPTIVE_INTEGRATORS)} choose their steps by 'accuracy' or 'tolerance'. "
+        "Absent: dopri5 or dop853 by the accuracy, and rodas5p where the scene turns out to be "
+        "stiff.",
+        *METHODS,
+    ),
+]
+Step = Annotated[float | None, setting("Fixed step [s].", "S")]
+Tolerance = Annotated[
+    float | None,
+    setting("Error of one step of an adaptive integrator [m, rad, m/s, rad/s].", "T"),
+]
+Closing = Annotated[
+    Literal["projection", "feedback", "none"] | None,
+    choice(
+        "How the joints are kept closed although integration errors add up.",
+        "projection",
+        "feedback",
+        "none",
+    ),
+]
+OutputStep = Annotated[float | None, setting("Time between stored samples [s].", "S")]
+MostSteps = Annotated[
+    float | None,
+    setting(
+        "Steps for one second of simulated time (for the whole run, if that is shorter): a run "
+        "that needs more at the pace of its last thousands of steps, rejected ones and events "
+        "counted, fails instead of running for hours.",
+        "M",
+    ),
+]
+Solver = Annotated[
+    Literal["node", "dense"] | None,
+    choice(
+        "The node algorithm, or the whole linear system at once, an independent reference to "
+        "compare with.",
+        "node",
+        "dense",
+    ),
+]
+Arms = Annotated[
+    Literal["pinocchio", "compiled"] | None,
+    choice(
+        "Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is "
+        "several times as fast and verified against Pinocchio whenever the scene is compiled. An "
+        "arm that cannot be compiled stays with Pinocchio and says so.",
+        "pinocchio",
+        "compiled",
+    ),
+]
 
-    return json_schema(model)["properties"]
 
-
-def _metavar(name: str, text: str, sort: type) -> str:
-    """A letter for a value; choices have names, which the help lists: in its table they break."""
-    if issubclass(sort, Enum):
-        return "NAME"
-    return "S" if "[s]" in text else name[0].upper()
-
-
-_TYPES: Mapping[str, type] = {"number": float, "integer": int, "boolean": bool, "string": str}
-
-
-def _type(name: str, schema: Mapping[str, Any]) -> type | None:
-    """What may be written on the command line; None where a setting is a table only."""
-    for one in schema.get("anyOf", [schema]):
-        if "enum" in one:
-            return Enum(name, {value: value for value in one["enum"]}, type=str)  # type: ignore[return-value]
-        if one.get("type") in _TYPES:
-            return _TYPES[one["type"]]
-    return None
+def chosen(**settings: Any) -> dict[str, Any]:
+    """The settings of a run that the command line names; the scene's stand for the others."""
+    return {name: value for name, value in settings.items() if value is not None}

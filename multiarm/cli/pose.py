@@ -64,13 +64,13 @@ def pose(
     print_written("scene", scene)
 
 
-def _base(written: ArmSpec, found: ArmSpec) -> dict[str, str]:
+def _base(written: ArmSpec, solved: ArmSpec) -> dict[str, str]:
     """The entries of a base that was found; empty where it was written."""
-    solved = set(written.open_base)
-    parts = {"xyz": solved & {"x", "y", "z"}, "rpy": solved & {"roll", "pitch", "yaw"}}
-    return {key: _written(getattr(found.base, key)) for key, names in parts.items() if names}
+    sought = set(written.open_base)
+    parts = {"xyz": sought & {"x", "y", "z"}, "rpy": sought & {"roll", "pitch", "yaw"}}
+    return {key: _written(getattr(solved.base, key)) for key, names in parts.items() if names}
 
 
 def _written(numbers: Iterable[float]) -> str:
     """A list of numbers as YAML, to a hundredth of a microradian or nanometres."""
-    return f"[{', '.join(f'{x:.8f}'.rstrip('0').rstrip('.') for x in numbers)}]"
+    return f"[{', '.join(f'{round(x, 8) + 0.0:.8f}'.rstrip('0').rstrip('.') for x in numbers)}]"

@@ -11,7 +11,7 @@ import typer
 
 from multiarm.cli.catalogue import Card, Section, show
 from multiarm.cli.options import JsonFile
-from multiarm.notation import count_of
+from multiarm.notation import count_of, number
 
 if TYPE_CHECKING:
     from multiarm.scene import JointOutline, RobotEntry, RobotOutline
@@ -54,7 +54,7 @@ def robots(
         "Robots",
         "robot",
         "robots",
-        {own: _card(entry) for own, entry in known.items()},
+        {robot_name: _card(entry) for robot_name, entry in known.items()},
         heads=("robot", "joints", "where it is from"),
         note=f"To be fetched first (python -m {DESCRIPTIONS} pull NAME): {', '.join(left)}"
         if left
@@ -116,8 +116,8 @@ def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) ->
         return "\n".join([*lines, "    robot: ur5", f"    tool: {{{_named(entry)}, mount: tool0}}"])
     lines.append(f"    {_named(entry)}")
     if entry.tip is None:
-        others = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
-        lines.append(f"    tip: {ends[0]}{others}")
+        further_tips = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
+        lines.append(f"    tip: {ends[0]}{further_tips}")
     return "\n".join([*lines, "    base: {xyz: [0, 0, 0], rpy: [0, 0, 0]}"])
 
 
@@ -131,9 +131,9 @@ def _words(joint: JointOutline) -> str:
     unit, effort = ("m", "N") if joint.kind == "prismatic" else ("rad", "N m")
     words = [joint.kind if joint.mimic is None else f"{joint.kind}, copies {joint.mimic.joint}"]
     if math.isfinite(joint.lower):
-        words.append(f"{joint.lower:.4g} to {joint.upper:.4g} {unit}")
+        words.append(f"{number(joint.lower, digits=4)} to {number(joint.upper, unit, digits=4)}")
     if math.isfinite(joint.velocity_limit):
-        words.append(f"{joint.velocity_limit:.4g} {unit}/s")
+        words.append(number(joint.velocity_limit, f"{unit}/s", digits=4))
     if math.isfinite(joint.effort_limit):
-        words.append(f"{joint.effort_limit:.4g} {effort}")
+        words.append(number(joint.effort_limit, effort, digits=4))
     return ", ".join(words)

@@ -15,13 +15,23 @@ from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import (
     FILES,
     METHOD,
+    AccuracyOfRun,
+    Arms,
+    Closing,
+    Duration,
     JsonFile,
+    Method,
+    MostSteps,
     NoCode,
+    OutputStep,
     Quiet,
     SceneFile,
+    Solver,
+    Step,
+    Tolerance,
+    chosen,
     file_option,
     switch,
-    with_settings,
 )
 from multiarm.cli.show import show_replay
 from multiarm.errors import SceneError
@@ -51,10 +61,18 @@ __all__ = ["run", "run_figures", "summary_table"]
 NOTABLE_GAP = 1e-3
 
 
-@with_settings()
 def run(
     scene: SceneFile,
-    settings: dict[str, Any],
+    duration: Duration = None,
+    accuracy: AccuracyOfRun = None,
+    integrator: Method = None,
+    step: Step = None,
+    tolerance: Tolerance = None,
+    stabilization: Closing = None,
+    output_step: OutputStep = None,
+    most_steps: MostSteps = None,
+    solver: Solver = None,
+    arms: Arms = None,
     certificate: Annotated[
         bool,
         switch(
@@ -119,6 +137,18 @@ def run(
         source=scene,
     )
     TrajectoryReader.writable_target(target)
+    settings = chosen(
+        duration=duration,
+        accuracy=accuracy,
+        integrator=integrator,
+        step=step,
+        tolerance=tolerance,
+        stabilization=stabilization,
+        output_step=output_step,
+        most_steps=most_steps,
+        solver=solver,
+        arms=arms,
+    )
     trajectory, system, compilation = _simulate(loaded, settings, certificate, target, quiet)
     print_warnings(_remarks(trajectory, system))
     figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compilation > 0.0)
@@ -146,7 +176,7 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     if gap > NOTABLE_GAP:
         arm = max(start.gaps, key=lambda name: start.gaps[name])
         remarks.append(
-            f"the written start was {gap:.3g} m off at arm '{arm}' and was assembled: "
+            f"the written start was {number(gap, 'm')} off at arm '{arm}' and was assembled: "
             + "; ".join(start.lines())
         )
     if trajectory.status == "completed":

@@ -60,9 +60,9 @@ def schema_text(sort: str, built_in: bool = False) -> tuple[str, list[str]]:
     if sort == Sort.sweep.value:
         from multiarm.sweeps.spec import SweepSpec
 
-        found, faults = json_schema(SweepSpec), []
+        schema, faults = json_schema(SweepSpec), []
     else:
-        found = json_schema(Scene, built_in)
+        schema = json_schema(Scene, built_in)
         sorts = () if built_in else REGISTRIES
         faults = [fault for registry in sorts for fault in registry.classes()[1]]
-    return json.dumps(found, indent=1, ensure_ascii=False) + "\n", faults
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n", faults

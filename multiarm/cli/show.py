@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["replay", "report", "show_replay"]
 
 RESULT = typer.Argument(
-    help="A result of multiarm run, or of multiarm sweep with --run; an HDF5 file.",
-    metavar="RESULT.h5",
+    help="The file of multiarm run, or the folder of multiarm sweep with --run.",
+    metavar="RESULT",
 )
 REPORT = Path("report.html")
 RUN = option("Number of a run of a sweep, which is simulated again.", "N", default="none")
@@ -130,9 +130,9 @@ def show_replay(
 def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
     """The trajectory in a file, or of a sweep's run; warns if it did not complete."""
     from multiarm.scene import named_code
-    from multiarm.sweeps.store import SweepReader
+    from multiarm.sweeps.folder import is_sweep
 
-    if SweepReader.matches(resolved(result)):
+    if is_sweep(resolved(result)):
         trajectory = _run_of_sweep(result, run, code)
     else:
         trajectory = _open_result(result)
@@ -166,25 +166,22 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     from multiarm.sweeps.result import load_sweep
 
     sweep = load_sweep(result, code)
-    try:
-        if run is None:
-            raise MultiarmError(
-                f"'{result}' is a sweep of {count_of(sweep.count, 'run')}; choose the one "
-                f"to show: --run 1 to --run {sweep.count}"
-            )
-        values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
-        messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)
-        row = sweep.row(run) if run in sweep.runs else None
-        if row is not None and row.status == "failed":
-            print_warnings([f"this run is a failed one of the sweep: {row.message}"])
-        named = named_code(sweep.scene_of(run))
-        if named and not code:
-            raise MultiarmError(
-                f"run {run} of '{result}' is simulated again, which needs "
-                f"{', '.join(dict.fromkeys(one.what for one in named))} and loads no code that a "
-                "result names; if you trust its author, allow it with --code"
-            )
-        print_loaded(named)
-        return sweep.trajectory(run)
-    finally:
-        sweep.close()
+    if run is None:
+        raise MultiarmError(
+            f"'{result}' is a sweep of {count_of(sweep.count, 'run')}; choose the one to show: "
+            f"--run 1 to --run {sweep.count}"
+        )
+    values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
+    messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)
+    failed = sweep.table.query("run == @run and status == 'failed'")
+    if len(failed):
+        print_warnings([f"this run is a failed one of the sweep: {failed['message'].item()}"])
+    named = named_code(sweep.scene_of(run))
+    if named and not code:
+        raise MultiarmError(
+            f"run {run} of '{result}' is simulated again, which needs "
+            f"{', '.join(dict.fromkeys(one.what for one in named))} and loads no code that a "
+            "result names; if you trust its author, allow it with --code"
+        )
+    print_loaded(named)
+    return sweep.trajectory(run)

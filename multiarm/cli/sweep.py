@@ -1,11 +1,11 @@
-"""``multiarm sweep``: run a scene many times with other values; the file survives a kill."""
+"""``multiarm sweep``: run a scene many times with other values; the rows survive a kill."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import RenderableType
@@ -15,17 +15,19 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import (
     FILES,
+    Accuracy,
+    Duration,
     JsonFile,
     NoCode,
     Quiet,
     SceneFile,
+    chosen,
     file_option,
     option,
-    with_settings,
 )
 from multiarm.errors import SweepError
 from multiarm.notation import count_of, number
-from multiarm.results.files import save_figure
+from multiarm.results.files import atomic_output, save_figure
 from multiarm.terminal.console import (
     STATUS_STYLES,
     columns,
@@ -48,14 +50,14 @@ WORKERS = "Workers"
 OF_SWEEP = "the sweep's"
 
 
-@with_settings("duration", "accuracy")
 def sweep(
     scene: SceneFile,
     over: Annotated[
         Path,
         option("The sweep, a YAML file: what varies, how, and what is kept.", "FILE.yaml"),
     ],
-    settings: dict[str, Any],
+    duration: Duration = None,
+    accuracy: Accuracy = None,
     repeat: Annotated[
         int | None, option("Runs of each point of the grid.", "N", default=OF_SWEEP, min=1)
     ] = None,
@@ -85,15 +87,15 @@ def sweep(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="HDF5 file of all rows; the sweep resumes from an existing one.",
-            show_default="the sweep's file name with .h5, in the current folder",
-            metavar="FILE.h5",
+            help="Folder of the sweep; an existing one is resumed.",
+            show_default="the sweep's file name with .sweep, in the current folder",
+            metavar="NAME.sweep",
             rich_help_panel=FILES,
         ),
     ] = None,
     fresh: Annotated[
         bool,
-        typer.Option("--fresh", help="Begin again, and overwrite the file.", rich_help_panel=FILES),
+        typer.Option("--fresh", help="Begin again in the folder.", rich_help_panel=FILES),
     ] = False,
     plot: Annotated[
         Path | None,
@@ -114,7 +116,7 @@ def sweep(
 
     Rows are on the disk as soon as runs end. After Ctrl-C or a kill, the same command resumes the
     sweep. A run that fails has a row with the reason. Every run follows from scene, sweep and its
-    number alone: **multiarm replay FILE.h5 --run 17** simulates and shows run 17.
+    number alone: **multiarm replay NAME.sweep --run 17** simulates and shows run 17.
 
     The exit code is 0 when all runs are made and some completed, 1 when the sweep was interrupted
     or no run completed, 2 for bad input.
@@ -124,15 +126,15 @@ def sweep(
     quantiles), failures (status, message, runs, first_run) and files (result, plot, csv, parquet).
     Numbers are finite, or null where there is none.
     """
-    target = out if out is not None else Path(f"{over.stem}.h5")
+    target = out if out is not None else Path(f"{over.stem}.sweep")
     written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
     for source in (scene, over):
-        check_targets({"--out": target, **written}, source=source)
+        check_targets(written, source=source)
     loaded = scene_to_run(scene, no_code, over)
     from multiarm.sweeps.sweep import sweep as run_sweep
 
     with SweepProgress(quiet) as progress:
-        found = run_sweep(
+        result = run_sweep(
             loaded,
             over,
             out=target,
@@ -142,31 +144,31 @@ def sweep(
             seed=seed,
             progress=progress,
             resume=not fresh,
-            **settings,
+            **chosen(duration=duration, accuracy=accuracy),
         )
-    summary = found.summary()
+    summary = result.summary()
     if not quiet:
-        output().print(facts_table(found.scene.name, summary, found.paths))
+        output().print(facts_table(result.scene.name, summary, result.paths))
         output().print(spread_table(summary))
         print_written("sweep", target)
     print_warnings(trouble_lines(summary))
-    files = _write(found, {"csv": csv, "parquet": parquet, "plot": plot}, quiet)
+    files = _write(result, {"csv": csv, "parquet": parquet, "plot": plot}, quiet)
     if json is not None:
-        figures = {"scene": found.scene.name, "over": list(found.paths), **summary.figures()}
+        figures = {"scene": result.scene.name, "over": list(result.paths), **summary.figures()}
         write_json(json, {**figures, "files": {"result": str(target), **files}})
     _end(summary, target, quiet)
 
 
-def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
+def _write(sweep: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
     """Write the requested files; returns their paths."""
-    writers: dict[str, Callable[[Path], Path | None]] = {
-        "csv": found.to_csv,
-        "parquet": found.to_parquet,
-        "plot": partial(_draw, found),
+    writers: dict[str, Callable[[Path], bool]] = {
+        "csv": partial(_write_csv, sweep),
+        "parquet": partial(_write_parquet, sweep),
+        "plot": partial(_draw, sweep),
     }
     written = {}
     for what, path in targets.items():
-        if path is None or writers[what](path) is None:
+        if path is None or not writers[what](path):
             continue
         written[what] = str(path)
         if not quiet:
@@ -174,16 +176,31 @@ def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[s
     return written
 
 
-def _draw(found: Sweep, path: Path) -> Path | None:
-    """The file with the figure; None if there is nothing to draw."""
+def _write_csv(sweep: Sweep, path: Path) -> bool:
+    with atomic_output(path, "--csv") as partial_file:
+        sweep.table.to_csv(partial_file, index=False)
+    return True
+
+
+def _write_parquet(sweep: Sweep, path: Path) -> bool:
+    """The table as Parquet; values of several types, which it does not have, are texts."""
+    from multiarm.sweeps.folder import without_mixed_types
+
+    with atomic_output(path, "--parquet") as partial_file:
+        without_mixed_types(sweep.table).to_parquet(partial_file, index=False)
+    return True
+
+
+def _draw(sweep: Sweep, path: Path) -> bool:
+    """Write the figure; False if there is nothing to draw."""
     from multiarm.plots.sweep_figures import sweep_overview
 
     try:
-        save_figure(sweep_overview(found), path)
+        save_figure(sweep_overview(sweep), path)
     except SweepError as error:
         print_warnings([f"nothing was drawn: {error}"])
-        return None
-    return path
+        return False
+    return True
 
 
 def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
@@ -197,7 +214,7 @@ def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
     if not summary.statuses.get("completed"):
         print_error(f"no run completed; the rows in '{target}' say why")
         raise typer.Exit(1)
-    widest = next((own for own in summary.spreads if own.largest_run is not None), None)
+    widest = next((spread for spread in summary.spreads if spread.largest_run is not None), None)
     if not quiet and widest is not None:
         hint = f"multiarm replay {target} --run {widest.largest_run}"
         line = Text.assemble(f"the run with the largest {widest.name}: ", (hint, "bold"))
@@ -227,10 +244,11 @@ def spread_table(summary: SweepSummary) -> Table:
     """One line a quantity: its quantiles, and the run that has the largest."""
     heads = ("quantity", "smallest", *SHOWN.values(), "largest", "in run")
     rows = []
-    for own in summary.spreads:
-        numbers = [own.smallest, *(own.quantiles[level] for level in SHOWN), own.largest]
-        name = f"{own.name} [{own.unit}]" if own.unit else own.name
-        rows.append((name, *map(number, numbers), number(own.largest_run)))
+    for spread in summary.spreads:
+        quantiles = (spread.quantiles[level] for level in SHOWN)
+        numbers = [spread.smallest, *quantiles, spread.largest]
+        name = f"{spread.name} [{spread.unit}]" if spread.unit else spread.name
+        rows.append((name, *map(number, numbers), number(spread.largest_run)))
     table = columns("Quantities", heads, rows, range(1, len(heads)))
     table.padding, table.pad_edge = 0, False
     return table
@@ -239,9 +257,9 @@ def spread_table(summary: SweepSummary) -> Table:
 def trouble_lines(summary: SweepSummary) -> list[str]:
     """Messages of runs that did not complete, with the first run of each."""
     lines = []
-    for own in summary.failures:
-        more = "" if own.runs == 1 else f" and {own.runs - 1:,} more"
-        lines.append(f"run {own.first_run}{more} {own.status}: {own.message}")
-    listed = sum(own.runs for own in summary.failures)
+    for failure in summary.failures:
+        more = "" if failure.runs == 1 else f" and {failure.runs - 1:,} more"
+        lines.append(f"run {failure.first_run}{more} {failure.status}: {failure.message}")
+    listed = sum(failure.runs for failure in summary.failures)
     rest = summary.done - summary.statuses.get("completed", 0) - listed
     return [*lines, f"and {count_of(rest, 'more run')} did not complete"] if rest else lines

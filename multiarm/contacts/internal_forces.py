@@ -42,6 +42,7 @@ from multiarm.geometry.screws import (
     wrench_matrix,
 )
 from multiarm.notation import count_of
+from multiarm.programs import linear_program
 
 FORMS = ("orthonormal", "nonnegative", "echelon")
 # A combination presses all contacts when the weakest has this part of the strongest.
@@ -273,27 +274,26 @@ def _pressing(A: np.ndarray, labels: list[str]) -> np.ndarray:
     even = A @ A.sum(axis=0)
     if np.min(even) > PRESSING_TOLERANCE * np.max(np.abs(even)):
         return even
-    from scipy.optimize import linprog
-
     count, size = A.shape
-    free = [(None, None)] * size
     # lambda = A y: maximise t, where t <= lambda_j <= 1
-    weakest = linprog(
+    weakest = linear_program(
         np.append(np.zeros(size), -1.0),
-        A_ub=np.block([[-A, np.ones((count, 1))], [A, np.zeros((count, 1))]]),
-        b_ub=np.append(np.zeros(count), np.ones(count)),
-        bounds=[*free, (0.0, 1.0)],
+        at_most=(
+            np.block([[-A, np.ones((count, 1))], [A, np.zeros((count, 1))]]),
+            np.append(np.zeros(count), np.ones(count)),
+        ),
+        signed=size + 1,
     )
-    if weakest.success and weakest.x[-1] > PRESSING_TOLERANCE:
+    if weakest.x is not None and weakest.x[-1] > PRESSING_TOLERANCE:
         return A @ weakest.x[:-1]
     # maximise the sum of t_j <= min(lambda_j, 1): 0 where a contact can never be pressed
-    each = linprog(
-        np.append(np.zeros(size), -np.ones(count)),
-        A_ub=np.block([-A, np.eye(count)]),
-        b_ub=np.zeros(count),
-        bounds=[*free, *[(0.0, 1.0)] * count],
+    each = linear_program(
+        np.append(-np.ones(count), np.zeros(size)),
+        at_most=(np.block([np.eye(count), -A]), np.zeros(count)),
+        bounds=(0.0, 1.0),
+        signed=size,
     )
-    pressed = each.x[size:] if each.success else np.ones(count)
+    pressed = each.x[:count] if each.x is not None else np.ones(count)
     idle = np.flatnonzero(pressed < PRESSING_TOLERANCE)
     raise GraspError(
         f"no combination of internal forces presses all contacts at once: "

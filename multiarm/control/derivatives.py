@@ -44,15 +44,16 @@ def torque_derivatives(data: Data, *, feedback: bool, carries: bool) -> np.ndarr
         There is gravity compensation.
     """
     n = data.model.layout.joints
-    found = np.zeros((n, 12 + 2 * n))
+    by_state = np.zeros((n, 12 + 2 * n))
     if feedback:
         joints = np.arange(n)
         stiffness, damping = data.model.constants.parameters[: 2 * n].reshape(2, n)
-        found[joints, 12 + joints], found[joints, 12 + n + joints] = -stiffness, -damping
+        by_state[joints, 12 + joints] = -stiffness
+        by_state[joints, 12 + n + joints] = -damping
     if not carries:
-        return found
+        return by_state
     holding = _holding_derivatives(data)
-    return None if holding is None else found + holding
+    return None if holding is None else by_state + holding
 
 
 def _holding_derivatives(data: Data) -> np.ndarray | None:
@@ -65,14 +66,14 @@ def _holding_derivatives(data: Data) -> np.ndarray | None:
     if not eigenvalues[0] * ILL_CONDITIONED > eigenvalues[-1]:
         return None
     twist = scale * np.linalg.solve(A, scale * b.weight)
-    work, own = equation_work(data, 12 + 3 * n)
-    differentiate_holding(data, own, twist)
+    work, differentiation = equation_work(data, 12 + 3 * n)
+    differentiate_holding(data, differentiation, twist)
     torques, rates = np.zeros((n, 12 + 2 * n)), np.zeros((len(W_o), 12 + 2 * n))
     for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
-        rows, own = slice(*layout.rows[i : i + 2]), work.dF[i, : d1 - d0]
-        rates[rows, :6], torques[d0:d1, :6] = work.rates[rows, :6], own[:, :6]
+        rows, by_state = slice(*layout.rows[i : i + 2]), work.dF[i, : d1 - d0]
+        rates[rows, :6], torques[d0:d1, :6] = work.rates[rows, :6], by_state[:, :6]
         rates[rows, 12 + d0 : 12 + d1] = work.rates[rows, 12 : 12 + d1 - d0]
-        torques[d0:d1, 12 + d0 : 12 + d1] = own[:, 12 : 12 + d1 - d0]
+        torques[d0:d1, 12 + d0 : 12 + d1] = by_state[:, 12 : 12 + d1 - d0]
     of_wrench = -work.dF_o[:, : 12 + 2 * n]
     of_twist = -scale[:, None] * np.linalg.solve(A, scale[:, None] * (of_wrench + W_o.T @ rates))
     forces = rates + W_o @ of_twist

@@ -78,15 +78,15 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
     desired, rest = np.empty(offsets.size), np.empty(6)
     copy(offsets, desired)
     for i in range(rows.size - 1):
-        own, any_pressing = pressing[6 * i : 6 * i + 6], False
+        on_object, any_pressing = pressing[6 * i : 6 * i + 6], False
         for a in range(6):
-            any_pressing = any_pressing or own[a] != 0.0
+            any_pressing = any_pressing or on_object[a] != 0.0
         if any_pressing:
             r0, r1, world = rows[i], rows[i + 1], np.zeros(6)
             for a in range(3):
                 for b in range(3):
-                    world[a] += rotation[3 * a + b] * own[b]
-                    world[3 + a] += rotation[3 * a + b] * own[3 + b]
+                    world[a] += rotation[3 * a + b] * on_object[b]
+                    world[3 + a] += rotation[3 * a + b] * on_object[3 + b]
             static_forces(Wo[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]

@@ -95,24 +95,24 @@ def control_program(context: ControlContext) -> ControlProgram:
 
 @singledispatch
 def program_of(_control: ControlKind, _context: ControlContext) -> ControlProgram:
-    """The laws of a kind of control, found by its class; none for a class without an entry."""
+    """The laws of a kind of control, by its class; a class without an entry has none."""
     return ControlProgram()
 
 
 @program_of.register
 def _(control: Control, context: ControlContext) -> ControlProgram:
     who = f"control kind {control.kind!r}: build()"
-    found = called(lambda: control.build(context), who)
-    if not isinstance(found, ControlProgram):
+    program = called(lambda: control.build(context), who)
+    if not isinstance(program, ControlProgram):
         raise ModelError(
-            f"{who} returned {type(found).__name__}; return a multiarm.control.ControlProgram"
+            f"{who} returned {type(program).__name__}; return a multiarm.control.ControlProgram"
         )
-    numbers = np.asarray(found.parameters)
+    numbers = np.asarray(program.parameters)
     if numbers.ndim != 1 or numbers.dtype != float or not np.all(np.isfinite(numbers)):
         raise ModelError(f"{who} returned parameters that are no vector of finite floats")
-    if not all(isinstance(law, Kernel) for law in found.laws):
+    if not all(isinstance(law, Kernel) for law in program.laws):
         raise ModelError(f"{who} returned a law that is no `multiarm.jit.kernels.cfunc`")
-    return found
+    return program
 
 
 @program_of.register

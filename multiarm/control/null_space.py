@@ -123,8 +123,8 @@ def hold_pose(i, stiffness, rate, along, model, data, work, preferred):
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
         # less the acceleration of the link without joint accelerations
         omega_m, alpha_m = vec(link, SPIN), vec(link, SPIN_RATE)
-        own = add_cross(vec(link, ACCELERATION), alpha_m, m)
-        a = sub(a, add_cross(own, omega_m, cross(omega_m, m)))
+        of_link = add_cross(vec(link, ACCELERATION), alpha_m, m)
+        a = sub(a, add_cross(of_link, omega_m, cross(omega_m, m)))
         alpha = sub(alpha, alpha_m)
     put(target, 0, a)
     put(target, 3, alpha)

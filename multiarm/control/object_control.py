@@ -148,15 +148,15 @@ def _desired_forces(
     """Desired forces of all contacts (N,), and a wrench of every arm (n, 6) in object axes."""
     model, offsets = data.model, np.zeros(len(Wo))
     pressing = np.zeros((len(model.arm_names), 6))
-    own = model.layout.split_contacts(offsets)
+    by_arm = model.layout.split_contacts(offsets)
     for arm, forces in (control.internal_forces or {}).items():
-        if len(forces) != own[arm].size:
+        if len(forces) != by_arm[arm].size:
             names = ", ".join(contact.name for contact in model.contacts[arm])
             raise ControlError(
                 f"control.internal_forces.{arm}: {count_of(len(forces), 'force')} for "
-                f"{count_of(own[arm].size, 'contact')}; give one each: {names}"
+                f"{count_of(by_arm[arm].size, 'contact')}; give one each: {names}"
             )
-        own[arm][:] = forces
+        by_arm[arm][:] = forces
     lost = np.linalg.norm(np.linalg.pinv(Wo.T) @ (Wo.T @ offsets))
     if np.any(offsets) and lost > (1.0 - 1e-6) * np.linalg.norm(offsets):
         raise ControlError(
@@ -164,7 +164,7 @@ def _desired_forces(
             "internal; name contacts that press against each other, or use `squeeze`"
         )
     if control.squeeze:
-        contacts = [(arm, contact) for arm, own in model.contacts.items() for contact in own]
+        contacts = [(arm, contact) for arm, of_arm in model.contacts.items() for contact in of_arm]
         if all(contact.pushes_only for _, contact in contacts):
             labels = [f"{arm}: {contact.name}" for arm, contact in contacts]
             offsets += control.squeeze * _pushing(Wo, labels)
@@ -179,10 +179,10 @@ def _require_pressing(data: Data, Wo: np.ndarray, pressing: np.ndarray) -> None:
     model, R = data.model, data.arrays.body[:9].reshape(3, 3)
     rows = model.layout.rows
     for i, arm in enumerate(model.arm_names):
-        own = Wo[rows[i] : rows[i + 1]]
+        of_arm = Wo[rows[i] : rows[i + 1]]
         desired = np.concatenate([R @ pressing[i, :3], R @ pressing[i, 3:]])
-        found = own.T @ np.linalg.lstsq(own.T, desired, rcond=None)[0]
-        if np.linalg.norm((found - desired)[:3]) > 0.01 * np.linalg.norm(desired[:3]):
+        reached = of_arm.T @ np.linalg.lstsq(of_arm.T, desired, rcond=None)[0]
+        if np.linalg.norm((reached - desired)[:3]) > 0.01 * np.linalg.norm(desired[:3]):
             raise ControlError(
                 f"control.squeeze: the joint of arm '{arm}' cannot press towards the middle of all "
                 f"grips, it gives way there; use `internal_forces` or a joint that holds"
@@ -354,11 +354,11 @@ def add_arm_forces(inertia, W, preferred, target, torque):
     See :func:`multiarm.control.null_space.nearest_accelerations` for the arguments.
     """
     n = preferred.size
-    found = np.empty(n)
-    nearest_accelerations(inertia, W, preferred, target, found)
+    accelerations = np.empty(n)
+    nearest_accelerations(inertia, W, preferred, target, accelerations)
     for j in range(n):
         for k in range(n):
-            torque[j] += (inertia[j, k] if k <= j else inertia[k, j]) * found[k]
+            torque[j] += (inertia[j, k] if k <= j else inertia[k, j]) * accelerations[k]
 
 
 @kernel

@@ -98,7 +98,7 @@ class ControlProgram:
     derivative : callable, optional
         ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
         twist, joint positions and joint velocities, shape (n, 12 + 2 n), right after an evaluation
-        of the data; None where they do not exist.  Absent: they are found by differences, which
+        of the data; None where they do not exist.  Absent: they are differences, which
         take longer.
     """
 

@@ -39,10 +39,10 @@ class Table:
 
     def stacked(self, names: Sequence[str], default: np.ndarray) -> np.ndarray:
         """Values of the joints ``names`` (n,), shape (r, n); ``default`` (n,) for the others."""
-        found = np.tile(default, (len(self.times), 1))
+        rows = np.tile(default, (len(self.times), 1))
         for k, joint in enumerate(self.joints):
-            found[:, names.index(joint)] = self.values[:, k]
-        return found
+            rows[:, names.index(joint)] = self.values[:, k]
+        return rows
 
 
 def read_table(control: RecordedControl, joints: Sequence[str]) -> Table:
@@ -62,10 +62,10 @@ def read_table(control: RecordedControl, joints: Sequence[str]) -> Table:
     times = _numbers(path, control.time, columns[control.time], row_name)
     _check_times(path, control.time, times, row_name)
     values = [_numbers(path, name, columns[name], row_name) for name in chosen.values()]
-    for name, own in zip(chosen.values(), values, strict=True):
-        if len(own) != len(times):
+    for name, column in zip(chosen.values(), values, strict=True):
+        if len(column) != len(times):
             raise _fault(
-                f"{path}: column {name!r} has {count_of(len(own), 'row')}, "
+                f"{path}: column {name!r} has {count_of(len(column), 'row')}, "
                 f"{control.time!r} has {len(times)}"
             )
     return Table(times, list(chosen), np.column_stack(values))

@@ -200,10 +200,11 @@ class Evaluation:
         )
 
     def _repr_html_(self) -> str:
+        shown = partial(numbers, rounding=1e-6)  # written starts leave small forces
         facts = {
-            "object's acceleration [m/s², rad/s²]": numbers(self.object_acceleration),
-            **{f"wrench of {a} [N, N m]": numbers(w) for a, w in self.wrenches.items()},
-            **{f"contact forces of {a} [N]": numbers(f) for a, f in self.contact_forces.items()},
+            "object's acceleration [m/s², rad/s²]": shown(self.object_acceleration),
+            **{f"wrench of {a} [N, N m]": shown(w) for a, w in self.wrenches.items()},
+            **{f"contact forces of {a} [N]": shown(f) for a, f in self.contact_forces.items()},
             "rank": self.rank,
             "residuals": ", ".join(f"{k} {v:.1g}" for k, v in vars(self.residuals).items()),
             "message": self.message,

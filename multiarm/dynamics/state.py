@@ -182,7 +182,11 @@ def fill_by_arm(
 ) -> None:
     """Write ``given``, a mapping arm -> numbers, into the ``views`` of some or all arms."""
     if not isinstance(given, Mapping):
-        raise error(f"{what}: expected a dict arm -> numbers, got {type(given).__name__}")
+        arm, values = next(iter(views.items()))
+        raise error(
+            f"{what}: must be a dict with numbers by arm, such as {{{arm!r}: {values.size} "
+            f"numbers}}, got {shown(given)}"
+        )
     for arm, values in given.items():
         if arm not in views:
             raise error(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")

@@ -167,11 +167,7 @@ def joint_numbers(
 def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKernel]:
     """The kernels of a user-defined effect."""
     effect = EFFECTS.find(name)
-    if effect is None:
-        raise ModelError(
-            f"effects.{name}: the package of this effect is not installed; install it, or register "
-            "its class with multiarm.register_effect"
-        )
+    assert effect is not None, "it has read its parameters"
     who = f"effects.{name}: build"
     found = called(lambda: effect(spec).build(context), who)
     if not isinstance(found, list) or not all(isinstance(k, EffectKernel) for k in found):

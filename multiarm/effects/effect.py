@@ -76,6 +76,7 @@ class Effect:
         The validated parameters.
     """
 
+    class_sort: ClassVar[str] = "effect"
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
     name: ClassVar[str] = ""

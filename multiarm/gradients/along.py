@@ -4,7 +4,7 @@ The run is a function of time (:mod:`multiarm.gradients.motion`), which is divid
 without a time inside at which control or loads are not smooth.  The matrices of the variational
 equation (:mod:`multiarm.gradients.variation`) are evaluated at the nodes of a segment, and are
 series between them (:mod:`multiarm.gradients.interpolation`): how many evaluations that takes
-depends on how the posture changes, and not on how fast motions die out.  Segments are planned from
+depends on how fast the posture changes, not on how fast motions die out.  Segments are planned from
 the series of the velocities.  The equation itself is solved over panels of the segments
 (:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the result.  Segments
 that contribute too much get more nodes, or are divided.
@@ -14,8 +14,8 @@ equation is therefore solved once more along a neighbour of the run
 (:mod:`multiarm.gradients.motion`), over the same segments, with matrices evaluated at few nodes of
 each.  How much the result differs is added to the error.
 
-*Memory.*  Kept are series of the states, and the matrices of one segment at a time; those of all
-segments as long as they have at most ``MOST_KEPT`` numbers.
+*Memory.*  Series of the states stay in memory, and the matrices of one segment at a time; those of
+all segments too, as long as they have at most ``MOST_KEPT`` numbers.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
 from multiarm.terminal.progress import Report
 
-# Relative error that is not asked for less: evaluations are differentiated to about 1e-10.
+# The smallest relative error that is aimed at: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
 # Numbers of all matrices that are kept, at nodes and of segments.
 MOST_KEPT = 3e7
@@ -58,7 +58,7 @@ FEW, EXPECTED = 3, 100.0
 EPSILON = float(np.finfo(float).eps)
 # How much larger the last terms of a series of the matrices are than those of the velocities.
 ROUGHER = 100.0
-# Series that alone may make an error of so many times the tolerance are refined at once.
+# Series are refined at once when they alone may make an error of so many times the tolerance.
 COARSE = 10.0
 
 Done = Callable[[int], None]
@@ -169,7 +169,7 @@ class Along:
         of_start = [parameter.of_start(begin, start) for parameter in self.parameters]
         self.start_by_parameters = np.reshape(of_start, (-1, self.size)).T
         self._values: dict[float, Variation] = {}
-        self._made: dict[tuple[Panel, int], Segment] = {}
+        self._built: dict[tuple[Panel, int], Segment] = {}
         # of segments: the defects of their series, and the errors that they alone may make
         self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
 
@@ -208,15 +208,15 @@ class Along:
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
-        panel, degree = own = self._segments[k]
-        if own in self._made:
-            return self._made[own]
+        panel, degree = key = self._segments[k]
+        if key in self._built:
+            return self._built[key]
         times = nodes(*panel, degree)
         pairs = zip(times, self._motion.states(times), strict=True)
         segment = Segment(panel, [self._value(t, state) for t, state in pairs])
-        self._quality[own] = segment.defect, segment.error
-        if len(self._made) * segment.numbers < MOST_KEPT:
-            self._made[own] = segment
+        self._quality[key] = segment.defect, segment.error
+        if len(self._built) * segment.numbers < MOST_KEPT:
+            self._built[key] = segment
         return segment
 
     @cached_property
@@ -298,10 +298,10 @@ class Along:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
         allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
         while True:
-            for k, own in enumerate(self._segments):
-                if own not in self._quality:
+            for k, key in enumerate(self._segments):
+                if key not in self._quality:
                     self.segment(k)
-            errors = np.array([self._quality[own][1] for own in self._segments])
+            errors = np.array([self._quality[key][1] for key in self._segments])
             long = np.array([panel.length > shortest for panel, _ in self._segments])
             coarse = (errors > allowed) & long
             if not coarse.any():

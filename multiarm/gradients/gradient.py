@@ -199,7 +199,7 @@ def gradient(
         ``f(t, state)`` at the end, and under the integral; a smooth function of the state.  It
         returns a number, or a number and its derivatives by a displacement of the state, shape
         (12 + 2 n,): shift and turn of the object, its twist, joint positions, joint velocities.
-        Without them they are found by differences.
+        Without them they are differences.
     parameters : sequence of str, or mapping str -> float or None
         Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``; in a
         mapping with a change that is no longer small, of which a thousandth is tried (None: the
@@ -229,9 +229,9 @@ def gradient(
     start = None if state is None else system.checked(state)
     if final is None and running is None:
         raise ModelError("gradient: give `final` or `running`, the scalar to be differentiated")
-    for name, own in (("final", final), ("running", running)):
-        if own is not None and not callable(own):
-            raise ModelError(f"gradient: `{name}` is a function f(t, state), got {shown(own)}")
+    for name, function in (("final", final), ("running", running)):
+        if function is not None and not callable(function):
+            raise ModelError(f"gradient: `{name}` is a function f(t, state), got {shown(function)}")
     begin, duration = require_time(start_time), positive("duration", duration)
     integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
@@ -292,8 +292,8 @@ class _Backward:
             self._enter(segment)
             self._usual_start += segment.panel.length * segment.steepest
             for piece in reversed(segment.pieces(along.bounds)):
-                for own, added in zip(shares, self._over(piece), strict=True):
-                    own[k] += added
+                for share, added in zip(shares, self._over(piece), strict=True):
+                    share[k] += added
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(along.count - k)
         sizes, admissible = self._sizes(self._magnitudes, self._usual), along.admissible
@@ -347,8 +347,8 @@ class _Backward:
         wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
         if wrong > along.panel_tolerance and (finer := halving.next(wrong, part)):
             later, later_integrals = self._over(second, finer)
-            own, own_integrals = self._over(first, finer)
-            return later + own, later_integrals + own_integrals
+            earlier, earlier_integrals = self._over(first, finer)
+            return later + earlier, later_integrals + earlier_integrals
         self._mu, self._error = early.start, early.start_error + missed
         self._integrals += integrals
         self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
@@ -399,17 +399,17 @@ def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
 
 def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
     """Of the integrals by the parameters, shape (s, 1 + P); the first is left zero."""
-    found = np.zeros((len(stages), 1 + at.beta.shape[2]))
-    found[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
-    return found
+    integrand = np.zeros((len(stages), 1 + at.beta.shape[2]))
+    integrand[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
+    return integrand
 
 
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:
     """The value of a user's function and its derivatives by a displacement, shape (D,)."""
     size = 12 + 2 * state.layout.joints
-    found = _scalar(function, t, state.copy())
-    if isinstance(found, tuple):
-        value, slope = found
+    result = _scalar(function, t, state.copy())
+    if isinstance(result, tuple):
+        value, slope = result
         return _number(value), checked_vector("the derivatives of a scalar", slope, size)
     steps = DISPLACEMENT * np.eye(size)
     changes = [
@@ -417,7 +417,7 @@ def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np
         - _number(_scalar(function, t, displaced(state, -step)))
         for step in steps
     ]
-    return _number(found), np.array(changes) / (2.0 * DISPLACEMENT)
+    return _number(result), np.array(changes) / (2.0 * DISPLACEMENT)
 
 
 def _scalar(function: Scalar, t: float, state: State) -> object:

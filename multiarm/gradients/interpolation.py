@@ -4,11 +4,11 @@ With :math:`x = \cos(k\pi/m)`, k = 0 ... m, mapped to the segment, values at the
 coefficients of the interpolating polynomial of degree m by one product with a constant matrix.
 Matrices of a run are smooth between the times at which control or loads are not, so that
 coefficients fall geometrically (L.N. Trefethen, Approximation Theory and Approximation Practice,
-2013).  The *defect*, the part of the two highest degrees, is more than the error of the whole
-series; it is carried along as that.
+2013).  The *defect*, the part of the two highest degrees, is larger than the error of the whole
+series, and serves as its bound.
 
-Twice the degree takes over all nodes.  They lie slightly within the segment: at its ends the
-control may jump, and the sides of a jump belong to two segments.
+A series of twice the degree uses all nodes again.  They lie slightly within the
+segment: at its ends the control may jump, and the sides of a jump belong to two segments.
 """
 
 from __future__ import annotations

@@ -29,10 +29,10 @@ from multiarm.simulation.simulate import simulate
 
 # Longest panels [s], the degree of their series, and the number of parts of one that is divided.
 LONGEST, DEGREE, PARTS = 0.5, 64, 4
-# Parts of a panel whose defects are not so much smaller show the noise of the run, or a kink.
+# Where the parts of a panel do not have defects smaller by this factor, noise of the run is left.
 SMOOTHER = 0.5
-# Larger ones, as multiples of the accuracy, are a motion too sharp for the panel, which is divided
-# still, as long as there are not so many that all of the run is rough.
+# Defects above this multiple of the accuracy are no noise, but a motion too sharp for the panel,
+# which is divided again; with so many panels all of the run is rough.
 SHARP, MOST_PANELS = 1e3, 500
 # Accuracy of a neighbour, as part of the run's.  Runs with less than the second have the smallest
 # tolerances already, and their neighbours err ten times as much.
@@ -129,8 +129,8 @@ class Motion:
         self.trajectory, numbers = self._simulated(self._accuracy, times)
         self._at_bounds = {t: self._state(numbers[t]) for t in self._bounds}
         self._series = [
-            Series(*panel, np.array([numbers[t] for t in own]))
-            for panel, own in zip(self.panels, at, strict=True)
+            Series(*panel, np.array([numbers[t] for t in times]))
+            for panel, times in zip(self.panels, at, strict=True)
         ]
 
     def _simulated(

@@ -21,16 +21,16 @@ of order p, the result of the halves is wrong by
 
 .. math:: \frac{y_{\text{whole}} - y_{\text{halves}}}{2^p - 1} .
 
-Counted on is the order of the stages, p = 5, which long panels and strong damping leave of nine.
-Panels for which that is too much are divided.
+The estimate takes p = 5, the order of the stages: long panels and strong damping leave no more of
+the method's order nine.  Panels with a larger error than allowed are divided.
 
 *The neighbour.*  Along a neighbour of the run (:mod:`multiarm.gradients.motion`), the matrices
 differ by as little as the states.  In the same basis R, their differences are series of a low
 degree, from few evaluations; with them added, a segment of the run is one of its neighbour.
 
-*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of what they are as a rule:
-if a change of a parameter by its size changes accelerations as a whole.  Smaller ones, such as
-those that vanish by symmetry, are not resolved any finer.
+*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of their usual size, that
+of a parameter whose change by its size changes the accelerations as a whole.  Smaller derivatives,
+such as those that vanish by symmetry, are not resolved any finer.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from multiarm.gradients.variation import TINY, Variation
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
 RICHARDSON = 2.0**COUNT - 1.0
-# Shorter pieces of time are worth it as long as they lessen an error at least so; panels are
-# divided so many times more before that counts.
+# Dividing a piece of time pays as long as it lessens the error by this factor; panels may miss that
+# so many times in a row.
 LESSENED, PATIENCE = 0.5, 6
 # Of derivatives by parameters, relative to what they are as a rule.
 ROUNDING = 1e-9
@@ -89,7 +89,7 @@ class Halving(NamedTuple):
     vain: int = 0
 
     def next(self, error: float, part: float) -> Halving | None:
-        """After one more error, of a panel of this part of the run; None: it stays as it is."""
+        """What comes after this error of a panel, a part of the run; None: no further division."""
         vain = self.vain + 1 if error > LESSENED * self.error else 0
         return Halving(error, vain) if part > SHORTEST and vain < PATIENCE else None
 
@@ -192,7 +192,7 @@ class Segment:
         return both[:, : self.basis.shape[1]], both[:, self.basis.shape[1] :]
 
     def pieces(self, bounds: np.ndarray) -> list[Piece]:
-        """Pieces to begin with, from one of the given times to the next, in order."""
+        """Pieces to begin with, from each of some times to the next, in order."""
         inner = bounds[(bounds > self.panel.begin) & (bounds < self.panel.end)]
         times = [self.panel.begin, *inner.tolist(), self.panel.end]
         return [Piece(self, Panel(*pair)) for pair in pairwise(times)]

@@ -185,7 +185,7 @@ def sensitivities(
         )
     rows, columns = state_columns(along.layout), state_columns(along.layout)
     for path in along.paths:
-        columns[path] = slice(end := max(own.stop for own in columns.values()), end + 1)
+        columns[path] = slice(end := max(part.stop for part in columns.values()), end + 1)
     return Sensitivities(
         time=at,
         matrix=np.stack([solution.at[t] for t in at.tolist()]),
@@ -240,8 +240,8 @@ class _Forward:
         whole, _, _ = _solved(piece, S, error)
         of_series = np.zeros(S.shape[1])
         for half in piece.halves:
-            S, error, own = _solved(half, S, error)
-            of_series += own
+            S, error, of_half = _solved(half, S, error)
+            of_series += of_half
         missed = (whole - S) / RICHARDSON
         sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
         part = panel.length / (along.end - along.begin)
@@ -266,8 +266,8 @@ def _solved(
     end, stages = collocation.forward(S, _by_column(at, S))
     wrong = defect.A @ stages + _by_column(defect, S)
     error, _ = collocation.forward(error, wrong)
-    own = piece.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
-    return end, error, own
+    of_series = piece.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
+    return end, error, of_series
 
 
 def _by_column(at: Coefficients, S: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
-from multiarm.scene.changes import changed, parse_path, value_at
+from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
 from multiarm.spatial import skew
@@ -122,8 +122,8 @@ def variation(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
         ("object_twist", "object_acceleration"),
         ("joint_velocities", "joint_accelerations"),
     ):
-        own = derivatives.matrix[rows[acceleration]]
-        A[at[velocity]], B[at[velocity]] = own[:, :size], own[:, columns["torques"]]
+        by_all = derivatives.matrix[rows[acceleration]]
+        A[at[velocity]], B[at[velocity]] = by_all[:, :size], by_all[:, columns["torques"]]
     return A, B
 
 
@@ -197,8 +197,8 @@ class Parameter:
             ends = {w: _start(system, state) for w, system in self._systems.items()}
         except ModelError as error:
             raise SceneError(
-                f"{self.path}: derivatives by it need runs from the given `state` with "
-                f"{shown(self.path)} nearby; name a smaller size, "
+                f"{self.path}: derivatives by it need runs from `state` in scenes with values "
+                "nearby, and these cannot begin there; name a smaller size, "
                 f"`parameters={{{self.path!r}: ...}}` ({error})"
             ) from None
         changes = np.array([displacement(start, end) for end in ends.values()])
@@ -269,13 +269,13 @@ class Parameter:
                 codes, contacts = data.model.constants.codes, data.arrays.contacts
                 gaps = contacts[codes[:, KIND] != TANGENT, GAP]
                 return accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
-        found = evaluate(system, t, state)
-        if max(found.position_residual, found.velocity_residual) > CLOSED:
+        evaluated = evaluate(system, t, state)
+        if max(evaluated.position_residual, evaluated.velocity_residual) > CLOSED:
             raise SolverError(
                 f"the parameter {self.path} moves contacts that can open; a run is differentiated "
                 "by such numbers only where all contacts hold both ways"
             )
-        return found.accelerations, np.zeros(0)
+        return evaluated.accelerations, np.zeros(0)
 
 
 def _jump(changes: np.ndarray, roundings: float) -> bool:
@@ -301,12 +301,12 @@ def _start(system: System, state: State | None) -> State:
 def _with_value(system: System, path: str, value: float) -> System:
     control = system.model.python_control
     try:
-        other = compile_system(changed(system.scene, {path: value}), like=system)
+        nearby = compile_system(system.scene.replace({path: value}), like=system)
     except MultiarmError as error:
         raise SceneError(
             f"{path}: derivatives by it need the scene with {value:.9g}, which cannot be compiled; "
             f"name a smaller size, `parameters={{{path!r}: ...}}` ({error})"
         ) from None
     if control is not None and not control.in_scene:
-        other = other.with_control(control.function)
-    return other
+        nearby = nearby.with_control(control.function)
+    return nearby

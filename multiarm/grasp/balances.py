@@ -54,7 +54,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.programs import (
+from multiarm.programs import (
     EPS,
     ROUNDINGS,
     least_distance,

@@ -142,10 +142,10 @@ class BlockDesign:
         self._check(2.0 * half)
         middle = 0.5 * (ends[0] - ends[1]) @ n
         points = self._places(half) @ n + middle
-        made = at_two_corners(block, chosen, opposite, points, chosen[2], self._notes())
+        grasp = at_two_corners(block, chosen, opposite, points, chosen[2], self._notes())
         inward = np.sign(self.offset - self.seventh_offset)
         bound = self.minimum_distance
-        return proven(made, crosses(made, lambda s: points[2] - inward * s * n[0], bound))
+        return proven(grasp, crosses(grasp, lambda s: points[2] - inward * s * n[0], bound))
 
     def _places(self, half: np.ndarray) -> np.ndarray:
         """Contacts (7, 3) in axes of the block, about its middle [m]."""
@@ -237,12 +237,12 @@ def block_design(
 
 def _faces(block: Polyhedron, faces: Three | None) -> tuple[Three, Three]:
     """Faces for contacts 1, 2, 3, and the opposite ones."""
-    found = classify(block)
-    if found.kind != "block":
+    body_class = classify(block)
+    if body_class.kind != "block":
         raise GraspError(
-            f"the construction for blocks needs one; this body is {found.words}.  design_grasp "
-            f"takes the construction that fits"
+            f"the construction for blocks needs one; this body is {body_class.words}.  "
+            f"design_grasp takes the construction that fits"
         )
-    chosen = faces if faces is not None else tuple(i for i, _ in found.pairs)
-    opposite = opposite_corner(found, block, chosen)
+    chosen = faces if faces is not None else tuple(i for i, _ in body_class.pairs)
+    opposite = opposite_corner(body_class, block, chosen)
     return (chosen[0], chosen[1], chosen[2]), opposite

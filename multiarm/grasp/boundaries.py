@@ -26,8 +26,8 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
-from multiarm.grasp.programs import LinearSolution, linear_program
 from multiarm.notation import count_of
+from multiarm.programs import LinearSolution, linear_program
 from multiarm.scene import meshes
 from multiarm.scene.object import TOO_THIN, hull_triangles
 

@@ -95,36 +95,36 @@ def design_grasp(
     """
     body, gripper_size = as_polyhedron(body), size_of_gripper(gripper_size)
     nearly_round = _refuse_round(body)
-    found = classify(body)
-    if found.kind == "block":
+    body_class = classify(body)
+    if body_class.kind == "block":
         grasp = _block_grasp(body, gripper_size, offset, seventh)
     elif offset is not None or seventh is not None:
         raise GraspError(
             f"offset and seventh are lengths of the construction for blocks; this body is "
-            f"{found.words}.  Give gripper_size, or nothing"
+            f"{body_class.words}.  Give gripper_size, or nothing"
         )
-    elif found.kind == "three pairs of parallel faces":
+    elif body_class.kind == "three pairs of parallel faces":
         grasp = design_parallel_grasp(body, gripper_size=gripper_size)
     else:
-        grasp = _general_grasp(body, found, gripper_size, generator, progress)
-    return grasp.noted(*nearly_round, f"the body is {found.words}")
+        grasp = _general_grasp(body, body_class, gripper_size, generator, progress)
+    return grasp.noted(*nearly_round, f"the body is {body_class.words}")
 
 
 def _refuse_round(body: Polyhedron) -> tuple[str, ...]:
     """Refuse a body of revolution; return a remark on one that may approximate such a body."""
-    found = roundness(body)
-    axis = ", ".join(f"{x:.3g}" for x in np.round(found.axis, 3) + 0.0)
-    if found:
+    revolution = roundness(body)
+    axis = ", ".join(f"{x:.3g}" for x in np.round(revolution.axis, 3) + 0.0)
+    if revolution:
         raise GraspError(
             f"the body is one of revolution about the axis ({axis}) through its centre, or a mesh "
-            f"of one: all normal lines pass within {found.distance:.3g} m of the axis, so that no "
-            f"frictionless contact keeps it from turning; give it a flat, a groove or a key"
+            f"of one: all normal lines pass within {revolution.distance:.3g} m of the axis, so "
+            f"that no frictionless contact keeps it from turning; give it a flat, a groove or a key"
         )
-    if not found.nearly:
+    if not revolution.nearly:
         return ()
     return (
         f"the body is nearly one of revolution about the axis ({axis}): contacts have levers of "
-        f"{found.distance:.3g} m at most; if it is a mesh of a round body, nothing holds that",
+        f"{revolution.distance:.3g} m at most; if it is a mesh of a round body, nothing holds that",
     )
 
 
@@ -137,21 +137,21 @@ def _block_grasp(
         return design_block_grasp(body, offset=offset, seventh=seventh)
     edges = [body.faces[i].offset + body.faces[j].offset for i, j in classify(body).pairs]
 
-    def made(A: float) -> Grasp:
+    def with_offset(A: float) -> Grasp:
         return design_block_grasp(body, offset=A, seventh=seventh)
 
-    return sized(made, USUAL_OFFSET * min(edges), gripper_size)
+    return sized(with_offset, USUAL_OFFSET * min(edges), gripper_size)
 
 
 def _general_grasp(
     body: Polyhedron,
-    found: BodyClass,
+    body_class: BodyClass,
     gripper_size: float | None,
     generator: np.random.Generator | None,
     progress: bool | Callable[[int, int, str], None] | None,
 ) -> Grasp:
     """The wider class when it can be, and a search otherwise."""
-    if found.triples:
+    if body_class.triples:
         try:
             return design_wide_grasp(body, gripper_size=gripper_size, progress=progress)
         except GraspError:
@@ -160,8 +160,8 @@ def _general_grasp(
     if gripper_size is not None and largest_gripper(grasp) > gripper_size:
         raise GraspError(
             f"the smallest grippers found for this body are {largest_gripper(grasp):.4g} m, not "
-            f"{gripper_size:g} m; it is {found.words}, and small grippers need two corners whose "
-            f"faces oppose each other"
+            f"{gripper_size:g} m; it is {body_class.words}, and small grippers need two corners "
+            f"whose faces oppose each other"
         )
     return grasp
 
@@ -213,20 +213,20 @@ def _draws(
     body: Polyhedron, generator: np.random.Generator
 ) -> list[tuple[tuple[int, ...], np.ndarray]]:
     """Faces and places of the closed draws with the largest smallest push."""
-    found: list[tuple[float, tuple[int, ...], np.ndarray]] = []
+    draws: list[tuple[float, tuple[int, ...], np.ndarray]] = []
     for _ in range(BATCHES):
         faces, points = _surface_points(body, (DRAWS, 7), generator)
         smallest = smallest_pushes(body, points, -body.normals[faces])
         order = np.argsort(-smallest)[:IMPROVED]
-        found.extend(
+        draws.extend(
             (float(smallest[k]), tuple(faces[k].tolist()), points[k])
             for k in order
             if smallest[k] > 0.0
         )
-        if len(found) >= IMPROVED:
+        if len(draws) >= IMPROVED:
             break
-    found.sort(key=lambda draw: -draw[0])
-    return [(faces, points) for _, faces, points in found[:IMPROVED]]
+    draws.sort(key=lambda draw: -draw[0])
+    return [(faces, points) for _, faces, points in draws[:IMPROVED]]
 
 
 def _surface_points(
@@ -284,6 +284,6 @@ def _grasp(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> Gras
     split = [tuple(range(len(first))), tuple(range(len(first), len(order)))]
     frames = [nearest_corner_frame(body, points[list(part)], on[part[0]]) for part in split]
     note = "found by search: the contacts fit this body, and not others of its shape"
-    made = assembled(body, points, on, split, frames, (note,))
-    region = seventh_contact_region(made.contacts.subset(range(6)), body.faces[on[6]])
-    return proven(made, crosses_border(made, region), "pass another generator")
+    grasp = assembled(body, points, on, split, frames, (note,))
+    region = seventh_contact_region(grasp.contacts.subset(range(6)), body.faces[on[6]])
+    return proven(grasp, crosses_border(grasp, region), "pass another generator")

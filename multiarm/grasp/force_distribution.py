@@ -35,7 +35,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp.balances import BAND, floor_of, rank_of
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, numbers_of
 from multiarm.grasp.form_closure import about_origin, motion_in_words, twist_of
-from multiarm.grasp.programs import LeastDistance, LinearSolution, least_distance, linear_program
+from multiarm.programs import LeastDistance, LinearSolution, least_distance, linear_program
 
 OBJECTIVES = ("largest", "norm")
 # Part of the wrench, the forces, the prices at hand that counts as nothing: rounding.

@@ -126,12 +126,12 @@ class Search:
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Margins (M,), 0 for placements that do not keep to the limits."""
         value = margins(touches, y)
-        kept = value > 0.0
+        allowed = value > 0.0
         if self.limits.spacing > 0.0:
-            kept &= nearest(touches, y) >= self.limits.spacing
-        if self.limits.conditioning > 0.0 and kept.any():
-            kept[kept] = conditioning(touches, y[kept]) >= self.limits.conditioning
-        return np.where(kept, value, 0.0)
+            allowed &= nearest(touches, y) >= self.limits.spacing
+        if self.limits.conditioning > 0.0 and allowed.any():
+            allowed[allowed] = conditioning(touches, y[allowed]) >= self.limits.conditioning
+        return np.where(allowed, value, 0.0)
 
     def _look(self, number: int) -> None:
         """Bound one choice, learn from it, and evolve what its program proposes."""
@@ -268,9 +268,9 @@ def evolved(
         spread = DIFFERENCE * rng.random((count, 1, 1)) * (a - b)
         chosen = rng.random((count, 7, 1)) < TAKING_PART
         trial = touches.towards(y, np.where(chosen, y + pull + spread, y))
-        found = scores(trial)
-        better = found > value
-        y[better], value[better] = trial[better], found[better]
+        trial_scores = scores(trial)
+        better = trial_scores > value
+        y[better], value[better] = trial[better], trial_scores[better]
     order = np.argsort(-value, kind="stable")
     return y[order], value[order]
 

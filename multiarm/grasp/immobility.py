@@ -34,7 +34,7 @@ import numpy as np
 
 from multiarm.grasp.balances import tolerance_of
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.programs import LinearSolution, linear_program
+from multiarm.programs import LinearSolution, linear_program
 
 # Parts of the largest push, of the unit form: below this, what a linear program returns is noise.
 NOTHING = 1e-7

@@ -244,8 +244,11 @@ class _Lines:
         self.through, self.within = [], []
         for e, m in zip(contacts.normals, np.cross(points, contacts.normals), strict=True):
             size = np.sqrt(1.0 + m @ m)
-            self.through.append(np.vstack([np.column_stack([-_skew(e), -m]), [*m, 0.0]]) / size)
-            self.within.append(np.vstack([[*e, 0.0], np.column_stack([_skew(m), e])]) / size)
+            # rows of cross(I, a) are those of the matrix whose product with b is a x b
+            through = np.column_stack([np.cross(e, np.eye(3)), -m])
+            within = np.column_stack([np.cross(np.eye(3), m), e])
+            self.through.append(np.vstack([through, [*m, 0.0]]) / size)
+            self.within.append(np.vstack([[*e, 0.0], within]) / size)
 
     def point(self, numbers: tuple[int, ...]) -> np.ndarray | None:
         """Point (x, w), of length 1, that lines have in common; at infinity ``w`` is 0."""
@@ -328,7 +331,3 @@ def _around_plane(
                 spot = f"meet at {lines.place(point)}, a point of it"
             words = f"{who}, and those of {named(contacts, pair)} {spot}"
             yield Violation(6, (*three, *pair), words)
-
-
-def _skew(a: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])

@@ -28,7 +28,7 @@ from multiarm.grasp.force_distribution import (
     distribute_forces,
     wrench_of,
 )
-from multiarm.grasp.programs import linear_program
+from multiarm.programs import linear_program
 
 if TYPE_CHECKING:
     from shapely.geometry import LineString, Point, Polygon

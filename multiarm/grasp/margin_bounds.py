@@ -25,7 +25,7 @@ import numpy as np
 
 from multiarm.grasp.balances import balance_inverses
 from multiarm.grasp.placements import SevenTouches
-from multiarm.grasp.programs import linear_program
+from multiarm.programs import linear_program
 
 # No margin of seven contacts is larger.
 LARGEST_MARGIN = 1.0 / 7.0

@@ -205,10 +205,10 @@ def _grasp(
     names = [f"gripper {g + 1} tip {k + 1}" for g in range(2) for k in range(fingers[g])]
     contacts = Contacts(points, touches.normals, names)
     grippers = []
-    for g, own in enumerate(numbers):
-        place = where[touches.regions[own[0]].place]
-        inward = touches.normals[list(own)].mean(axis=0)
-        grippers.append(Gripper(f"gripper {g + 1}", own, _frame(place, inward)))
+    for g, carried in enumerate(numbers):
+        place = where[touches.regions[carried[0]].place]
+        inward = touches.normals[list(carried)].mean(axis=0)
+        grippers.append(Gripper(f"gripper {g + 1}", carried, _frame(place, inward)))
     closure = is_form_closure(contacts)
     grasp = Grasp(body, contacts, tuple(region.face for region in touches.regions), tuple(grippers))
     return grasp, closure.conditioning

@@ -86,8 +86,9 @@ Offsets = tuple[float, float, float, float]
 # its bound, or half way from the bound to the edge if that is nearer.
 USUAL_DEPTH, USUAL_STEPS, USUAL_DISTANCE = 0.3, (0.5, -0.5), 2.0
 
-# How the refusal of a corner begins that would not do with grippers of any size.
-OPEN = "no contact on the line y = f of the top"
+
+class OpenCornerError(GraspError):
+    """A corner at which no contact on the line y = f closes, with grippers of any size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +149,8 @@ class ParallelDesign:
         centre = p.frame[:3, 3]
         points = np.vstack([p.points, 2.0 * centre - p.points, p.last_point(self.distance)])
         top = self.faces[2]
-        made = at_two_corners(body, self.faces, self.opposite, points, top, self._notes())
-        return proven(made, crosses(made, p.last_point, self.minimum_distance))
+        grasp = at_two_corners(body, self.faces, self.opposite, points, top, self._notes())
+        return proven(grasp, crosses(grasp, p.last_point, self.minimum_distance))
 
     def _notes(self) -> tuple[str, ...]:
         return (
@@ -197,23 +198,26 @@ def design_parallel_grasp(
     GraspError
         Another class of body; a gripper that is too large; lengths with which no corner works.
     """
-    found, gripper_size = classify(body), size_of_gripper(gripper_size)
+    body_class, gripper_size = classify(body), size_of_gripper(gripper_size)
     offsets = None if offsets is None else _four(offsets)
-    if found.kind not in ("block", "three pairs of parallel faces"):
-        raise GraspError(f"three pairs of parallel faces are needed; this body is {found.words}")
-    best, faults = None, []
-    for three in [faces] if faces is not None else _corners(body, found.pairs):
-        opposite = opposite_corner(found, body, three)
+    if body_class.kind not in ("block", "three pairs of parallel faces"):
+        raise GraspError(
+            f"three pairs of parallel faces are needed; this body is {body_class.words}"
+        )
+    best: Grasp | None = None
+    faults: list[GraspError] = []
+    for three in [faces] if faces is not None else _corners(body, body_class.pairs):
+        opposite = opposite_corner(body_class, body, three)
         for step in USUAL_STEPS[: 1 if offsets is not None else None]:
             try:
-                made = _fitted(body, three, opposite, offsets, step, distance, gripper_size)
+                grasp = _fitted(body, three, opposite, offsets, step, distance, gripper_size)
             except GraspError as error:
-                faults.append(str(error))
+                faults.append(error)
                 continue
-            if best is None or made.closure.distance > best.closure.distance:
-                best = made
+            if best is None or grasp.closure.distance > best.closure.distance:
+                best = grasp
     if best is None:
-        reasons = [fault for fault in faults if not fault.startswith(OPEN)] or faults
+        reasons = [fault for fault in faults if not isinstance(fault, OpenCornerError)] or faults
         raise GraspError(f"no corner of the body takes these grippers; for one, {reasons[0]}")
     return best
 
@@ -253,7 +257,7 @@ def _four(offsets: Any) -> Offsets:
     """E, F, G1 and G2 [m]."""
     if not isinstance(offsets, list | tuple | np.ndarray) or len(offsets) != 4:
         raise GraspError(f"offsets are the four lengths E, F, G1, G2 in metres, not {offsets!r}")
-    E, F, G1, G2 = (length_of(one, "an offset from the corner") for one in offsets)
+    E, F, G1, G2 = (length_of(value, "an offset from the corner") for value in offsets)
     return E, F, G1, G2
 
 
@@ -272,11 +276,11 @@ def _fitted(
     blank = _pattern(body, faces, opposite, (0.0, 0.0, 0.0, 0.0))
     usual = USUAL_DEPTH * float(np.min(blank.normals @ blank.corner))
 
-    def made(depth: float) -> Grasp:
+    def at_depth(depth: float) -> Grasp:
         even = even_offsets(blank, depth, step * depth)
         return parallel_design(body, faces, opposite, even, distance).grasp()
 
-    return sized(made, usual, gripper_size)
+    return sized(at_depth, usual, gripper_size)
 
 
 def _pattern(body: Polyhedron, faces: Three, opposite: Three, offsets: Offsets) -> CornerPattern:
@@ -378,9 +382,11 @@ class CornerPattern:
         return ""
 
     def require_reach(self) -> None:
-        """Raise `GraspError` when no contact on the line y = f of the top closes the grasp."""
+        """Raise `OpenCornerError` when no contact on the line y = f of the top closes the grasp."""
         if self.faulty:
-            raise GraspError(f"{OPEN} closes the grasp: {self.faulty}")
+            raise OpenCornerError(
+                f"no contact on the line y = f of the top closes the grasp: {self.faulty}"
+            )
 
     @cached_property
     def points(self) -> np.ndarray:

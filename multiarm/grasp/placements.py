@@ -156,12 +156,12 @@ def _regions(
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     middle = face.coordinates(place)
     around = Polygon(middle + radius / np.cos(np.pi / SIDES) * circle)
-    found = []
+    reached = []
     for piece in _convex(shape.intersection(around), reach):
         inner = Polygon(piece).intersection(Polygon(middle + radius * circle))
         if inner.area > SMALLEST * reach**2:
-            found.append(_region(face, number, index, _ring(inner), piece))
-    return found
+            reached.append(_region(face, number, index, _ring(inner), piece))
+    return reached
 
 
 def _region(

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.programs import least_distance
+from multiarm.programs import least_distance
 
 # Clearances are rounded by less than this part of themselves.
 ROUNDED = 1e-9

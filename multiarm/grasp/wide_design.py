@@ -122,8 +122,8 @@ class WideDesign:
             f"contact 7 is {self.distance:.6g} m from contact 6; the grasp is closed beyond "
             f"|Q| = {self.minimum_distance:.6g} m"
         )
-        made = at_two_corners(body, self.triple, self.faces, points, self.faces[2], (note,))
-        return proven(made, crosses(made, p.last_point, self.minimum_distance))
+        grasp = at_two_corners(body, self.triple, self.faces, points, self.faces[2], (note,))
+        return proven(grasp, crosses(grasp, p.last_point, self.minimum_distance))
 
 
 def design_wide_grasp(
@@ -156,10 +156,10 @@ def design_wide_grasp(
     GraspError
         A body outside the class, or one on which no such grasp was found.
     """
-    found, gripper_size = classify(body), size_of_gripper(gripper_size)
-    if not found.triples:
-        raise GraspError(f"the construction for the wider class does not fit: {found.words}")
-    triples = sorted(found.triples, key=lambda t: shared_corner(body, t.faces) is None)
+    body_class, gripper_size = classify(body), size_of_gripper(gripper_size)
+    if not body_class.triples:
+        raise GraspError(f"the construction for the wider class does not fit: {body_class.words}")
+    triples = sorted(body_class.triples, key=lambda t: shared_corner(body, t.faces) is None)
     triples = triples[:MOST_TRIPLES]
     with displayed(progress, Progress) as show:
         best = _firmest(_corner_grasps(body, _told(triples, show, "corners"), gripper_size))
@@ -168,8 +168,8 @@ def design_wide_grasp(
     if best is None:
         small = "" if gripper_size is None else f" with grippers of {gripper_size:g} m"
         raise GraspError(
-            f"no grasp of the wider class{small} was found: the body is {found.words}, but its "
-            f"faces leave no room for the contacts; larger faces or another size may help"
+            f"no grasp of the wider class{small} was found: the body is {body_class.words}, but "
+            f"its faces leave no room for the contacts; larger faces or another size may help"
         )
     return best
 
@@ -233,11 +233,11 @@ def _with_corner(
         three = right_handed(body, (meeting[top - 2], meeting[top - 1], meeting[top]))
         for step in USUAL_STEPS:
 
-            def made(depth: float, faces: Three = three, step: float = step) -> Grasp:
+            def at_depth(depth: float, faces: Three = three, step: float = step) -> Grasp:
                 return wide_design(body, triple, faces, depth, step).grasp()
 
             try:
-                yield sized(made, usual, gripper_size)
+                yield sized(at_depth, usual, gripper_size)
             except GraspError:
                 continue
 
@@ -307,8 +307,8 @@ def _fours(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """All choices of contacts 4, 5 among places a and 6, 7 among places b, shape (K, 4, 3)."""
     pairs = list(combinations(range(len(a)), 2))
     ordered = list(permutations(range(len(b)), 2))
-    made = [[a[i], a[j], b[k], b[m]] for i, j in pairs for k, m in ordered]
-    return np.array(made).reshape(-1, 4, 3)
+    fours = [[a[i], a[j], b[k], b[m]] for i, j in pairs for k, m in ordered]
+    return np.array(fours).reshape(-1, 4, 3)
 
 
 def _finished(
@@ -332,9 +332,9 @@ def _finished(
         "; contact 7 is in the middle of its region, "
         f"{float(region.depth(places[6])):.4g} m from its border"
     )
-    made = assembled(body, places, on, split, frames, (note,))
-    if made.closure and crosses_border(made, region):
-        yield made
+    grasp = assembled(body, places, on, split, frames, (note,))
+    if grasp.closure and crosses_border(grasp, region):
+        yield grasp
 
 
 def _places(body: Polyhedron, number: int) -> np.ndarray:

@@ -37,7 +37,7 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.face import distinct
-from multiarm.grasp.programs import least_distance, nonnegative_least_squares
+from multiarm.programs import least_distance, nonnegative_least_squares
 
 ILL = (
     "contacts that nearly coincide, or faces that are nearly parallel, make it ill-conditioned; "

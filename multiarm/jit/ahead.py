@@ -42,8 +42,8 @@ def argument_types(kernel: Kernel) -> tuple[types.Type, ...] | None:
         return CFUNC.args
     count = kernel.py_func.__code__.co_argcount
     hints = get_type_hints(kernel.py_func) if kernel.py_func.__annotations__ else {}
-    found = tuple(hint for hint in hints.values() if isinstance(hint, types.Type))
-    return found if found and len(found) == count else None
+    hinted = tuple(hint for hint in hints.values() if isinstance(hint, types.Type))
+    return hinted if hinted and len(hinted) == count else None
 
 
 def name_of(kernel: Kernel) -> str:

@@ -40,13 +40,13 @@ class LazyFunction(GuardedCall):
 
     def _compile_and_call(self, struct: int, size: int, a: float, b: float) -> int:
         try:
-            found = address_of(self._function)
+            compiled = address_of(self._function)
         except BaseException as error:  # it must not cross compiled code
             self.error = error
             _number(struct, *self._flag).value = 1
             return self._failed
-        _number(struct, *self._place).value = found
-        return CFUNC_PROTOTYPE(found)(struct, size, a, b)
+        _number(struct, *self._place).value = compiled
+        return CFUNC_PROTOTYPE(compiled)(struct, size, a, b)
 
 
 def _number(struct: int, field: int, place: int) -> ctypes.c_int64:

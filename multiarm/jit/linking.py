@@ -58,12 +58,12 @@ class _Whole(JITCodeLibrary):
 
     def finalize(self) -> None:
         module = self._final_module
-        own = {function.name for function in module.functions if not function.is_declaration}
+        defined = {function.name for function in module.functions if not function.is_declaration}
         for library in _with_parts(self._linking_libraries):
             self._reload_init.update(library._reload_init)
             module.link_in(library._get_module_for_linking(), preserve=True)
         for function in module.functions:
-            if not function.is_declaration and function.name not in own:
+            if not function.is_declaration and function.name not in defined:
                 function.linkage = "internal"
         # Numba's own method runs all passes twice, at first to bring reference counts together:
         # there are few here.
@@ -75,16 +75,16 @@ class _Whole(JITCodeLibrary):
 
 def _with_parts(libraries: Any) -> list[Any]:
     """Libraries and what their parts need, each once."""
-    found: dict[Any, None] = {}
+    linked: dict[Any, None] = {}
     waiting = list(libraries)
     while waiting:
         library = waiting.pop()
-        if library in found:
+        if library in linked:
             continue
-        found[library] = None
+        linked[library] = None
         if isinstance(library, _Part):
             waiting += library._linking_libraries
-    return list(found)
+    return list(linked)
 
 
 class _PartCompiler(Compiler):

@@ -122,8 +122,8 @@ def rewrite(struct: np.ndarray, holder: Any, **numbers: float) -> Any:
 def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
     """Places of the fields that are numbers, and their constructors."""
     kinds = [dtype if axes == 0 else None for dtype, axes in _fields_of(holder)]
-    made = {types.float64: float, types.int64: int}
-    return {k: made[kind] for k, kind in enumerate(kinds) if kind is not None}
+    python_types = {types.float64: float, types.int64: int}
+    return {k: python_types[kind] for k, kind in enumerate(kinds) if kind is not None}
 
 
 class Numbers:
@@ -152,9 +152,9 @@ class Numbers:
 
     def copy(self: N) -> N:
         """A copy of the numbers in another struct."""
-        other = type(self)()
-        other.struct[:] = self.struct
-        return other
+        copy = type(self)()
+        copy.struct[:] = self.struct
+        return copy
 
     @classmethod
     def place(cls, name: str) -> int:
@@ -177,12 +177,12 @@ def _number_property(place: int, real: bool) -> property:
 def _fields_of(holder: type) -> list[tuple[Any, int]]:
     """Number type and axes of every field, from its annotations; -1 axes: a view of numbers."""
     hints = get_type_hints(holder, include_extras=True)
-    found = []
+    fields = []
     for name in holder._fields:  # type: ignore[attr-defined]
         kind = hints[name]
         of_numbers = isinstance(kind, type) and issubclass(kind, Numbers)
-        found.append((View(kind, 0), -1) if of_numbers else kind.__metadata__[0])
-    return found
+        fields.append((View(kind, 0), -1) if of_numbers else kind.__metadata__[0])
+    return fields
 
 
 class View(types.Type):
@@ -250,9 +250,9 @@ def _type_of_numbers(numbers, _):
 
 
 @unbox(View)
-def _view_of_numbers(view, given, c):
+def _view_of_numbers(view, instance, c):
     """A view of the :class:`Numbers` that Python passes: where their struct is."""
-    struct, kind = c.pyapi.object_getattr_string(given, "struct"), types.int64[::1]
+    struct, kind = c.pyapi.object_getattr_string(instance, "struct"), types.int64[::1]
     native = c.unbox(kind, struct)
     array = c.context.make_array(kind)(c.context, c.builder, native.value)
     address = c.builder.ptrtoint(array.data, ir.IntType(64))
@@ -325,11 +325,11 @@ def struct_at(typing_context, address, size):
 
 def _array_in_struct(context, builder, dtype, axes, numbers, first):
     """LLVM value of an array: its address is number ``first`` of a struct, its sizes follow."""
-    found = []
+    numbers_at = []
     for offset in range(1 + axes):
         at = builder.add(first, context.get_constant(types.intp, offset))
-        found.append(_number(builder, numbers, at))
-    return _array_at(context, builder, dtype, found[0], found[1:])
+        numbers_at.append(_number(builder, numbers, at))
+    return _array_at(context, builder, dtype, numbers_at[0], numbers_at[1:])
 
 
 def _number(builder, numbers, at):

@@ -36,9 +36,9 @@ class RememberingContext(Context):
         if kws or not built_in:
             return super().resolve_function_type(func, args, kws)
         call = func, tuple(args)
-        found = _SIGNATURES.get(call)
-        if found is None:
-            found = super().resolve_function_type(func, args, kws)
-            if found is not None:
-                _SIGNATURES[call] = found
-        return found
+        signature = _SIGNATURES.get(call)
+        if signature is None:
+            signature = super().resolve_function_type(func, args, kws)
+            if signature is not None:
+                _SIGNATURES[call] = signature
+        return signature

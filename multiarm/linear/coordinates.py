@@ -84,18 +84,18 @@ def _free(rows: np.ndarray, L: np.ndarray) -> np.ndarray:
 
 def _scaled(rows: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factors of rows that give them length 1 in the metric of the inertia, and these rows."""
-    own = np.linalg.solve(L, rows.T).T
-    lengths = np.linalg.norm(own, axis=1, keepdims=True)
+    scaled = np.linalg.solve(L, rows.T).T
+    lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
     scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
-    return scale, scale * own
+    return scale, scale * scaled
 
 
 def _solved(rows: np.ndarray, right: np.ndarray, L: np.ndarray) -> np.ndarray:
     """Velocities of least kinetic energy with ``rows @ velocities = right``."""
     if not rows.size:
         return np.zeros((len(L), right.shape[1]))
-    scale, own = _scaled(rows, L)
-    least = np.linalg.lstsq(own, scale * right, rcond=SYSTEM_TOLERANCE)[0]
+    scale, scaled = _scaled(rows, L)
+    least = np.linalg.lstsq(scaled, scale * right, rcond=SYSTEM_TOLERANCE)[0]
     return np.linalg.solve(L.T, least)
 
 

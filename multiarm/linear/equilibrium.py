@@ -19,10 +19,10 @@ Newton's, and grows with every one that does not.  After each the joints are clo
 motions that nothing drives back the system stays where it is.  Unstable equilibria are found as
 well as stable ones; the linear system there says which it is.
 
-*Descent.*  Accelerations have least values that are no equilibria.  From such a one the system goes
-on as it would by itself with strong damping, :math:`d\eta/ds = \dot\zeta`, from the beginning
+*Descent.*  Accelerations may be least, and yet not zero, where no equilibrium is.  Then the search
+starts again and goes where strong damping would take the system, :math:`d\eta/ds = \dot\zeta`
 (pseudo-transient continuation: C.T. Kelley, D.E. Keyes, SIAM J. Numer. Anal. 35, 1998).  With
-coordinates in which the inertia is the identity,
+coordinates in which the inertia is the identity, its steps are
 
 .. math:: (\mu I + H)\, \Delta\eta = \dot\zeta, \qquad H = -\tfrac12 (J + J^T), \quad
     \mu I + H > 0 .
@@ -122,7 +122,7 @@ def find_equilibrium(
 ) -> Equilibrium:
     """Find a posture near a state in which the system stays at rest.
 
-    The torques that hold a given posture are those of :func:`multiarm.inverse_dynamics` for an
+    The torques that hold a posture are those of :func:`multiarm.inverse_dynamics` for an
     object acceleration of zero.
 
     >>> equilibrium = ma.find_equilibrium(system)
@@ -279,8 +279,8 @@ def _virtual_work(here: LinearSystem, way: np.ndarray) -> float:
 def _states_rest(here: LinearSystem, size: float) -> bool:
     """Whether the states of effects are at rest, but for roundings.
 
-    The way of each to its rest, ``A_zz^-1 dz/dt``, counts in its own unit and by the accelerations
-    that it makes.
+    The way of each to its rest, ``A_zz^-1 dz/dt``, counts in its unit, and by the accelerations
+    that it causes.
     """
     moving, inner = _blocks(here)
     rate = here.rate[inner]
@@ -288,8 +288,8 @@ def _states_rest(here: LinearSystem, size: float) -> bool:
         away = np.linalg.solve(here.A[inner, inner], rate)
     except np.linalg.LinAlgError:  # a state that nothing brings to rest
         return False
-    made = here.A[moving, inner] @ away / size
-    return bool(max(np.abs([*away, *made]), default=0.0) <= ROUNDINGS)
+    accelerations = here.A[moving, inner] @ away / size
+    return bool(max(np.abs([*away, *accelerations]), default=0.0) <= ROUNDINGS)
 
 
 def _blocks(here: LinearSystem) -> tuple[slice, slice]:
@@ -332,16 +332,20 @@ def _not_found(least: _Search, descent: _Search, start: State) -> str:
         f"find_equilibrium: none found in {steps} steps, which left accelerations of {left:.2g} "
         "m/s^2 or rad/s^2: "
     )
-    if descent.steps >= MOST_STEPS and moved > UNBOUNDED:
+    if descent.steps < MOST_STEPS:
+        text += (
+            f"no motion near the state reached, {moved:.2g} m or rad from the start, lessens them "
+            "or does work; whether there is one elsewhere is not known; begin elsewhere (`state`)"
+        )
+    elif moved > UNBOUNDED:
         text += (
             f"the forces drive the system on without end (so far by {moved:.2g} m or rad), and on "
             "this way there is none; add what holds it, such as springs"
         )
     else:
         text += (
-            f"neither they nor the potential become less near the state reached, {moved:.2g} m or "
-            "rad from the start, and whether there is one elsewhere is not known; begin there "
-            "(`state`)"
+            f"the forces still do work, {moved:.2g} m or rad from the start; whether there is one "
+            "is not known; begin nearer to it (`state`)"
         )
     return text + (
         ", or give the torques that hold the posture: "

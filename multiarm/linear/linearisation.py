@@ -135,8 +135,8 @@ class LinearSystem:
         ModelError
             For a state of other arms.
         """
-        own, other = self.state, self.system.checked(state)
-        moved, faster = own.displacement_to(other), other.velocity - own.velocity
+        start, end = self.state, self.system.checked(state)
+        moved, faster = start.displacement_to(end), end.velocity - start.velocity
         positions, velocities = self.coordinates.positions, self.coordinates.velocities
         y = np.zeros(len(self.A))
         y[: len(positions)] = moved[list(positions)]
@@ -260,7 +260,7 @@ def linearise(
     inner = D.rows["effect_state_rates"]
     forces = np.r_[D.rows["contact_forces"]]
     forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
-    names = [f"object/{one}" for one in OBJECT] + joint_names(system.model)
+    names = [f"object/{component}" for component in OBJECT] + joint_names(system.model)
     return LinearSystem(
         system=system,
         derivatives=D,

@@ -95,7 +95,8 @@ def modes_of(
     """
     eigenvalues, vectors = np.linalg.eig(A)
     size = np.abs(A).max(initial=0.0)
-    noise, found = MATRIX_ERROR * max(size, 1.0), []
+    noise = MATRIX_ERROR * max(size, 1.0)
+    modes: list[Mode] = []
     zero = math.sqrt(noise)
     for k in np.lexsort((eigenvalues.real, np.abs(eigenvalues.imag), np.abs(eigenvalues))):
         value = complex(eigenvalues[k])
@@ -110,7 +111,7 @@ def modes_of(
             shape = shape / shape[largest]
         share = np.abs(shape)
         order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > NAMED_SHARE]
-        found.append(
+        modes.append(
             Mode(
                 eigenvalue=value,
                 shape=shape,
@@ -119,7 +120,7 @@ def modes_of(
                 kind="drifts" if drifts else _kind(value, noise),
             )
         )
-    return tuple(found)
+    return tuple(modes)
 
 
 def stability_of(modes: Sequence[Mode]) -> str:

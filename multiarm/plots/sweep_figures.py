@@ -57,7 +57,7 @@ class Variable:
             return [(float(level), np.flatnonzero(self.at == level)) for level in self.levels]
         order = np.argsort(self.at, kind="stable")
         count = max(1, min(PARTS, len(order) // PART_RUNS))
-        return [(float(np.median(self.at[own])), own) for own in np.array_split(order, count)]
+        return [(float(np.median(self.at[part])), part) for part in np.array_split(order, count)]
 
 
 def variable(name: str, values: np.ndarray) -> Variable | None:
@@ -78,14 +78,14 @@ def variable(name: str, values: np.ndarray) -> Variable | None:
 
 def bands(axis: Variable, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places on the axis, shape (L,), and the quantiles ``BAND`` of the values there, (L, 5)."""
-    places, found = [], []
+    places, quantiles = [], []
     for place, runs in axis.groups():
-        own = values[runs]
-        own = own[np.isfinite(own)]
-        if len(own):
+        there = values[runs]
+        there = there[np.isfinite(there)]
+        if len(there):
             places.append(place)
-            found.append(np.quantile(own, BAND))
-    return np.array(places), np.array(found).reshape(-1, len(BAND))
+            quantiles.append(np.quantile(there, BAND))
+    return np.array(places), np.array(quantiles).reshape(-1, len(BAND))
 
 
 def cells(x: Variable, y: Variable, values: np.ndarray) -> np.ndarray | None:
@@ -99,9 +99,9 @@ def cells(x: Variable, y: Variable, values: np.ndarray) -> np.ndarray | None:
     finite = np.isfinite(values)
     for i, row in enumerate(y.levels):
         for k, column in enumerate(x.levels):
-            own = values[finite & (x.at == column) & (y.at == row)]
-            if len(own):
-                table[i, k] = np.median(own)
+            there = values[finite & (x.at == column) & (y.at == row)]
+            if len(there):
+                table[i, k] = np.median(there)
     return table
 
 
@@ -157,24 +157,23 @@ class _Data:
     """Axes, quantities and failed runs of a figure."""
 
     def __init__(self, sweep: Sweep) -> None:
-        varied = [own.name for own in sweep.columns if own.group == "values"]
-        kept = {own.name: own for own in sweep.columns if own.group == "quantities"}
-        table = sweep.select(dict.fromkeys(["status", *varied, *kept]))
-        there = [name for name in kept if np.isfinite(table[name]).any()]
-        if not there:
+        varied = [column.name for column in sweep.columns if column.group == "values"]
+        quantities = {c.name: c for c in sweep.columns if c.group == "quantities"}
+        numbers = {name: sweep.table[name].to_numpy(float, na_value=np.nan) for name in quantities}
+        drawn = [name for name, values in numbers.items() if np.isfinite(values).any()]
+        if not drawn:
             raise SweepError(f"'{sweep.path}' has no run with a number to draw")
-        found = {path: variable(path, table[path]) for path in varied}
-        self.axes = [axis for axis in found.values() if axis is not None][:MOST_PATHS]
+        variables = [variable(path, sweep.table[path].to_numpy()) for path in varied]
+        self.axes = [axis for axis in variables if axis is not None][:MOST_PATHS]
         if not self.axes:
             raise SweepError(
                 f"'{sweep.path}': there is nothing to draw over: "
-                f"{', '.join(found) or 'no value'} varies as a number, or takes few values"
+                f"{', '.join(varied) or 'no value'} varies as a number, or takes few values"
             )
-        self.values = {name: table[name] for name in there[:MOST_QUANTITIES]}
-        self.labels = {
-            name: f"{name} [{kept[name].unit}]" if kept[name].unit else name for name in self.values
-        }
-        self.failed = table["status"] != "completed"
+        self.values = {name: numbers[name] for name in drawn[:MOST_QUANTITIES]}
+        units = {name: quantities[name].unit for name in self.values}
+        self.labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
+        self.failed = (sweep.table["status"] != "completed").to_numpy(bool)
 
 
 _RUN: dict[str, Any] = {"color": INK, "marker": ".", "markersize": 2.5, "alpha": 0.35, "lw": 0}
@@ -200,13 +199,13 @@ def _draw_curve(panel: Axes, axis: Variable, values: np.ndarray, failed: np.ndar
     if is_wide(values):
         panel.set_yscale("log")
     _dress(panel, axis, "x")
-    places, found = bands(axis, values)
+    places, quantiles = bands(axis, values)
     shown = _thinned(np.flatnonzero(finite))
     panel.plot(axis.at[shown], values[shown], **_RUN)
     if len(places):
-        panel.fill_between(places, found[:, 0], found[:, 4], **_NINE_TENTHS)
-        panel.fill_between(places, found[:, 1], found[:, 3], **_MIDDLE_HALF)
-        panel.plot(places, found[:, 2], **_MEDIAN, label="median")
+        panel.fill_between(places, quantiles[:, 0], quantiles[:, 4], **_NINE_TENTHS)
+        panel.fill_between(places, quantiles[:, 1], quantiles[:, 3], **_MIDDLE_HALF)
+        panel.plot(places, quantiles[:, 2], **_MEDIAN, label="median")
     lost = _thinned(np.flatnonzero(failed))
     if len(lost):
         panel.plot(

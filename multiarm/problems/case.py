@@ -143,8 +143,8 @@ def distance_from(
     """
 
     def measure(run: Trajectory, system: System) -> float:
-        other = reference_run(build, *arguments, solver=solver)
-        return apart(run.object_position, other.object_position)
+        reference = reference_run(build, *arguments, solver=solver)
+        return apart(run.object_position, reference.object_position)
 
     return Criterion(f"distance from {named}", bound, "m", measure)
 

@@ -114,8 +114,8 @@ def _spin_changed(rate: float) -> Callable[[Trajectory, System], float]:
 def _momentum_changed(run: Trajectory, system: System) -> float:
     """Relative change of the angular momentum about the centre of mass, a constant vector."""
     R, rates = _rotations(run), run.object_twist[:, 3:]
-    own = np.einsum("kji,kj->ki", R, rates) * TUMBLING_INERTIA
-    momentum = np.einsum("kij,kj->ki", R, own)
+    in_body = np.einsum("kji,kj->ki", R, rates) * TUMBLING_INERTIA
+    momentum = np.einsum("kij,kj->ki", R, in_body)
     return largest(momentum - momentum[0]) / largest(momentum[0])
 
 
@@ -144,8 +144,8 @@ def tumbling(times: np.ndarray) -> np.ndarray:
 
     start = np.array([*TUMBLING_RATE, 0.0, 0.0, 0.0, 1.0])
     span = (times[0], times[-1])
-    found = solve_ivp(rates, span, start, "DOP853", times, rtol=1e-13, atol=1e-13)
-    return (found.y[3:] / np.linalg.norm(found.y[3:], axis=0)).T
+    solution = solve_ivp(rates, span, start, "DOP853", times, rtol=1e-13, atol=1e-13)
+    return (solution.y[3:] / np.linalg.norm(solution.y[3:], axis=0)).T
 
 
 # The time from one turn-over to the next depends on how far the motion is from the one that turns

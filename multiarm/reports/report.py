@@ -15,7 +15,7 @@ import yaml
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
-from multiarm.notation import number, value_text
+from multiarm.notation import number, numbers, value_text
 from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
 from multiarm.reports.pages import heading
@@ -214,7 +214,7 @@ def _row(group: Group) -> tuple[str, str, str, str]:
         time += f" to {value_text(last['time'])}"
     where, place = who(first), first.get("where")
     if isinstance(place, list | tuple):
-        where += f" at ({', '.join(f'{value:.3g}' for value in place)}) m"
+        where += f" at ({numbers(place, digits=3)}) m"
     return f"{time} s", group.what(), where.lstrip(), group.change()
 
 

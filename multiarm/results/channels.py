@@ -72,13 +72,22 @@ def in_sequence(channels: Iterable[Channel]) -> Columns:
     return columns
 
 
+LARGEST = 1e150
+"""Of numbers in results: the squares of larger ones overflow, in figures and replays too."""
+
+
+def recordable(values: np.ndarray) -> np.ndarray:
+    """Which numbers a result may hold: finite ones up to :data:`LARGEST`."""
+    return np.abs(values) <= LARGEST  # not a number is not less than one either
+
+
 def first_fault(channels: Sequence[Channel], columns: Columns, rows: np.ndarray) -> tuple[int, str]:
-    """The first sample with a number that is not finite, and the sentence that reports it."""
-    sample = int(np.argmin(np.isfinite(rows).all(axis=1)))
+    """The first sample with a number that no result holds, and the sentence that reports it."""
+    sample = int(np.argmin(recordable(rows).all(axis=1)))
     row, time = rows[sample], rows[sample, columns["time"]].item()
-    channel = next(c for c in channels if not np.isfinite(row[columns[c.name]]).all())
+    channel = next(c for c in channels if not recordable(row[columns[c.name]]).all())
     numbers = row[columns[channel.name]]
-    k = int(np.argmin(np.isfinite(numbers)))
+    k = int(np.argmin(recordable(numbers)))
     where = f" ({channel.labels[k]})" if channel.labels else ""
     when = f"t = {time:.9g} s" if math.isfinite(time) else f"sample {sample} of a block"
     return sample, (
@@ -97,10 +106,10 @@ def channels_of(channels: Iterable[str], quantity: str) -> dict[str, str]:
     """Arm, or "floor" -> name of its channel of a quantity, of the channels of a run."""
     known = dict.fromkeys(channels)
     names = {arm: f"arms/{arm}/{quantity}" for arm in arm_names(known)}
-    found = {arm: name for arm, name in names.items() if name in known}
+    channel_of = {arm: name for arm, name in names.items() if name in known}
     if f"environment/{quantity}" in known:
-        found.setdefault(FLOOR, f"environment/{quantity}")  # an arm may have this name
-    return found
+        channel_of.setdefault(FLOOR, f"environment/{quantity}")  # an arm may have this name
+    return channel_of
 
 
 def trajectory_channels(

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from textwrap import shorten
 from typing import Any
 
-from multiarm.notation import count_of
+from multiarm.notation import count_of, number, value_text
 
 Event = dict[str, Any]
 START = "start"
@@ -220,7 +220,7 @@ def counts(events: Iterable[Event]) -> list[Count]:
     by_kind: dict[str, list[Event]] = {}
     for event in timed(events):
         by_kind.setdefault(event["kind"], []).append(event)
-    return [Count(kind, len(found), found[0]) for kind, found in by_kind.items()]
+    return [Count(kind, len(same_kind), same_kind[0]) for kind, same_kind in by_kind.items()]
 
 
 @dataclass(frozen=True)
@@ -309,10 +309,6 @@ def _name_and_unit(key: str) -> tuple[str, str]:
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float | int):
-        return f"{value:.3g}"
     if isinstance(value, list | tuple):
-        return "(" + ", ".join(_value(item) for item in value) + ")"
-    return str(value)
+        return f"({', '.join(map(_value, value))})"
+    return number(value) if isinstance(value, float) else value_text(value)

@@ -135,7 +135,7 @@ def save_figure(figure: Any, path: Path) -> None:
 
 def printable(text: str) -> str:
     r"""The text with characters that control a terminal or a page escaped: ``\x1b``."""
-    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+    return _CONTROL.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
 def printable_texts(value: Any) -> Any:

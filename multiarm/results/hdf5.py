@@ -131,12 +131,12 @@ class StoredFile:
     def table(self, text: str, what: str) -> dict[str, Any]:
         """A table from JSON, whose numbers are finite."""
         try:
-            found = json.loads(text, parse_constant=_refused)
+            table = json.loads(text, parse_constant=_refused)
         except (ValueError, RecursionError):
-            found = None
-        if not isinstance(found, dict):
+            table = None
+        if not isinstance(table, dict):
             raise self.broken(f"{what} is no table in JSON")
-        return found
+        return table
 
     def require(self, name: str, rows: int = 0) -> None:
         """Refuse a file that was cut short within the first `rows` rows of a dataset.
@@ -211,8 +211,8 @@ class StoredFile:
     def _open(self) -> None:
         self.file, closed = self.opened(self.path)
         with self.reading(self.path):
-            found = self.file.attrs.get("format")
-            if not isinstance(found, str) or found != self.format:
+            stored_format = self.file.attrs.get("format")
+            if not isinstance(stored_format, str) or stored_format != self.format:
                 raise self.error(f"'{self.path}' is an HDF5 file, but not {self.noun} of multiarm")
             version = int(self.attribute("format_version", (int, np.integer)))
             if version < 1:

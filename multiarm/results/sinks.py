@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, Columns, first_fault, in_sequence
+from multiarm.results.channels import Channel, Columns, first_fault, in_sequence, recordable
 from multiarm.results.files import CLOSED
 from multiarm.results.trajectory import Outcome, Trajectory, plain
 
@@ -62,13 +62,13 @@ class Sink:
         Raises
         ------
         TrajectoryError
-            At the first number that is not finite; the samples before it are kept.
+            At the first number that no result holds; the samples before it are kept.
         """
         if rows.ndim != 2 or rows.shape[1] != self._width:
             raise TrajectoryError(
                 f"a block of samples has shape {rows.shape}; expected (k, {self._width})"
             )
-        if np.isfinite(rows).all():
+        if recordable(rows).all():
             self._keep(rows)
             return
         end, fault = first_fault(self._channels, self._columns_of(self._channels), rows)
@@ -126,6 +126,8 @@ class MemorySink(Sink):
 class MemoryStore:
     """Samples in memory, read-only: ``rows`` has shape (K, width); else see :meth:`Sink.open`."""
 
+    path = None
+
     def __init__(
         self,
         channels: Sequence[Channel],
@@ -142,7 +144,7 @@ class MemoryStore:
     @cached_property
     def metadata(self) -> dict[str, Any]:
         """Provenance, and the scene's text under `scene`."""
-        return _found(self._metadata)
+        return _evaluated(self._metadata)
 
     @cached_property
     def _columns(self) -> Columns:
@@ -184,7 +186,7 @@ class Hdf5Sink(Sink):
 
         self._columns = self._columns_of(self._channels)
         target = TrajectoryReader.writable_target(self.path)
-        self._writer = TrajectoryWriter(target, self._channels, _found(self._metadata))
+        self._writer = TrajectoryWriter(target, self._channels, _evaluated(self._metadata))
 
     def _keep(self, rows: np.ndarray) -> None:
         block = {
@@ -229,7 +231,7 @@ def provenance(scene_text: str, created: float | None = None) -> dict[str, Any]:
     }
 
 
-def _found(metadata: Metadata) -> dict[str, Any]:
+def _evaluated(metadata: Metadata) -> dict[str, Any]:
     """Metadata in types of JSON."""
     return plain(metadata() if callable(metadata) else metadata)
 

@@ -62,6 +62,10 @@ class Store(Protocol):
     channels: dict[str, Channel]
 
     @property
+    def path(self) -> Path | None:
+        """The file; None in memory."""
+
+    @property
     def metadata(self) -> dict[str, Any]:
         """Provenance, and the scene's text under `scene`."""
 
@@ -449,11 +453,10 @@ class Trajectory:
             from multiarm.scene import parse_scene
 
             try:
-                self._scene = parse_scene(self.scene_text, folder=None, stored=True)
+                self._scene = parse_scene(self.scene_text, folder=None, code=False)
             except SceneError as error:
-                raise SceneError(
-                    error.faults, source="the scene that is stored with this run"
-                ) from None
+                where = "with this run" if self._store.path is None else f"in '{self._store.path}'"
+                raise SceneError(error.faults, source=f"the scene stored {where}") from None
         return self._scene
 
     @property

@@ -39,14 +39,17 @@ import numpy as np
 from multiarm.errors import TrajectoryError
 from multiarm.notation import count_of
 from multiarm.results.channels import (
+    LARGEST,
     Channel,
     arm_names,
+    recordable,
     trajectory_channels,
     wrench_and_tip_channels,
     wrench_channel,
 )
 from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
 from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
+from multiarm.scene.run import LONGEST_RUN
 
 CHUNK_SAMPLES = 512
 """A chunk of a scalar channel fills a page of the file."""
@@ -129,10 +132,10 @@ class TrajectoryReader(StoredFile):
 
     def _counters(self, name: str) -> list[int]:
         """Two numbers of rows."""
-        found = self.dataset(name, "iu", 1)[:].tolist()
-        if len(found) != 2 or min(found) < 0:
+        counters = self.dataset(name, "iu", 1)[:].tolist()
+        if len(counters) != 2 or min(counters) < 0:
             raise self.broken(f"'{name}' is not two numbers of rows")
-        return found
+        return counters
 
     def _pieces(self, name: str, begin: int, end: int) -> str:
         """The text in some rows of a dataset, see :func:`_in_pieces`."""
@@ -153,12 +156,14 @@ class TrajectoryReader(StoredFile):
             if self.channels.get(channel.name, channel).shape != channel.shape:
                 raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):
-            own = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
-            if len({self.channels[name].shape for name in own if name in self.channels}) > 1:
+            joints = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
+            if len({self.channels[name].shape for name in joints if name in self.channels}) > 1:
                 raise self.broken(f"channels of arm '{arm}' have different numbers of joints")
         times = self.file["time"][: self.samples]
-        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
+        if not recordable(times).all() or np.any(np.diff(times) < 0.0):
             raise self.broken("its times are not finite, or do not increase")
+        if len(times) and times[-1] - times[0] > LONGEST_RUN:
+            raise self.broken(f"its times span more than {LONGEST_RUN:g} s")
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
@@ -167,18 +172,20 @@ class TrajectoryReader(StoredFile):
             if not self.file:  # closed
                 raise TrajectoryError(CLOSED)
             with self.reading(self.path):
-                return self._finite(name, self.file[name][start:stop])
+                return self._recordable(name, self.file[name][start:stop])
         if _identity(self.path) != self._identity:
             raise TrajectoryError(
                 f"'{self.path}' is not the file any more that this result was read from; load it "
                 "again, or write other runs elsewhere"
             )
         with self.opened(self.path)[0] as file, self.reading(self.path):
-            return self._finite(name, file[name][start:stop])
+            return self._recordable(name, file[name][start:stop])
 
-    def _finite(self, name: str, values: np.ndarray) -> np.ndarray:
-        if not np.isfinite(values).all():
-            raise self.broken(f"channel '{name}' has numbers that are not finite")
+    def _recordable(self, name: str, values: np.ndarray) -> np.ndarray:
+        if not recordable(values).all():
+            raise self.broken(
+                f"channel '{name}' has numbers that are not finite, or beyond {LARGEST:g}"
+            )
         return values
 
     def close_between_reads(self) -> None:
@@ -408,8 +415,9 @@ def outcome_fault(outcome: Mapping[str, Any]) -> str:
     if certificate is not None and not isinstance(certificate, dict):
         return "'certificate' is none"
     for event in outcome["events"]:
-        own = event if isinstance(event, dict) else {}
-        if not isinstance(own.get("time"), (int, float)) or not isinstance(own.get("kind"), str):
+        entry = event if isinstance(event, dict) else {}
+        time, kind = entry.get("time"), entry.get("kind")
+        if not isinstance(time, (int, float)) or not isinstance(kind, str):
             return "an event has no time or no kind"
     return ""
 
@@ -417,7 +425,7 @@ def outcome_fault(outcome: Mapping[str, Any]) -> str:
 def _identity(path: Path) -> tuple[int, ...]:
     """Identity of the file at a path; empty where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return ()
-    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
+    return status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size

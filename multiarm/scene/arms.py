@@ -17,9 +17,9 @@ from typing_extensions import Self
 
 from multiarm.errors import ModelError, SceneError
 from multiarm.notation import count_of
+from multiarm.scene.code import located
 from multiarm.scene.faults import fault, listed, place, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
-from multiarm.scene.functions import located
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robots import (
@@ -38,6 +38,7 @@ from multiarm.scene.urdf import (
 )
 from multiarm.scene.values import (
     SOLVE,
+    BaseTurn,
     Color,
     Faults,
     FilePath,
@@ -47,6 +48,7 @@ from multiarm.scene.values import (
     Pose,
     Posture,
     Spec,
+    angle_fault,
     joint_value_faults,
     joint_vector,
 )
@@ -65,10 +67,10 @@ class _FromUrdf(Spec):
     @model_validator(mode="after")
     def _exactly_one_source(self) -> Self:
         sources = self._sources()
-        given = [name for name in sources if getattr(self, name) is not None]
-        if len(given) != 1:
+        written = [name for name in sources if getattr(self, name) is not None]
+        if len(written) != 1:
             wanted = " or ".join(f"'{name}' ({what})" for name, what in sources.items())
-            got = "neither" if not given else "both" if len(given) == 2 else "all"
+            got = "neither" if not written else "both" if len(written) == 2 else "all"
             raise fault(f"needs either {wanted}, got {got}")
         return self
 
@@ -112,6 +114,8 @@ class ToolSpec(_FromUrdf):
 class BaseSpec(Pose):
     """Where an arm stands: as written, or found by the program."""
 
+    rpy: BaseTurn = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw [rad], as of any pose; up to three turns, as where arms stand in a ring."""
     solve: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """What the program finds, of x, y, z, roll, pitch, yaw: the place from which the arm holds its
     joint's place on the object ('at') best. The rest is as written."""
@@ -248,47 +252,48 @@ def resolve_arm(spec: ArmSpec, folder: Path | str | None = None) -> ResolvedArm:
 
     Relative paths start at ``folder``, the current one by default.
     """
-    found = examine_arm(located(spec, Path(folder or ".").resolve()))
-    if found.faults or found.arm is None:
-        raise SceneError([f"{place(where, 'arm')}: {text}" for where, text in found.faults])
-    return found.arm
+    examination = examine_arm(located(spec, Path(folder or ".").resolve()))
+    if examination.faults or examination.arm is None:
+        raise SceneError([f"{place(where, 'arm')}: {text}" for where, text in examination.faults])
+    return examination.arm
 
 
 def examine_arm(spec: ArmSpec) -> Examination:
     """Look at an arm whose paths are absolute, and note all faults and warnings."""
-    found = Examination(shown_by=spec.shown_by if spec.tool is None else None)
-    robot = _outline(spec, found, ())
-    tool = _outline(spec.tool, found, ("tool",)) if spec.tool is not None else None
-    tip = _usual_tip(spec, robot, tool, found) if spec.tip is None else spec.tip
-    chain = _chain(spec, tip, robot, tool, found)
+    examination = Examination(shown_by=spec.shown_by if spec.tool is None else None)
+    robot = _outline(spec, examination, ())
+    tool = _outline(spec.tool, examination, ("tool",)) if spec.tool is not None else None
+    tip = _usual_tip(spec, robot, tool, examination) if spec.tip is None else spec.tip
+    chain = _chain(spec, tip, robot, tool, examination)
     if robot is None or (spec.tool is not None and tool is None):
-        return found
+        return examination
     joints = {joint.name: joint for outline in (robot, tool) if outline for joint in outline.joints}
     for name in spec.lock:
         if name not in joints or not joints[name].movable:
             movable = [joint.name for joint in joints.values() if joint.movable]
-            found.fault("lock", name, text=unknown("joint", name, movable))
+            examination.fault("lock", name, text=unknown("joint", name, movable))
     if tip is None or chain is None:
-        return found
-    found.urdf, found.robot_joints = robot.path, {joint.name for joint in robot.joints}
-    found.way = tuple(j.name for j in chain if j.movable and j.name in found.robot_joints)
-    free = _free_joints(spec, tip, chain, found)
-    found.joints = free
+        return examination
+    examination.urdf = robot.path
+    examination.robot_joints = of_robot = {joint.name for joint in robot.joints}
+    examination.way = tuple(j.name for j in chain if j.movable and j.name in of_robot)
+    free = _free_joints(spec, tip, chain, examination)
+    examination.joints = free
     names = {joint.name for joint in free}
-    found.links, found.moving = robot.links, robot.carried_by(names)
+    examination.links, examination.moving = robot.links, robot.carried_by(names)
     if tool is not None and spec.tool is not None:
-        found.links += tool.links
-        moved = spec.tool.mount in found.moving
-        found.moving += tool.links if moved else tool.carried_by(names)
-    locked = _locked(spec, joints, free, found)
+        examination.links += tool.links
+        moved = spec.tool.mount in examination.moving
+        examination.moving += tool.links if moved else tool.carried_by(names)
+    locked = _locked(spec, joints, free, examination)
     if spec.open_base and spec.posture not in (None, SOLVE):
         text = "a base that is found has its posture with it; write 'posture: solve', or none"
-        found.fault("base", "solve", text=text)
-    posture, velocity = _start(spec, free, found)
-    package_dirs = _package_dirs(spec, robot, found)
-    tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, found)
-    if not found.faults:
-        found.arm = ResolvedArm(
+        examination.fault("base", "solve", text=text)
+    posture, velocity = _start(spec, free, examination)
+    package_dirs = _package_dirs(spec, robot, examination)
+    tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, examination)
+    if not examination.faults:
+        examination.arm = ResolvedArm(
             urdf=robot.path,
             package_dirs=package_dirs,
             tool_urdf=None if tool is None else tool.text or tool.path,
@@ -300,11 +305,11 @@ def examine_arm(spec: ArmSpec) -> Examination:
             locked=locked,
             mjcf=spec.mjcf is not None,
         )
-    return found
+    return examination
 
 
 def _outline(
-    spec: ArmSpec | ToolSpec, found: Examination, where: tuple[str, ...]
+    spec: ArmSpec | ToolSpec, examination: Examination, where: tuple[str, ...]
 ) -> RobotOutline | None:
     key = "robot" if spec.file is None else "urdf"
     try:
@@ -317,12 +322,12 @@ def _outline(
         assert path is not None, "a model has a name or a file"
         return read_urdf(path)
     except (SceneError, ModelError) as error:
-        found.fault(*where, key, text=str(error))
+        examination.fault(*where, key, text=str(error))
         return None
 
 
 def _usual_tip(
-    spec: ArmSpec, robot: RobotOutline | None, tool: RobotOutline | None, found: Examination
+    spec: ArmSpec, robot: RobotOutline | None, tool: RobotOutline | None, examination: Examination
 ) -> str | None:
     """The tip of an arm that names none; a fault where nothing tells which it is."""
     model, outline = (spec, robot) if spec.tool is None else (spec.tool, tool)
@@ -332,7 +337,7 @@ def _usual_tip(
     if len(usual) == 1:
         return usual[0]
     links = listed(usual or arm_ends(outline))
-    found.fault(
+    examination.fault(
         "tip",
         text=f"is missing (the link whose frame is joined to the object); of "
         f"{model.robot or outline.path.name} it may be {links}; '{model.shown_by}' shows all links",
@@ -345,13 +350,13 @@ def _chain(
     tip: str | None,
     robot: RobotOutline | None,
     tool: RobotOutline | None,
-    found: Examination,
+    examination: Examination,
 ) -> list[JointOutline] | None:
     """All joints from the robot's root to the tip, None where the chain is not known."""
     if spec.tool is None:
-        return _part(spec, robot, tip, found, "tip")
-    below = _part(spec, robot, spec.tool.mount, found, "tool", "mount")
-    above = _part(spec.tool, tool, tip, found, "tip")
+        return _part(spec, robot, tip, examination, "tip")
+    below = _part(spec, robot, spec.tool.mount, examination, "tool", "mount")
+    above = _part(spec.tool, tool, tip, examination, "tip")
     if robot is None or tool is None:
         return None
     for noun, ours, theirs in (
@@ -361,7 +366,7 @@ def _chain(
         both = [name for name in theirs if name in ours]
         if both:
             text = f"tool and robot both have a {noun} named {listed(both)}; rename it in one URDF"
-            found.fault("tool", text=text)
+            examination.fault("tool", text=text)
     return None if below is None or above is None else below + above
 
 
@@ -369,7 +374,7 @@ def _part(
     model: ArmSpec | ToolSpec,
     outline: RobotOutline | None,
     link: str | None,
-    found: Examination,
+    examination: Examination,
     *where: str,
 ) -> list[JointOutline] | None:
     if outline is None or link is None:
@@ -378,30 +383,30 @@ def _part(
         return list(outline.chain(link))
     except ModelError as error:
         shown = "" if outline.text else f"; '{model.shown_by}' shows them all"
-        found.fault(*where, text=f"{error}{shown}")
+        examination.fault(*where, text=f"{error}{shown}")
         return None
 
 
 def _free_joints(
-    spec: ArmSpec, tip: str, chain: list[JointOutline], found: Examination
+    spec: ArmSpec, tip: str, chain: list[JointOutline], examination: Examination
 ) -> tuple[JointOutline, ...]:
     free = tuple(joint for joint in chain if joint.movable and joint.name not in spec.lock)
     for joint in free:
         if joint.kind not in CHAIN_JOINTS:
-            found.fault(
+            examination.fault(
                 text=f"joint {joint.name!r} on the way to {tip!r} is {joint.kind}; arms move "
                 f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: {{{joint.name}: 0.0}})"
             )
         if joint.mimic is not None:
-            found.fault(
+            examination.fault(
                 text=f"joint {joint.name!r} on the way to {tip!r} copies joint "
                 f"{joint.mimic.joint!r}; coupled joints are not supported, lock it or choose "
                 "another tip"
             )
     if not free:
-        found.fault("tip", text=f"no movable joint lies between the base and {tip!r}")
+        examination.fault("tip", text=f"no movable joint lies between the base and {tip!r}")
     if len(free) > MOST_JOINTS:
-        found.fault(
+        examination.fault(
             "tip",
             text=f"{len(free)} movable joints lie between the base and {tip!r}, at most "
             f"{MOST_JOINTS} are possible; lock some",
@@ -413,9 +418,12 @@ def _locked(
     spec: ArmSpec,
     joints: dict[str, JointOutline],
     free: tuple[JointOutline, ...],
-    found: Examination,
+    examination: Examination,
 ) -> dict[str, float]:
     """Position of every movable joint that is no coordinate of the arm."""
+    for name, position in spec.lock.items():
+        if name in joints:
+            _check_angle(joints[name], position, ("lock", name), examination)
     names = {joint.name for joint in free}
     fixed = [joint for joint in joints.values() if joint.movable and joint.name not in names]
     locked = {joint.name: joint.neutral for joint in fixed} | {
@@ -426,7 +434,7 @@ def _locked(
             source = locked[joint.mimic.joint]
             locked[joint.name] = joint.mimic.multiplier * source + joint.mimic.offset
     silently = [j.name for j in fixed if j.name not in spec.lock and _leader(j) not in spec.lock]
-    found.resting = {name: locked[name] for name in silently}
+    examination.resting = {name: locked[name] for name in silently}
     return locked
 
 
@@ -435,7 +443,7 @@ def _leader(joint: JointOutline) -> str | None:
 
 
 def _start(
-    spec: ArmSpec, free: tuple[JointOutline, ...], found: Examination
+    spec: ArmSpec, free: tuple[JointOutline, ...], examination: Examination
 ) -> tuple[np.ndarray, np.ndarray]:
     names = [joint.name for joint in free]
     neutral = np.array([joint.neutral for joint in free])
@@ -446,19 +454,36 @@ def _start(
             values = None
         faults = joint_value_faults(values, names)
         for where, text in faults:
-            found.fault(key, *where, text=text)
+            examination.fault(key, *where, text=text)
         vectors.append(default if faults else joint_vector(values, names, default))
-    for joint, position in zip(free, vectors[0], strict=True):
-        if not joint.lower <= position <= joint.upper:
-            found.warnings.append(
+    for k, (joint, position) in enumerate(zip(free, vectors[0], strict=True)):
+        where = "posture", joint.name if isinstance(spec.posture, dict) else k
+        outside = not joint.lower <= position <= joint.upper
+        if _check_angle(joint, position, where, examination) and outside:
+            examination.warnings.append(
                 f"posture of {joint.name!r} is {position:g}, outside its limits "
                 f"{joint.lower:g} to {joint.upper:g}"
             )
     return vectors[0], vectors[1]
 
 
+def _check_angle(
+    joint: JointOutline, position: float, where: tuple[str | int, ...], examination: Examination
+) -> bool:
+    """Whether a position is no angle beyond a turn; where limits allow turns, that is a warning."""
+    text = angle_fault(position) if joint.kind in ("revolute", "continuous") else ""
+    if text and joint.lower <= position <= joint.upper:
+        examination.warnings.append(
+            f"{where[0]} of {joint.name!r} is {position:g} rad, more than a turn; positions are in "
+            "radians"
+        )
+    elif text:
+        examination.fault(*where, text=text)
+    return not text
+
+
 def _package_dirs(
-    spec: ArmSpec | ToolSpec | None, outline: RobotOutline, found: Examination
+    spec: ArmSpec | ToolSpec | None, outline: RobotOutline, examination: Examination
 ) -> tuple[Path, ...]:
     """Where the meshes of a model are looked for; a warning if some are not there."""
     if spec is None or outline.text is not None:
@@ -466,7 +491,7 @@ def _package_dirs(
     folders = resolve_package_dirs(outline.path, spec.package_dirs)
     missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
     if missing:
-        found.warnings.append(
+        examination.warnings.append(
             f"missing of {outline.path.name}: {len(missing)} of "
             f"{count_of(len(outline.meshes), 'mesh', 'meshes')} (first: {missing[0]}); the motion "
             "is not affected, the replay shows stand-ins; 'package_dirs' says where to look"

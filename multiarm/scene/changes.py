@@ -1,17 +1,16 @@
-"""Values of a scene by their paths, and scenes in which some of them are changed.
+"""Values of a scene by their paths, and its tables with some of them changed.
 
 A path is written as messages write it, with or without the ``$.`` that stands for the scene:
 
     object.mass    arms.left.base.xyz    joints[1].at.xyz[2]    arms['my arm'].posture
 
-A changed scene is validated as a whole, like one that is written so.  One error names the faults of
-several sets of changes.
+:meth:`multiarm.Scene.replace` validates what :func:`with_changes` makes.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +19,6 @@ from pydantic import BaseModel
 from multiarm.errors import SceneError
 from multiarm.scene.faults import Parts, listed, place, shown, unknown
 from multiarm.scene.run import STEPS_CHOSEN_BY
-from multiarm.scene.schema import Scene
 from multiarm.scene.values import written
 
 # A key, a key in quotes, a number in a list.
@@ -55,7 +53,7 @@ def parse_path(text: str) -> Parts:
     return tuple(parts)
 
 
-def value_at(scene: Scene, path: str) -> Any:
+def value_at(scene: BaseModel, path: str) -> Any:
     """The value at a path.
 
     Raises
@@ -70,56 +68,14 @@ def value_at(scene: Scene, path: str) -> Any:
     return value
 
 
-def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """The scene with other values at some paths, validated as a whole.
-
-    Parameters
-    ----------
-    scene : Scene
-        Stays as it is.
-    changes : mapping
-        Path -> value.  Missing optional parts are made: ``joints[0].at.xyz`` gives a pose to
-        a joint that has none.  Naming one of ``run.accuracy``, ``run.integrator``,
-        ``run.step`` and ``run.tolerance`` replaces the scene's choice of all four.
-
-    Raises
-    ------
-    SceneError
-        Naming every fault.
-    """
+def with_changes(scene: BaseModel, changes: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The tables of a scene with other values at some paths, and the faults of the paths."""
     faults: list[str] = []
     tree = _tree(changes, faults)
     data = _applied(scene, tree, (), faults)
     if isinstance(tree.get("run"), dict) and isinstance(data.get("run"), dict):
         data["run"] = _one_choice(data["run"], tree["run"])
-    try:
-        found = Scene.from_mapping(data, scene.folder, like=scene, from_file=scene.is_from_file)
-    except SceneError as error:
-        faults += error.faults
-    if faults:
-        raise SceneError(faults)
-    return found
-
-
-def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:
-    """One scene for each set of changes, see :func:`changed`.
-
-    Raises
-    ------
-    SceneError
-        Naming every fault of all, with the number of its run.
-    """
-    scenes, faults = [], []
-    for number, own in enumerate(changes, start=1):
-        try:
-            if not isinstance(own, Mapping):
-                raise SceneError(f"must be a table 'path: value', got {shown(own)}")
-            scenes.append(changed(scene, own))
-        except SceneError as error:
-            faults += [f"run {number}: {fault}" for fault in error.faults]
-    if faults:
-        raise SceneError(faults, source="parameters")
-    return scenes
+    return data, faults
 
 
 def _tree(changes: Mapping[str, Any], faults: list[str]) -> dict[str | int, Any]:
@@ -145,16 +101,18 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
     """The value with a branch of the changes in it, in plain tables and lists along their ways."""
     if isinstance(tree, _New):
         return tree.value
-    made = {}
+    entries = {}
     for part, branch in tree.items():
         try:
-            below = _below(value, part, here, leaf=isinstance(branch, _New))
-            made[part] = _applied(below, branch, (*here, part), faults)
+            leaf = isinstance(branch, _New)
+            below = _applied(_below(value, part, here, leaf), branch, (*here, part), faults)
+            if leaf or below is not None:  # nothing is made on the way of a path with a fault
+                entries[part] = below
         except SceneError as error:
             faults += error.faults
     if isinstance(value, (tuple, list)):
-        return [made.get(k, old) for k, old in enumerate(value)]
-    return {**written(value), **made}
+        return [entries.get(k, old) for k, old in enumerate(value)]
+    return {**written(value), **entries} if entries or value is not None else None
 
 
 def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:

@@ -21,8 +21,8 @@ from pydantic import (
 )
 from typing_extensions import Self
 
+from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import fault, shown, unknown
-from multiarm.scene.functions import UserFunction
 from multiarm.scene.registry import AnyClass, OwnKind, Registry
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import (
@@ -57,6 +57,7 @@ class ControlKind(OwnKind):
         Fields with values by arm and joint, which are checked against the arms.
     """
 
+    class_sort = "control"
     by_joint: ClassVar[tuple[str, ...]] = ()
 
     kind: str
@@ -270,9 +271,9 @@ control:
     @model_validator(mode="after")
     def _gains_belong_to_positions(self) -> Self:
         gains = {"stiffness": self.stiffness, "damping": self.damping}
-        given = {**gains, "gravity_compensation": self.gravity_compensation}
+        settings = {**gains, "gravity_compensation": self.gravity_compensation}
         if self.quantity == "torque":
-            named = [key for key, value in given.items() if value is not None]
+            named = [key for key, value in settings.items() if value is not None]
             if named:
                 raise fault(f"'{named[0]}' belongs to 'quantity: position', not to torques")
             return self
@@ -301,12 +302,12 @@ control:
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Gains, and columns of joints that no arm has."""
-        found = super().faults(arms)
+        faults = super().faults(arms)
         for address in self.columns or ():
             text = _address_fault(address, arms)
             if text:
-                found.append((("columns", address), text))
-        return found
+                faults.append((("columns", address), text))
+        return faults
 
 
 def _address_fault(address: str, arms: Mapping[str, KnownArm]) -> str:
@@ -375,6 +376,8 @@ def _in_two_units(value: Any) -> Any:
     )
 
 
+_EITHER = BeforeValidator(_from_number, json_schema_input_type=ObjectGain | WorldAxes)
+_TABLE = BeforeValidator(_in_two_units, json_schema_input_type=ObjectGain)
 ContactForces = Annotated[
     tuple[Number, ...], list_of("must be a list of forces [N], one for each contact", least=1)
 ]
@@ -429,13 +432,9 @@ control:
   damping: 20      # [1/s]"""
 
     kind: Literal["computed_torque"] = "computed_torque"
-    stiffness: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
-        translation=100.0, rotation=100.0
-    )
+    stiffness: Annotated[ObjectGain, _EITHER] = ObjectGain(translation=100.0, rotation=100.0)
     """[1/s^2]"""
-    damping: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
-        translation=20.0, rotation=20.0
-    )
+    damping: Annotated[ObjectGain, _EITHER] = ObjectGain(translation=20.0, rotation=20.0)
     """[1/s]; twice the root of the stiffness lets errors die out without overshoot."""
 
     @property
@@ -462,9 +461,9 @@ control:
   damping: {translation: 400, rotation: 40}       # [N s/m], [N m s/rad]"""
 
     kind: Literal["object_impedance"] = "object_impedance"
-    stiffness: Annotated[ObjectGain, BeforeValidator(_in_two_units)]
+    stiffness: Annotated[ObjectGain, _TABLE]
     """A table {translation: [N/m], rotation: [N m/rad]}, each a number or 3 for world axes."""
-    damping: Annotated[ObjectGain, BeforeValidator(_in_two_units)]
+    damping: Annotated[ObjectGain, _TABLE]
     """A table {translation: [N s/m], rotation: [N m s/rad]}, in the same forms."""
 
     @property
@@ -487,10 +486,10 @@ _OURS: tuple[type[ControlKind], ...] = (
     RecordedControl,
     FunctionControl,
 )
-BUILT_IN = {own.kind_name(): own for own in _OURS}
+BUILT_IN = {control.kind_name(): control for control in _OURS}
 """Our kinds by name."""
 CONTROLS: Registry[ControlKind] = Registry(
-    "control", "control kind", "kinds", BUILT_IN, (UnloadedControl, ControlKind)
+    "control", "control kind", "kinds", BUILT_IN, UnloadedControl
 )
 """User kinds of control; what the class must offer says :class:`multiarm.Control`."""
 
@@ -520,4 +519,15 @@ def _with_kind(value: Any) -> Any:
 if TYPE_CHECKING:
     ControlSpec = ControlKind
 else:
-    ControlSpec = Annotated[CONTROLS.by_kind(), BeforeValidator(_with_kind)]
+    _Kinds = CONTROLS.by_kind()
+    _WORDS = tuple(
+        kind
+        for kind, control in BUILT_IN.items()
+        if not any(field.is_required() for field in control.model_fields.values())
+    )
+    ControlSpec = Annotated[
+        _Kinds,
+        BeforeValidator(
+            _with_kind, json_schema_input_type=_Kinds | FunctionControl | Literal[_WORDS] | None
+        ),
+    ]

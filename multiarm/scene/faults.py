@@ -158,13 +158,13 @@ def sentences(
     error: ValidationError, root: type[BaseModel]
 ) -> list[tuple[list[str | int], str, Any]]:
     """Place below ``root``, sentence and offending value of every fault, of the first hundred."""
-    found = []
+    faults = []
     for details in error.errors(include_url=False)[:_MAX_FAULTS]:
         parts, owner, models = _walk(details["loc"], root)
         text = _sentence(details, parts, owner, models)
         tail = ["kind"] if details["type"] == "union_tag_invalid" else []
-        found.append(([*parts, *tail], text, details["input"]))
-    return found
+        faults.append(([*parts, *tail], text, details["input"]))
+    return faults
 
 
 # Names of the keys of some tables, in the singular and the plural.
@@ -281,5 +281,5 @@ def _literals(annotation: Any) -> list[str]:
     return [value for part in get_args(annotation) for value in _literals(part)]
 
 
-def _similarity(name: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, name.lower(), other.lower()).ratio()
+def _similarity(name: str, second: str) -> float:
+    return difflib.SequenceMatcher(None, name.lower(), second.lower()).ratio()

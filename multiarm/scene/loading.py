@@ -1,8 +1,8 @@
 """Scene files: YAML text read with every fault at its place, written back, and their code.
 
-A scene can name functions (surfaces, wrenches, control) and classes of installed packages (effects,
-joints, surfaces, controls).  Reading it loads none of them.  :func:`with_code` loads them for a
-system that is to run; :func:`without_code` gives what can be looked at without them.
+A scene can name functions (surfaces, wrenches, control) and user classes (effects, joints,
+surfaces, controls).  Reading it loads none of them.  :func:`with_code` loads them for a system that
+is to run; :func:`without_code` gives what can be looked at without them.
 """
 
 from __future__ import annotations
@@ -17,22 +17,24 @@ import yaml
 from pydantic import BaseModel
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.scene.code import (
+    CodeReference,
+    LoadedFunction,
+    function_references,
+    is_reference,
+    load_code,
+    mapped,
+    nodes,
+    reference_fault,
+)
 from multiarm.scene.control import CONTROLS, ControlKind, UnloadedControl
 from multiarm.scene.effects import EFFECTS
 from multiarm.scene.faults import Parts, place, shown
-from multiarm.scene.functions import (
-    FunctionReference,
-    LoadedFunction,
-    function_references,
-    load_function,
-    mapped,
-    nodes,
-)
 from multiarm.scene.joints import JOINTS
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint, UnloadedJoint
-from multiarm.scene.registry import ByName, Registry
-from multiarm.scene.schema import Scene, function_faults
+from multiarm.scene.registry import ByName, Code, Registry
+from multiarm.scene.schema import Scene
 from multiarm.scene.surfaces import SURFACES
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import written
@@ -49,8 +51,8 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
     path : path
         A YAML file. Relative paths in it start at its folder.
     code : bool
-        Whether :func:`multiarm.compile_system` may load the functions and effects of packages that
-        it names; without, it refuses a scene that names any.
+        Whether :func:`multiarm.compile_system` may load the functions and classes that it names;
+        without, it refuses a scene that names any.
 
     Returns
     -------
@@ -73,16 +75,21 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
         data = parse_yaml(text)
         if isinstance(data, Mapping):
             data = {"name": path.stem.replace("_", " "), **data}
-        return Scene.from_mapping(data, path.resolve().parent, from_file=True, code=code)
+        scene = Scene.from_mapping(data, path.resolve().parent, Code.LATER if code else Code.NEVER)
+        faults = [
+            f"{place(parts)}: {reason}"
+            for parts, reference, noun in _references(scene)
+            if (reason := reference_fault(reference, scene.folder, noun))
+        ]
     except SceneError as error:
-        raise SceneError(error.faults, source=str(path)) from None
+        faults = error.faults
+    if faults:
+        raise SceneError(faults, source=str(path))
+    return scene
 
 
 def parse_scene(
-    source: str | Mapping[str, Any],
-    folder: Path | str | None = None,
-    stored: bool = False,
-    code: bool | None = None,
+    source: str | Mapping[str, Any], folder: Path | str | None = None, code: bool = True
 ) -> Scene:
     """The scene that a YAML text or a table describes.
 
@@ -92,11 +99,9 @@ def parse_scene(
         The text, or its content.
     folder : path, optional
         Where relative paths start; the current folder by default.
-    stored : bool
-        It is that of a run, to be looked at: user effects need not be installed.
-    code : bool, optional
-        Whether :func:`multiarm.compile_system` may load the code that it names; not, when left out,
-        if it is ``stored``.
+    code : bool
+        Whether the code that it names may be loaded: user classes now, functions by
+        :func:`multiarm.compile_system`. Without, user classes need not be installed.
 
     Raises
     ------
@@ -104,7 +109,7 @@ def parse_scene(
         Naming every fault.
     """
     data = parse_yaml(source) if isinstance(source, str) else source
-    return Scene.from_mapping(data, folder, stored, code=code)
+    return Scene.from_mapping(data, folder, Code.NOW if code else Code.NEVER)
 
 
 def dump_scene(scene: Scene) -> str:
@@ -120,8 +125,7 @@ def dump_scene(scene: Scene) -> str:
 # --- code that a scene names ----------------------------------------------------------------------
 
 
-_CONTROL = ("control",)
-_WRENCHES = ("effects", "external_wrenches")
+_CONTROL, _EFFECTS = ("control",), ("effects",)
 
 
 @dataclass(frozen=True)
@@ -133,17 +137,20 @@ class NamedCode:
     place : str
         Where it is named, such as ``$.effects.external_wrenches[0].function``.
     what : str
-        The function with its file or module, or the class with its package.
+        The function or the class, with its file, module or package.
     arm : str or None
         Whose joint needs it.
+    missing : str
+        Why there is no such class; empty where there is one.
     """
 
     place: str
     what: str
     arm: str | None = None
+    missing: str = ""
 
     @classmethod
-    def function(cls, parts: Parts, reference: FunctionReference, arm: str | None = None):
+    def function(cls, parts: Parts, reference: CodeReference, arm: str | None = None):
         """A function that is named at a place."""
         return cls(place(parts), f"the function {reference.name!r} of {reference.home}", arm)
 
@@ -152,23 +159,27 @@ class NamedCode:
         cls, parts: Parts, registry: Registry, name: str, arm: str | None = None
     ) -> NamedCode:
         """A user class that is named at a place."""
-        package = registry.offers(name) or "a package that is not installed"
-        return cls(place(parts), f"the {registry.noun} {name!r} of {package}", arm)
+        offer = registry.offers(name)
+        missing = "" if offer or name in registry.registered else registry.unknown(name)
+        shown_name = CodeReference(name).name if is_reference(name) else name
+        owner = offer or "a package that is not installed"
+        what = f"the {registry.noun} {shown_name!r} of {owner}"
+        return cls(place(parts), what, arm, missing)
 
 
 def named_code(scene: Scene) -> list[NamedCode]:
     """The code that a scene names and that is not loaded yet, in the order of the scene."""
-    found = []
-    for where, value, arm in [
-        *((("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)),
-        (_CONTROL, scene.control, None),
-        (_WRENCHES, scene.effects.external_wrenches, None),
-    ]:
-        for parts, reference in function_references(value, where):
-            found.append(NamedCode.function(parts, reference, arm))
-        found += [NamedCode.user_class(*one, arm) for one in _unloaded_classes(value, where)]
-    effects = [one for one in _unloaded_effects(scene) if not EFFECTS.known(one[2])]
-    return found + [NamedCode.user_class(*one) for one in effects]
+    parts: list[tuple[Parts, Any, str | None]] = [
+        (("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)
+    ]
+    parts += [(_CONTROL, scene.control, None), (_EFFECTS, scene.effects, None)]
+    named = []
+    for where, part, arm in parts:
+        for at, reference in function_references(part, where):
+            named.append(NamedCode.function(at, reference, arm))
+        for unloaded in _unloaded_classes(part, where):
+            named.append(NamedCode.user_class(*unloaded, arm))
+    return named
 
 
 def refuse_code(named: Iterable[NamedCode]) -> None:
@@ -179,11 +190,11 @@ def refuse_code(named: Iterable[NamedCode]) -> None:
     SceneError
         When some is named: each with its place, and how it is allowed.
     """
-    faults = [
-        f"{one.place}: {one.what} is not loaded, since code is not allowed; if you trust its "
-        "author, allow it (`code=True` in Python, no `--no-code` on the command line)"
-        for one in named
-    ]
+    remedy = (
+        "is not loaded, since code is not allowed; if you trust its author, allow it (`code=True` "
+        "in Python, no `--no-code` on the command line)"
+    )
+    faults = [f"{code.place}: {code.missing or f'{code.what} {remedy}'}" for code in named]
     if faults:
         raise SceneError(faults)
 
@@ -204,37 +215,20 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
     ModelError
         When a function cannot be loaded.
     """
-    named, effects = named_code(scene), _unloaded_effects(scene)
-    unloaded = [
-        *_unloaded_classes(scene.joints, ("joints",)),
-        *_unloaded_classes(scene.control, _CONTROL),
-    ]
-    missing = [one for one in unloaded if not one[1].known(one[2]) and not one[1].offers(one[2])]
+    named = named_code(scene)
+    if not named:
+        return scene
+    missing = [f"{code.place}: {code.missing}" for code in named if code.missing]
     if missing:
-        raise SceneError(f"{place(parts)}: {own.unknown(name)}" for parts, own, name in missing)
+        raise SceneError(missing)
     if not (scene.may_load_code if allowed is None else allowed):
         refuse_code(named)
-    if effects or unloaded:
-        # validated as in a scene made in Python, which loads the classes that it names
-        parts: dict[str, Any] = {"effects": scene.effects.named}
-        if unloaded:
-            parts |= {name: _plain(getattr(scene, name)) for name in ("joints", "control")}
-        allowing = scene.model_copy()
-        allowing._may_load_code = True
-        validated = allowing.replace(**parts)
-        validated._may_load_code = scene.may_load_code
-        faults = function_faults(validated, scene.folder) if scene.is_from_file else []
-        if faults:
-            raise SceneError(faults)
-        scene = validated
-    if named:
-        joints = loaded_functions(scene.joints, ("joints",))
-        control = loaded_functions(scene.control, _CONTROL)
-        wrenches = loaded_functions(scene.effects.external_wrenches, _WRENCHES)
-        changed = scene.effects.model_copy(update={"external_wrenches": wrenches})
-        changes = {"joints": joints, "control": control, "effects": changed}
-        scene = scene.model_copy(update=changes)
-    return scene
+    parts = {name: _plain(getattr(scene, name)) for name in ("joints", "control", "effects")}
+    scene = scene.revalidated({**dict(scene), **parts}, Code.NOW)
+    joints = loaded_functions(scene.joints, ("joints",))
+    control = loaded_functions(scene.control, _CONTROL)
+    effects = loaded_functions(scene.effects, _EFFECTS)
+    return scene.replace(joints=joints, control=control, effects=effects)
 
 
 def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
@@ -244,19 +238,19 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     joints the contacts that need functions or classes of packages; the others keep their names.
     """
     left = named_code(scene)
-    unloaded = [name for _, _, name in _unloaded_classes(scene.effects)]
-    if not left and not unloaded:
+    if not left:
         return scene, left
+    unloaded = [name for _, _, name in _unloaded_classes(scene.effects)]
     wrenches = scene.effects.external_wrenches or ()
-    kept = tuple(wrench for wrench in wrenches if not any(function_references(wrench)))
-    effects = scene.effects.model_copy(
-        update={"external_wrenches": kept or None, **dict.fromkeys(unloaded)}
-    )
+    known = tuple(wrench for wrench in wrenches if not any(function_references(wrench)))
+    effects = {**scene.effects.named, "external_wrenches": known or None}
     joints = tuple(_without_contacts(joint) for joint in scene.joints)
     control = scene.control
     if _needs_code(control):
-        control = ControlKind.model_construct(kind=control.kind)
-    return scene.model_copy(update={"joints": joints, "control": control, "effects": effects}), left
+        control = ControlKind(kind=control.kind)
+    effects = {name: value for name, value in effects.items() if name not in unloaded}
+    parts = {"joints": joints, "control": control, "effects": effects}
+    return scene.revalidated({**dict(scene), **parts}, Code.NEVER), left
 
 
 def loaded_functions(value: Any, parts: Parts = ()) -> Any:
@@ -269,10 +263,10 @@ def loaded_functions(value: Any, parts: Parts = ()) -> Any:
     """
 
     def loaded(leaf: Any, where: Parts) -> Any:
-        if not isinstance(leaf, FunctionReference):
+        if not isinstance(leaf, CodeReference):
             return leaf
         try:
-            return LoadedFunction(leaf, load_function(leaf))
+            return LoadedFunction(leaf, load_code(leaf))
         except ModelError as error:
             raise ModelError(f"{place(where)}: {error}") from error
 
@@ -296,17 +290,22 @@ def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[_Unloaded]:
                     yield (*where, name), part.registry, name
 
 
-def _unloaded_effects(scene: Scene) -> list[_Unloaded]:
-    """User effects that have not read their parameters, though their class is there."""
-    unloaded = _unloaded_classes(scene.effects, ("effects",))
-    return [one for one in unloaded if EFFECTS.known(one[2]) or EFFECTS.offers(one[2])]
-
-
 def _plain(value: Any) -> Any:
     """A part of a scene as tables and lists, to be validated again."""
     if isinstance(value, BaseModel):
         return {key: _plain(item) for key, item in written(value).items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _references(scene: Scene) -> Iterator[tuple[Parts, CodeReference, str]]:
+    """The functions and classes of files and modules that a scene names, with their places."""
+    for name in ("joints", "control", "effects"):
+        part = getattr(scene, name)
+        for parts, reference in function_references(part, (name,)):
+            yield parts, reference, "function"
+        for parts, _, class_name in _unloaded_classes(part, (name,)):
+            if is_reference(class_name):
+                yield parts, CodeReference(class_name), "class"
 
 
 def _needs_code(part: Any) -> bool:
@@ -325,4 +324,4 @@ def _without_contacts(joint: Joint) -> Joint:
     if contacts:
         return joint.model_copy(update={"contacts": contacts})
     frames = {name: getattr(joint, name) for name in Joint.model_fields}
-    return UnloadedJoint.model_construct(**frames)
+    return UnloadedJoint(**frames)

@@ -193,8 +193,10 @@ def _reasons_of_bodies(root: ElementTree.Element) -> Iterator[str]:
         if body.find("geom") is not None and body.find("inertial") is None:
             yield f"body {body.get('name', '')!r} has a shape but no <inertial>"
     families = {
-        own.get("class", "main"): {below.get("class", "main") for below in own.iter("default")}
-        for own in root.iter("default")
+        family.get("class", "main"): {
+            below.get("class", "main") for below in family.iter("default")
+        }
+        for family in root.iter("default")
     }
     for body in root.findall("worldbody/body"):
         turned = [key for key in _ORIENTATIONS if key in body.attrib]
@@ -207,8 +209,8 @@ def _mixed_defaults(
     part: ElementTree.Element, inherited: str | None, families: dict[str, set[str]]
 ) -> Iterator[str]:
     """Parts with a class beside the one of their body: Pinocchio takes defaults from both."""
-    own = part.get("class") or part.get("childclass")
-    if inherited and own and own not in families.get(inherited, ()):
-        yield f"class {own!r} inside of 'childclass' {inherited!r} is none of its own classes"
+    name = part.get("class") or part.get("childclass")
+    if inherited and name and name not in families.get(inherited, ()):
+        yield f"class {name!r} inside of 'childclass' {inherited!r} is none of its own classes"
     for below in part:
         yield from _mixed_defaults(below, part.get("childclass", inherited), families)

@@ -3,12 +3,12 @@
 # ruff: noqa: F401
 
 from multiarm.scene.arms import ArmSpec, BaseSpec, ResolvedArm, ToolSpec, resolve_arm
-from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
+from multiarm.scene.changes import parse_path, value_at
+from multiarm.scene.code import function_text
 from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
 from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
 from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
-from multiarm.scene.functions import function_text
 from multiarm.scene.joints import JOINTS, JointSpec, register_joint
 from multiarm.scene.joints.contacts import ContactsJoint, ContactSpec
 from multiarm.scene.joints.fingertips import (
@@ -54,7 +54,7 @@ from multiarm.scene.run import (
     RunSpec,
     StabilizationSpec,
 )
-from multiarm.scene.schema import Scene
+from multiarm.scene.schema import Scene, changed_scenes
 from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose, gain_vector, joint_vector

@@ -6,15 +6,10 @@ an attribute, or the field's description, and the unit is the text in brackets t
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
-import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
-from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
@@ -34,15 +29,15 @@ def parameters_of(model: Any) -> list[Parameter]:
 
     Its own come first, then those of its bases.
     """
-    own = inspect.get_annotations(model)
-    found = []
-    for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in own):
+    fields = inspect.get_annotations(model)
+    parameters = []
+    for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in fields):
         if name == "kind":
             continue
         default = field.get_default(call_default_factory=True)
         written = "required" if field.is_required() else _written(default)
-        found.append(Parameter(name, written, *_split(description_of(model, name))))
-    return found
+        parameters.append(Parameter(name, written, *_split(description_of(model, name))))
+    return parameters
 
 
 def description_of(model: Any, name: str) -> str:
@@ -65,14 +60,16 @@ def brief_description(model: Any, name: str) -> str:
 
 def picture_of(model: Any) -> str:
     """One everyday sentence about a kind: its ``picture``, or how its documentation begins."""
-    found = getattr(model, "picture", "")
-    return found if isinstance(found, str) and found else summary_of(model)
+    picture = getattr(model, "picture", "")
+    return picture if isinstance(picture, str) and picture else summary_of(model)
 
 
 def example_of(model: Any) -> str:
     """The lines of an example as a scene has them; empty where a kind gives none."""
-    made = getattr(model, "example_text", None)
-    return made() if callable(made) else dedent(getattr(model, "example", "")).strip("\n")
+    example_text = getattr(model, "example_text", None)
+    if callable(example_text):
+        return example_text()
+    return dedent(getattr(model, "example", "")).strip("\n")
 
 
 def summary_of(model: Any) -> str:
@@ -83,47 +80,15 @@ def summary_of(model: Any) -> str:
 @cache
 def _documented(model: Any) -> dict[str, str]:
     """The text about every attribute that a model or one of its bases documents."""
-    found: dict[str, str] = {}
+    from docstring_parser import parse_from_object
+
+    texts: dict[str, str] = {}
     for base in reversed(model.__mro__):
-        text = inspect.cleandoc(base.__doc__ or "")
-        _, _, section = text.partition("Attributes\n----------\n")
-        _, *entries = re.split(r"(?m)^(\w+(?:, \w+)*)(?: :.*|$)", section)
-        for names, body in zip(entries[::2], entries[1::2], strict=True):
-            found.update(dict.fromkeys(names.split(", "), _plain(body)))
-        if model.model_fields.keys() & inspect.get_annotations(base).keys():
-            found.update(_below_fields(base))
-    return found
-
-
-def _below_fields(model: type) -> dict[str, str]:
-    """The text below every field of a class; none where the class has no source."""
-    body = _classes_of(model.__module__).get(model.__qualname__, [])
-    return {
-        field.target.id: _plain(text.value.value)
-        for field, text in pairwise(body)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-        if isinstance(text.value.value, str)
-    }
-
-
-@cache
-def _classes_of(module: str) -> dict[str, list[ast.stmt]]:
-    """The bodies of a module's classes by qualified name, read once for all of them."""
-    try:
-        tree = ast.parse(Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8"))
-    except (KeyError, AttributeError, OSError, ValueError, SyntaxError):  # a notebook, say
-        return {}
-    return dict(_classes_below(tree, ""))
-
-
-def _classes_below(node: ast.AST, path: str) -> Iterator[tuple[str, list[ast.stmt]]]:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.ClassDef):
-            yield f"{path}{child.name}", child.body
-            yield from _classes_below(child, f"{path}{child.name}.")
-        elif isinstance(child, ast.FunctionDef):
-            yield from _classes_below(child, f"{path}{child.name}.<locals>.")
+        if inspect.get_annotations(base).keys() & model.model_fields.keys():
+            for attribute in parse_from_object(base).params:
+                names = attribute.arg_name.split(", ")
+                texts.update(dict.fromkeys(names, _plain(attribute.description or "")))
+    return texts
 
 
 def _plain(text: str) -> str:

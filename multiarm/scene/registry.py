@@ -1,17 +1,23 @@
 """User classes of controls, effects, joints and surfaces, found by their names in scenes.
 
-A name that is none of ours is looked for among the classes that were registered in this process,
-for instance by :func:`multiarm.register_effect`, and then among the entry points of the installed
-packages, in a group for each sort:
+A name that is none of ours is looked for
 
-.. code-block:: toml
+1. among the classes that were registered in this process, such as by
+   :func:`multiarm.register_effect`;
+2. among the entry points of the installed packages, in a group for each sort:
 
-    [project.entry-points."multiarm.effects"]
-    magnet = "my_package.magnet:Magnet"
+   .. code-block:: toml
 
-A package is imported only for scenes that name its class: when one is made in Python, and when one
-that was read from a file is compiled.  The class then validates the parameters, and every fault has
-its place, as for our own classes.
+       [project.entry-points."multiarm.effects"]
+       magnet = "my_package.magnet:Magnet"
+
+3. in a file or module, where the name is written as that of a function is:
+   ``effects: {"magnet.py:Magnet": {strength: 2}}``, ``kind: "hinges.py:Hinge"``.
+
+A scene that is made in Python loads the classes that it names.  Reading a scene file imports no
+package and runs no file: until a system is compiled, the parameters of such a class stay as they
+are written (:class:`Code`).  The class validates the parameters, and every fault has its place, as
+for our own classes.
 
 To the registry, a class is a name, a model of its parameters, and a class method ``lacks()`` that
 says in words what it lacks to be of its sort; empty when nothing is missing.  A part of a scene
@@ -23,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import reduce
 from importlib import metadata
 from operator import or_
@@ -55,11 +62,20 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
+from multiarm.scene.code import CodeReference, is_reference, load_code
 from multiarm.scene.faults import Parts, fault, listed, sentences, unknown
 from multiarm.scene.values import Spec, written
 
 Kind = TypeVar("Kind")
 AnyClass = TypeVar("AnyClass", bound=type)
+
+
+class Code(Enum):
+    """When a user class that is not known yet is loaded: ``context["code"]`` of validators."""
+
+    NOW = "when it is named: it validates its parameters"
+    LATER = "when a system is compiled; until then it must be offered, and its parameters wait"
+    NEVER = "the scene is looked at only; it need not be installed"
 
 
 class OwnSpec(Spec):
@@ -77,6 +93,7 @@ class OwnSpec(Spec):
 class OwnKind(OwnSpec):
     """Parameters of a class that scenes name by its key ``kind``."""
 
+    class_sort: ClassVar[str] = ""
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
 
@@ -121,25 +138,23 @@ class Registry(Generic[Kind]):
     sort : str
         The word in the names of the base class, of the function that registers a class, and of the
         group of entry points: ``multiarm.Effect``, ``multiarm.register_effect``,
-        ``multiarm.effects``.
+        ``multiarm.effects``.  Classes have it as ``class_sort``.
     noun, plural : str
         For messages, such as ``control kind`` and ``kinds``.
     built_in : dict
         Our own classes by name.
-    stand_ins : tuple of types
-        Of a sort that is named by ``kind``: the class of a part whose class is not loaded, and
-        others that are not read again.
-    registered, loaded : dict
-        The classes known to this process: by registration, and by entry points.
+    not_loaded : type, optional
+        Of a sort that is named by ``kind``: what a part is whose class is not loaded.
+    registered : dict
+        The user classes known to this process, by name; those of files by their references.
     """
 
     sort: str
     noun: str
     plural: str
     built_in: Mapping[str, Any]
-    stand_ins: tuple[type[Spec], ...] = ()
+    not_loaded: type[Spec] | None = None
     registered: dict[str, type[Kind]] = field(default_factory=dict)
-    loaded: dict[str, type[Kind]] = field(default_factory=dict)
 
     @property
     def group(self) -> str:
@@ -152,16 +167,17 @@ class Registry(Generic[Kind]):
         return f"multiarm.{self.sort.capitalize()}"
 
     @staticmethod
-    def name_of(own: Any) -> str:
+    def name_of(user_class: Any) -> str:
         """A class's name in scenes."""
-        return own.kind_name() if hasattr(own, "kind_name") else own.name
+        named_by_kind = hasattr(user_class, "kind_name")
+        return user_class.kind_name() if named_by_kind else user_class.name
 
     @staticmethod
-    def parameters_of(own: Any) -> Any:
+    def parameters_of(user_class: Any) -> Any:
         """The model of a class's parameters: itself, or its ``Spec``."""
-        return own if issubclass(own, BaseModel) else own.Spec
+        return user_class if issubclass(user_class, BaseModel) else user_class.Spec
 
-    def add(self, own: AnyClass) -> AnyClass:
+    def add(self, user_class: AnyClass) -> AnyClass:
         """Let scenes name a class.  Defined and registered once more, it replaces the former one.
 
         Raises
@@ -169,41 +185,36 @@ class Registry(Generic[Kind]):
         ModelError
             It lacks something, or another class has its name.
         """
-        self._check(own, "cannot be registered")
-        name = self.name_of(own)
+        self._check(user_class, "cannot be registered")
+        name = self.name_of(user_class)
         taken = self.registered.get(name)
         reason = ""
-        if name in self.built_in:
-            reason = "multiarm itself has one of that name; choose another"
-        elif taken is not None and _path(taken) != _path(own):
+        if taken is not None and _path(taken) != _path(user_class):
             reason = f"{_path(taken)} is registered under that name already"
         for point in self._entry_points(name):
-            if point.value.replace(" ", "") != _path(own):
+            if point.value.replace(" ", "") != _path(user_class):
                 reason = reason or f"{_offered(point)} has that name already; choose another one"
         if reason:
             raise ModelError(f"{self.noun} {name!r}: {reason}")
-        self.registered[name] = own
-        return own
-
-    def known(self, name: str) -> type[Kind] | None:
-        """The class that was registered or loaded before; None where none was."""
-        return self.registered.get(name) or self.loaded.get(name)
+        self.registered[name] = user_class
+        return user_class
 
     def offers(self, name: str) -> str:
-        """Which installed packages offer a class of a name; empty where none does."""
+        """Who has a class of a name, in words: packages, or a file; empty where nobody has."""
+        if is_reference(name):
+            return CodeReference(name).home
         return " and ".join(sorted({_offered(point) for point in self._entry_points(name)}))
 
     def find(self, name: str) -> type[Kind] | None:
-        """The class of a name; None where there is none.
+        """The class of a name, loaded from its package if need be; None where there is none.
 
         Raises
         ------
         ModelError
             Its package is broken, or several have one.
         """
-        known = self.known(name)
-        if known is not None:
-            return known
+        if name in self.registered:
+            return self.registered[name]
         points = {point.value: point for point in self._entry_points(name)}
         if not points:
             return None
@@ -214,38 +225,58 @@ class Registry(Generic[Kind]):
             )
         (point,) = points.values()
         try:
-            found = point.load()
+            user_class = point.load()
         except USER_FAULTS as error:
             raise ModelError(
                 f"{self.noun} {name!r}: {_offered(point)} cannot be loaded, "
                 f"{type(error).__name__}: {error}"
             ) from error
-        self._check(found, f"of {_offered(point)} cannot be used", name)
-        self.loaded[name] = found
-        return found
+        self._check(user_class, f"of {_offered(point)} cannot be used", name)
+        self.registered[name] = user_class
+        return user_class
+
+    def load(self, reference: CodeReference) -> type[Kind]:
+        """The class to which a reference leads, as its file is now.
+
+        One that is named by ``kind`` gets the reference as its kind.
+
+        Raises
+        ------
+        ModelError
+            See :func:`multiarm.scene.code.load_code`; it is no class of this sort.
+        """
+        user_class: Any = load_code(reference, "class")
+        self._check(user_class, "cannot be used")
+        if issubclass(user_class, OwnKind):
+            user_class = _with_kind(user_class, str(reference))
+        self.registered[str(reference)] = user_class
+        return user_class
 
     def names(self) -> list[str]:
         """Names of all classes that are registered or installed."""
         points = metadata.entry_points(group=self.group)
-        return sorted({*self.registered, *(point.name for point in points)})
+        registered = (name for name in self.registered if not is_reference(name))
+        return sorted({*registered, *(point.name for point in points)})
 
     def classes(self) -> tuple[dict[str, type[Kind]], list[str]]:
         """All classes by name, for which packages are loaded, and why others cannot be used."""
-        found, faults = {}, []
+        classes, faults = {}, []
         for name in self.names():
             try:
-                own = self.find(name)
-                assert own is not None, "it is registered or installed"
-                found[name] = own
+                user_class = self.find(name)
+                assert user_class is not None, "it is registered or installed"
+                classes[name] = user_class
             except ModelError as error:
                 faults.append(str(error))
-        return found, faults
+        return classes, faults
 
     def unknown(self, name: object) -> str:
         """The message for a name that no class has."""
         text = unknown(self.noun, name, [*self.built_in, *self.names()], self.plural)
-        own = f"{self.plural} of your own need multiarm.register_{self.sort}, or their package"
-        return f"{text}; {own}"
+        return (
+            f"{text}; {self.plural} of your own need multiarm.register_{self.sort} or their "
+            "package, or are named 'file.py:Class'"
+        )
 
     # --- reading scenes ---------------------------------------------------------------------------
 
@@ -253,16 +284,15 @@ class Registry(Generic[Kind]):
         """The type of a table whose key ``kind`` names one of our classes, or a user's."""
         ours: Any = reduce(or_, self.built_in.values())
         tagged: Any = Annotated[ours, Field(discriminator="kind")]
-        kept: Any = SerializeAsAny[tagged]  # type: ignore[misc]
-        return Annotated[kept, WrapValidator(self._read_kind)]
+        whole: Any = SerializeAsAny[tagged]  # type: ignore[misc]
+        return Annotated[whole, WrapValidator(self._read_kind)]
 
     def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
-        """A part with a key ``kind``, read by ``ours`` if its kind is ours, else by a user class.
-
-        Where :meth:`class_for` finds no class it is a stand-in, and stays so until its table is
-        read again.
-        """
-        if type(value) in self.stand_ins:
+        """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""
+        assert self.not_loaded is not None, "the sort is named by 'kind'"
+        if isinstance(value, OwnKind) and value.class_sort == self.sort:
+            if isinstance(value, self.not_loaded) and _code(info) is Code.NOW:
+                return self._read_user(written(value), info)
             return value
         if not isinstance(value, (Mapping, Spec)):
             return ours(value)
@@ -270,34 +300,45 @@ class Registry(Generic[Kind]):
         if "kind" not in data:
             known = [*self.built_in, *self.names()]
             raise fault(f"'kind' is missing; kinds are {listed(known)}")
-        kind = data["kind"] if isinstance(data["kind"], str) else str(data["kind"])
-        if kind in self.built_in:
+        if str(data["kind"]) in self.built_in:
             return ours(value)
+        return self._read_user(data, info)
+
+    def _read_user(self, data: dict[str, Any], info: ValidationInfo) -> Any:
+        """A table of a user kind; where its class is not to be loaded, as it is written."""
+        kind = self.located(str(data["kind"]), info)
         try:
-            own = self.class_for(kind, info)
+            user_class = self.class_for(kind, info)
         except PydanticCustomError as error:
             raise faults_at([((kind, "kind"), error.message(), kind)], kind) from None
-        if own is not None and isinstance(value, own):
-            return value
-        model = self.stand_ins[0] if own is None else self.parameters_of(own)
-        return self.validated(kind, model, data, info, kind)
+        model = self.not_loaded if user_class is None else self.parameters_of(user_class)
+        return self.validated(kind, model, {**data, "kind": kind}, info, kind)
+
+    @staticmethod
+    def located(name: str, info: ValidationInfo) -> str:
+        """A name; that of a file with its path, which starts at the scene's folder."""
+        folder = (info.context or {}).get("folder")
+        if folder is None or not is_reference(name):
+            return name
+        return str(CodeReference(name).located(folder))
 
     def class_for(self, name: str, info: ValidationInfo) -> type[Kind] | None:
-        """The class that a scene names; None where its parameters are kept as they are written.
-
-        A scene that is read from a file loads no package, and a stored one does without it, see
-        :mod:`multiarm.scene.loading`.
-        """
-        context = info.context or {}
-        if not context.get("load", True) and not self.known(name) and self.offers(name):
-            return None
+        """The class that a scene names; None where it is not to be loaded, see :class:`Code`."""
+        code = _code(info)
         try:
-            own = self.find(name)
+            if is_reference(name):
+                return self.load(CodeReference(name)) if code is Code.NOW else None
+            if name in self.registered or code is Code.NOW:
+                user_class = self.find(name)
+            elif code is Code.NEVER or self.offers(name):
+                return None
+            else:
+                user_class = None
         except ModelError as error:
             raise fault(str(error)) from None
-        if own is None and not context.get("stored"):
+        if user_class is None:
             raise fault(self.unknown(name))
-        return own
+        return user_class
 
     def validated(
         self, name: str, model: Any, value: Any, info: ValidationInfo, *where: str
@@ -306,10 +347,10 @@ class Registry(Generic[Kind]):
         try:
             return TypeAdapter(model).validate_python(value, context=info.context)
         except ValidationError as error:
-            found = [
-                ((*where, *parts), text, given) for parts, text, given in sentences(error, model)
+            faults = [
+                ((*where, *parts), text, wrong) for parts, text, wrong in sentences(error, model)
             ]
-            raise faults_at(found, name) from None
+            raise faults_at(faults, name) from None
         except PydanticCustomError:
             raise
         except USER_FAULTS as error:
@@ -318,19 +359,39 @@ class Registry(Generic[Kind]):
                 f"{type(error).__name__}: {error}"
             ) from None
 
-    def _check(self, own: Any, trouble: str, name: str | None = None) -> None:
+    def _check(self, user_class: Any, trouble: str, name: str | None = None) -> None:
         """Raise unless this is a class of the sort, with the name that its package offers."""
-        bases = [one.__name__ for one in own.__mro__] if isinstance(own, type) else []
-        if not hasattr(own, "lacks") or self.base.rpartition(".")[2] not in bases:
-            raise ModelError(f"{own!r} {trouble}: it is no subclass of {self.base}")
-        reason = own.lacks()
-        if not reason and name is not None and self.name_of(own) != name:
-            reason = f"its name is {self.name_of(own)!r}, not {name!r}"
+        if not isinstance(user_class, type) or getattr(user_class, "class_sort", None) != self.sort:
+            raise ModelError(f"{user_class!r} {trouble}: it is no subclass of {self.base}")
+        reason = user_class.lacks()  # type: ignore[attr-defined]
+        class_name = self.name_of(user_class)
+        if not reason and name is not None and class_name != name:
+            reason = f"its name is {class_name!r}, not {name!r}"
         if reason:
-            raise ModelError(f"{_path(own)} {trouble}: {reason}")
+            raise ModelError(f"{_path(user_class)} {trouble}: {reason}")
+        if class_name in self.built_in:
+            raise ModelError(
+                f"{self.noun} {class_name!r}: multiarm itself has one of that name; choose another"
+            )
 
     def _entry_points(self, name: str) -> list[metadata.EntryPoint]:
         return list(metadata.entry_points(group=self.group, name=name))
+
+
+def _with_kind(user_class: type[OwnKind], kind: str) -> Any:
+    """The class with another name in scenes."""
+    field: Any = (Literal[kind], kind)  # type: ignore[valid-type]
+    return create_model(
+        user_class.__name__,
+        __base__=user_class,
+        __module__=user_class.__module__,
+        __doc__=user_class.__doc__,
+        kind=field,
+    )
+
+
+def _code(info: ValidationInfo) -> Code:
+    return (info.context or {}).get("code", Code.NOW)
 
 
 class _Named(NamedTuple):
@@ -344,15 +405,17 @@ class _Named(NamedTuple):
 def _read_named(entry: Any, info: ValidationInfo) -> Any:
     """The validated parameters of a user class; None where a scene leaves it out by null.
 
-    They stay as they are where :meth:`Registry.class_for` finds no class.
+    They stay as they are where the class is not to be loaded.
     """
     if not isinstance(entry, _Named):
         return entry
-    own = entry.registry.class_for(entry.name, info)
-    if own is None or entry.value is None:
-        return entry.value
-    model = entry.registry.parameters_of(own)
-    return entry.registry.validated(entry.name, model, entry.value, info)
+    registry, name, value = entry
+    if isinstance(value, Spec):  # validated by its class already
+        return value
+    user_class = registry.class_for(name, info)
+    if user_class is None or value is None:
+        return value
+    return registry.validated(name, registry.parameters_of(user_class), value, info)
 
 
 class ByName(Spec):
@@ -364,16 +427,17 @@ class ByName(Spec):
 
     @model_validator(mode="before")
     @classmethod
-    def _user_classes_know_their_names(cls, data: Any) -> Any:
+    def _user_classes_know_their_names(cls, data: Any, info: ValidationInfo) -> Any:
         if not isinstance(data, Mapping):
             return data
-        own = cls.registry
-        return {
-            name: value
-            if name in own.built_in or not isinstance(name, str)
-            else _Named(own, name, value)
-            for name, value in data.items()
-        }
+        registry, entries = cls.registry, {}
+        for name, value in data.items():
+            if name in registry.built_in or not isinstance(name, str):
+                entries[name] = value
+            else:
+                name = registry.located(name, info)
+                entries[name] = _Named(registry, name, value)
+        return entries
 
     @classmethod
     def with_keys(cls, name: str, keys: Mapping[str, tuple[Any, str]]) -> Any:
@@ -387,11 +451,11 @@ class ByName(Spec):
         )
 
 
-def faults_at(found: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
+def faults_at(faults: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
     """One error for faults with their places and the values there."""
     details = [
-        InitErrorDetails(type=fault(text), loc=tuple(parts), input=given)
-        for parts, text, given in found
+        InitErrorDetails(type=fault(text), loc=tuple(parts), input=value)
+        for parts, text, value in faults
     ]
     return ValidationError.from_exception_data(title, details)
 
@@ -417,5 +481,5 @@ def _offered(point: metadata.EntryPoint) -> str:
     return f"{package} ({point.value})"
 
 
-def _path(own: type) -> str:
-    return f"{own.__module__}:{own.__qualname__}"
+def _path(user_class: type) -> str:
+    return f"{user_class.__module__}:{user_class.__qualname__}"

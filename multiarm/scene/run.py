@@ -100,7 +100,7 @@ def _accuracy(value: Any) -> Any:
 
 Accuracy = Annotated[
     AccuracySpec,
-    BeforeValidator(_accuracy),
+    BeforeValidator(_accuracy, json_schema_input_type=AccuracySpec | Positive),
     PlainSerializer(lambda accuracy: accuracy.written),
 ]
 
@@ -143,7 +143,9 @@ class RunSpec(Spec):
     """Fixed step [s]."""
     tolerance: Positive | None = None
     """Error of one step of an adaptive integrator [m, rad, m/s, rad/s]."""
-    stabilization: Annotated[StabilizationSpec, shorthand("kind", str)] = StabilizationSpec()
+    stabilization: Annotated[
+        StabilizationSpec, shorthand("kind", StabilizationSpec | Stabilization, str)
+    ] = StabilizationSpec()
     """How the joints are kept closed although integration errors add up."""
     output_step: Positive = 0.01
     """Time between stored samples [s]."""

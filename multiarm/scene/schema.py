@@ -25,22 +25,26 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, SceneError
+from multiarm.public import facts_html
 from multiarm.scene.arms import ArmSpec, Examination, examine_arm
+from multiarm.scene.changes import with_changes
+from multiarm.scene.code import located
 from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
-from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
-from multiarm.scene.functions import function_references, located, reference_fault
+from multiarm.scene.faults import Parts, counted, explain, listed, place, shown, unknown
 from multiarm.scene.joints import JointSpec, pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.object import ObjectSpec
-from multiarm.scene.registry import called
+from multiarm.scene.registry import Code, called
 from multiarm.scene.run import RunSpec
 from multiarm.scene.trunks import Robot, robot_faults, robot_warnings, robots_of
 from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
 
 _Examined = dict[str, tuple[ArmSpec, Examination]]
 """Arms by name, with their facts."""
+_Context = dict[str, Any]
+"""What validators know: where relative paths start, and a :class:`Code`."""
 
 
 class Scene(Spec):
@@ -88,8 +92,7 @@ class Scene(Spec):
     run: RunSpec = Field(default_factory=RunSpec)
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
-    _from_file: bool = PrivateAttr(default=False)
-    _may_load_code: bool = PrivateAttr(default=True)
+    _code: Code = PrivateAttr(default=Code.NOW)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
     _robots: tuple[Robot, ...] = PrivateAttr(default=())
     _examined: _Examined = PrivateAttr(default_factory=dict)
@@ -104,10 +107,7 @@ class Scene(Spec):
         cls,
         data: Mapping[str, Any],
         folder: Path | str | None = None,
-        stored: bool = False,
-        like: Scene | None = None,
-        from_file: bool = False,
-        code: bool | None = None,
+        code: Code = Code.NOW,
     ) -> Self:
         """The scene that ``data``, such as a parsed YAML file, describes.
 
@@ -116,23 +116,15 @@ class Scene(Spec):
         data : mapping
         folder : path, optional
             Where relative paths start; the current folder by default.
-        stored : bool
-            It is that of a run, to be looked at: user effects need not be installed.
-        like : Scene, optional
-            Its arms are not examined again where they are the same, and it decides about code:
-            packages of user classes are not loaded now if a system may not load them.
-        from_file : bool
-            Nothing is loaded now, and functions lie in ``folder`` or below.
-        code : bool, optional
-            Whether a system may load the code that is named; by default unless it is stored.
+        code : Code
+            When the user classes that it names are loaded, if ever.  Functions are loaded when a
+            system is compiled, if ever.
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
-        scene._fill(data, folder, stored, like, from_file)
-        code = code if like is None else like.may_load_code
-        scene._may_load_code = not stored if code is None else code
+        scene._fill(data, folder, code)
         return scene
 
     @classmethod
@@ -140,10 +132,49 @@ class Scene(Spec):
         """``obj`` itself if it is a scene, else the scene that the mapping describes."""
         return obj if isinstance(obj, cls) else cls.from_mapping(obj)
 
-    def replace(self, **changes: Any) -> Self:
-        """A scene with some attributes replaced, validated as a whole."""
-        kept = {name: getattr(self, name) for name in type(self).model_fields}
-        return self.from_mapping({**kept, **changes}, self.folder, like=self)
+    def replace(self, changes: Mapping[str, Any] | None = None, /, **parts: Any) -> Self:
+        """The scene with other values at some places, validated as a whole.
+
+        Parameters
+        ----------
+        changes : mapping, optional
+            Path -> value, such as ``{"object.mass": 20, "joints[0].at.xyz": [0, 0, 0.1]}``.
+            Optional tables on the way are added.  Naming one of ``run.accuracy``,
+            ``run.integrator``, ``run.step`` and ``run.tolerance`` replaces the scene's choice of
+            all four.
+        **parts
+            Whole parts of the scene, such as ``control="none"``.
+
+        Raises
+        ------
+        SceneError
+            Naming every fault.
+        """
+        if changes is not None and not isinstance(changes, Mapping):
+            raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
+        code = Code.NOW if self.may_load_code else Code.NEVER
+        return self._changed({**(changes or {}), **parts}, code)
+
+    def _changed(self, changes: Mapping[str, Any], code: Code) -> Self:
+        data, faults = with_changes(self, changes)
+        try:
+            scene = self.revalidated(data, code)
+        except SceneError as error:
+            faults += error.faults
+        if faults:
+            raise SceneError(faults)
+        return scene
+
+    def revalidated(self, data: Mapping[str, Any], code: Code) -> Self:
+        """The scene with other data; arms that are as they were are not examined again."""
+        scene = type(self).__new__(type(self))
+        scene._fill(data, self.folder, code, self._examined)
+        return scene
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, with other parts, which are validated as by :meth:`replace`; loads no code."""
+        copy = super().model_copy(deep=deep)
+        return copy._changed(update, self._code) if update else copy
 
     @property
     def folder(self) -> Path:
@@ -151,14 +182,9 @@ class Scene(Spec):
         return self._folder
 
     @property
-    def is_from_file(self) -> bool:
-        """Whether it was written in a scene file, or is that of such a file with other values."""
-        return self._from_file
-
-    @property
     def may_load_code(self) -> bool:
-        """Whether the functions and effects that it names may be loaded when it is compiled."""
-        return self._may_load_code
+        """Whether the functions and classes that it names may be loaded when it is compiled."""
+        return self._code is not Code.NEVER
 
     @property
     def warnings(self) -> list[str]:
@@ -173,6 +199,32 @@ class Scene(Spec):
     def robot_of(self, arm: str) -> Robot:
         """The robot that an arm belongs to."""
         return next(robot for robot in self._robots if arm in robot.arms)
+
+    def __repr__(self) -> str:
+        facts = "; ".join(f"{name} {fact}" for name, fact in self._facts().items())
+        return f"<Scene {self.name!r}: {facts}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return facts_html(self.name, self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        """What it holds, in words."""
+        shape = next((f"{name}, " for name, value in self.object.shape if value is not None), "")
+        joints = {joint.arm: joint.kind for joint in self.joints}
+        arms = []
+        for name, arm in self.arms.items():
+            model = arm.robot if arm.file is None else arm.file.name
+            arms.append(f"{name} ({model}, {joints[name]})")
+        effects = list(self.effects.named)
+        return {
+            "object": f"{shape}{self.object.mass:g} kg",
+            "arms": counted(arms, 8),
+            "control": self.control.kind,
+            "effects": counted(effects, 8) or "none",
+            "run": f"{self.run.duration:g} s",
+        }
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Scene) and self.model_dump() == other.model_dump()
@@ -189,9 +241,8 @@ class Scene(Spec):
         self,
         data: Mapping[str, Any],
         folder: Path | str | None,
-        stored: bool = False,
-        like: Scene | None = None,
-        from_file: bool = False,
+        code: Code = Code.NOW,
+        examined: _Examined | None = None,
     ) -> None:
         if folder is not None and not isinstance(folder, (str, Path)):
             raise SceneError(
@@ -199,35 +250,39 @@ class Scene(Spec):
                 "Scene(object=..., arms=..., joints=...)"
             )
         folder = Path(folder or ".").expanduser().resolve()
+        context = {"folder": folder, "code": code}
         faults: list[str] = []
-        load = not (stored or from_file) and (like is None or like.may_load_code)
         try:
-            self.__pydantic_validator__.validate_python(
-                data, self_instance=self, context={"folder": folder, "stored": stored, "load": load}
-            )
-            parts = _Parts.of(self.__dict__, folder)
-            if from_file:
-                faults = function_faults(self, folder)
+            self.__pydantic_validator__.validate_python(data, self_instance=self, context=context)
+            parts = _Parts.of(self.__dict__, context)
         except ValidationError as error:
             faults = explain(error, type(self))
-            parts = _Parts.of(data, folder, load)
-        found = _check(parts, {} if like is None else like._examined)
-        if faults or found.faults:
-            raise SceneError([*faults, *found.faults])
-        self._folder, self._from_file = folder, from_file
-        self._warnings, self._examined = tuple(found.warnings), found.examined
-        self._robots = found.robots
+            parts = _Parts.of(data, context)
+        findings = _check(parts, examined or {})
+        if faults or findings.faults:
+            raise SceneError([*faults, *findings.faults])
+        self._folder, self._code = folder, code
+        self._warnings, self._examined = tuple(findings.warnings), findings.examined
+        self._robots = findings.robots
 
 
-def function_faults(scene: Scene, folder: Path | None) -> list[str]:
-    """Functions that a scene, in a file in ``folder``, may not name."""
-    named = [
-        *function_references(scene.joints, ("joints",)),
-        *function_references(scene.control, ("control",)),
-        *function_references(scene.effects, ("effects",)),
-    ]
-    found = ((parts, reference_fault(reference, folder)) for parts, reference in named)
-    return [f"{place(parts)}: {reason}" for parts, reason in found if reason]
+def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:
+    """One scene for each table of changes, see :meth:`Scene.replace`.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault of all, with the number of its run.
+    """
+    scenes, faults = [], []
+    for number, table in enumerate(changes, start=1):
+        try:
+            scenes.append(scene.replace(table))
+        except SceneError as error:
+            faults += [f"run {number}: {fault}" for fault in error.faults]
+    if faults:
+        raise SceneError(faults, source="parameters")
+    return scenes
 
 
 # --- whether the parts fit together --------------------------------------------------------------
@@ -262,31 +317,29 @@ class _Parts:
     run: RunSpec | None
 
     @classmethod
-    def of(cls, data: Mapping[str, Any], folder: Path, load: bool = True) -> _Parts:
-        """Find the valid parts of ``data``, which may hold instances or plain tables.
-
-        User classes of packages are loaded only where ``load`` says so.
-        """
+    def of(cls, data: Mapping[str, Any], context: _Context) -> _Parts:
+        """Find the valid parts of ``data``, which may hold instances or plain tables."""
         arms, joints = data.get("arms"), data.get("joints")
         joints = joints if isinstance(joints, (list, tuple)) else None
         written = arms if isinstance(arms, Mapping) else {}
-        valid = {str(name): _valid(ArmSpec, arm, folder) for name, arm in written.items()}
+        valid = {str(name): _valid(ArmSpec, arm, context) for name, arm in written.items()}
         return cls(
             arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
             arms={name: arm for name, arm in valid.items() if arm is not None},
             joints=None if joints is None else [_arm(joint) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
             rubs=any(_rubs(joint) for joint in joints or ()),
-            object=_valid(ObjectSpec, data.get("object"), folder),
-            control=_valid(ControlSpec, data.get("control"), folder, {"load": load}),
-            effects=_valid(EffectsSpec, data.get("effects", {}), folder, {"load": load}),
-            run=_valid(RunSpec, data.get("run"), folder),
+            object=_valid(ObjectSpec, data.get("object"), context),
+            control=_valid(ControlSpec, data.get("control"), context),
+            effects=_valid(EffectsSpec, data.get("effects", {}), context),
+            run=_valid(RunSpec, data.get("run"), context),
         )
 
 
-def _valid(kind: Any, data: Any, folder: Path, context: dict[str, Any] | None = None) -> Any:
+def _valid(kind: Any, data: Any, context: _Context) -> Any:
     if data is None:
         return None
+    folder = context["folder"]
     if isinstance(data, Spec):  # an instance was validated when it was made
         return located(data, folder) if kind is ControlSpec or isinstance(data, kind) else None
     try:
@@ -346,8 +399,8 @@ def _check(parts: _Parts, examined: _Examined) -> _Findings:
             f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
         )
     if parts.arm_names is not None:
-        found = {name: examination for name, (_, examination) in findings.examined.items()}
-        arms = {name: found.get(name, KnownArm()) for name in parts.arm_names}
+        examinations = {name: examination for name, (_, examination) in findings.examined.items()}
+        arms = {name: examinations.get(name, KnownArm()) for name in parts.arm_names}
         _check_control(parts.control, arms, findings)
         _check_effects(parts, arms, findings)
     return findings
@@ -378,18 +431,18 @@ def _check_connections(names: list[str], connected: list[Any] | None, findings: 
 
 
 def _check_arms(arms: Mapping[str, ArmSpec], examined: _Examined, findings: _Findings) -> None:
-    found = {}
+    examinations = {}
     for name, spec in arms.items():
         before, known = examined.get(name, (None, None))
-        found[name] = known if known is not None and before == spec else examine_arm(spec)
-        findings.examined[name] = spec, found[name]
-        for where, text in found[name].faults:
+        examinations[name] = known if known is not None and before == spec else examine_arm(spec)
+        findings.examined[name] = spec, examinations[name]
+        for where, text in examinations[name].faults:
             findings.fault(("arms", name, *where), text)
-    findings.robots = robots_of(arms, found)
+    findings.robots = robots_of(arms, examinations)
     for robot in findings.robots:
-        for where, text in robot_faults(robot, arms, found):
+        for where, text in robot_faults(robot, arms, examinations):
             findings.fault(where, text)
-        for where, text in robot_warnings(robot, arms, found):
+        for where, text in robot_warnings(robot, arms, examinations):
             findings.warning(where, text)
 
 
@@ -399,10 +452,10 @@ def _check_control(
     if control is None:
         return
     try:
-        found = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
+        faults = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
     except ModelError as error:
-        found = [((), str(error))]
-    for where, text in found:
+        faults = [((), str(error))]
+    for where, text in faults:
         findings.fault(("control", *where), text)
 
 

@@ -16,8 +16,8 @@ from typing_extensions import Self
 
 from multiarm.errors import ModelError
 from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
+from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import fault, listed
-from multiarm.scene.functions import UserFunction
 from multiarm.scene.parameters import summary_of
 from multiarm.scene.registry import AnyClass, ByName, OwnSpec, Registry, called
 from multiarm.scene.values import (
@@ -26,6 +26,7 @@ from multiarm.scene.values import (
     OneOf,
     Positive,
     Range,
+    RollPitchYaw,
     Spec,
     Vec3,
     Vec4,
@@ -81,6 +82,7 @@ class Surface(OwnSpec):
         What decides whether it fits, for messages, such as ``" of radius {radius:g} m"``.
     """
 
+    class_sort: ClassVar[str] = "surface"
     name: ClassVar[str] = ""
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
@@ -123,7 +125,7 @@ class Surface(OwnSpec):
 class _Turned(Surface):
     """A surface with its own axes."""
 
-    rpy: Vec3 = (0.0, 0.0, 0.0)
+    rpy: RollPitchYaw = (0.0, 0.0, 0.0)
     """Turn of its axes: roll, pitch, yaw [rad] about fixed axes."""
     quaternion_xyzw: Vec4 | None = None
     """The same as a quaternion, instead of ``rpy``."""
@@ -242,7 +244,8 @@ class ConeGeometry(Surface):
         if self.half_angle >= math.pi / 2:
             raise fault(
                 f"'half_angle' lies between 0 and pi / 2 rad, got {self.half_angle:g}; a flat face "
-                "is a 'plane'"
+                f"is a 'plane', and {self.half_angle:g} degrees are "
+                f"{math.radians(self.half_angle):.6g} rad"
             )
         return self
 
@@ -356,8 +359,8 @@ class SurfaceGeometry(_Turned):
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         if (self.distance is None) == (self.parametrisation is None):
-            given = "neither" if self.distance is None else "both"
-            raise fault(f"needs either 'distance' or 'parametrisation', got {given}")
+            got = "neither" if self.distance is None else "both"
+            raise fault(f"needs either 'distance' or 'parametrisation', got {got}")
         used = "parametrisation" if self.distance is None else "distance"
         of_the_other = {
             "distance": ("derivatives", "u", "v", "flip"),
@@ -394,7 +397,7 @@ _OURS: tuple[type[Surface], ...] = (
     EllipsoidGeometry,
     SurfaceGeometry,
 )
-BUILT_IN = {own.name: own for own in _OURS}
+BUILT_IN = {surface.name: surface for surface in _OURS}
 """Our surfaces by name."""
 SURFACES: Registry[Surface] = Registry("surface", "surface", "surfaces", BUILT_IN)
 """User surfaces."""
@@ -429,23 +432,23 @@ class _Geometry(OneOf, ByName):
     @property
     def value(self) -> Surface | None:
         """The surface; None if it is a user's whose class is not loaded."""
-        found = dict(self)[self.shape]
+        surface = dict(self)[self.shape]
         if self.point is not None:
-            found = PointGeometry(at=self.point)
-        return found if isinstance(found, Surface) else None
+            surface = PointGeometry(at=self.point)
+        return surface if isinstance(surface, Surface) else None
 
     def record(self) -> records.Surface:
         """The part of the surface that exists, in the joint frame."""
-        own = self.value
-        assert own is not None, "compilation loads all classes"
+        surface = self.value
+        assert surface is not None, "compilation loads all classes"
         who = f"surface {self.shape!r}: record()"
-        found = called(own.record, who)
-        if not isinstance(found, records.Surface):
+        record = called(surface.record, who)
+        if not isinstance(record, records.Surface):
             raise ModelError(
-                f"{who} returned {type(found).__name__}; return a surface of multiarm.geometry, "
+                f"{who} returned {type(record).__name__}; return a surface of multiarm.geometry, "
                 "such as sphere(...)"
             )
-        return found if own.patch is None else replace(found, patch=own.patch.record())
+        return record if surface.patch is None else replace(record, patch=surface.patch.record())
 
 
 if TYPE_CHECKING:
@@ -456,5 +459,9 @@ if TYPE_CHECKING:
 else:
     Geometry = _Geometry.with_keys(
         "Geometry",
-        {name: (own, summary_of(own)) for name, own in BUILT_IN.items() if name != "point"},
+        {
+            name: (surface, summary_of(surface))
+            for name, surface in BUILT_IN.items()
+            if name != "point"
+        },
     )

@@ -42,13 +42,13 @@ def read_text(path: str | os.PathLike, noun: str) -> str:
         raise SceneError(fault)
     file = Path(path).expanduser()
     try:
-        found = file.stat()
-        if not stat.S_ISREG(found.st_mode):
-            what = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
+        status = file.stat()
+        if not stat.S_ISREG(status.st_mode):
+            what = "a folder" if stat.S_ISDIR(status.st_mode) else "no ordinary file"
             raise SceneError(f"cannot read {path}: it is {what}; name the file of a {noun}")
-        if found.st_size > MOST_BYTES:
+        if status.st_size > MOST_BYTES:
             raise SceneError(
-                f"{path} has {found.st_size:,} bytes; a {noun} has at most {MOST_BYTES:,}: put "
+                f"{path} has {status.st_size:,} bytes; a {noun} has at most {MOST_BYTES:,}: put "
                 "long lists of numbers into files of their own"
             )
         return file.read_text(encoding="utf-8-sig")

@@ -39,43 +39,43 @@ class Robot:
     lock: dict[str, float]
 
 
-def robots_of(arms: Arms, found: Found) -> tuple[Robot, ...]:
+def robots_of(arms: Arms, examinations: Found) -> tuple[Robot, ...]:
     """The robots that the arms are, of which ``found`` has the facts."""
     groups: list[list[str]] = []
     for name in arms:
-        own = [g for g in groups if all(_one_robot(name, other, arms, found) for other in g)]
-        if own:
-            own[0].append(name)
+        its = [g for g in groups if all(_one_robot(name, peer, arms, examinations) for peer in g)]
+        if its:
+            its[0].append(name)
         else:
             groups.append([name])
-    return tuple(Robot(tuple(group), _lock(group, arms, found)) for group in groups)
+    return tuple(Robot(tuple(group), _lock(group, arms, examinations)) for group in groups)
 
 
-def _one_robot(name: str, other: str, arms: Arms, found: Found) -> bool:
-    ours, theirs = found[name], found[other]
+def _one_robot(name: str, second: str, arms: Arms, examinations: Found) -> bool:
+    ours, theirs = examinations[name], examinations[second]
     ways = set(ours.way), set(theirs.way)
     if ours.urdf != theirs.urdf or ways[0] <= ways[1] or ways[1] <= ways[0]:
         return False
-    if arms[name].open_base or arms[other].open_base:  # each is found by itself
+    if arms[name].open_base or arms[second].open_base:  # each is found by itself
         return False
-    return np.allclose(arms[name].base.matrix(), arms[other].base.matrix(), rtol=0.0, atol=1e-9)
+    return np.allclose(arms[name].base.matrix(), arms[second].base.matrix(), rtol=0.0, atol=1e-9)
 
 
-def _lock(group: list[str], arms: Arms, found: Found) -> dict[str, float]:
+def _lock(group: list[str], arms: Arms, examinations: Found) -> dict[str, float]:
     if len(group) == 1:
         return {}
-    moved = {joint for name in group for joint in found[name].joint_names or ()}
-    fixed = found[group[0]].robot_joints - moved
+    moved = {joint for name in group for joint in examinations[name].joint_names or ()}
+    fixed = examinations[group[0]].robot_joints - moved
     return {j: q for name in group for j, q in arms[name].lock.items() if j in fixed}
 
 
-def robot_faults(robot: Robot, arms: Arms, found: Found) -> Iterator[tuple[Parts, str]]:
+def robot_faults(robot: Robot, arms: Arms, examinations: Found) -> Iterator[tuple[Parts, str]]:
     """Joints that several arms would move, or that they lock at different positions."""
     for k, name in enumerate(robot.arms):
-        for other in robot.arms[:k]:
-            ours, theirs = arms[name].lock, arms[other].lock
-            who = f"arms {other!r} and {name!r} are one robot (of one file, on one base)"
-            trunk = [joint for joint in found[name].way if joint in found[other].way]
+        for second in robot.arms[:k]:
+            ours, theirs = arms[name].lock, arms[second].lock
+            who = f"arms {second!r} and {name!r} are one robot (of one file, on one base)"
+            trunk = [joint for joint in examinations[name].way if joint in examinations[second].way]
             loose = [joint for joint in trunk if joint not in ours or joint not in theirs]
             if loose:
                 held = ", ".join(f"{j}: {ours.get(j, theirs.get(j, 0.0)):g}" for j in loose)
@@ -89,32 +89,33 @@ def robot_faults(robot: Robot, arms: Arms, found: Found) -> Iterator[tuple[Parts
                 if None not in q and q[0] != q[1]:
                     yield (
                         ("arms", name, "lock", joint),
-                        f"{who}, but {other!r} locks {joint!r} at {q[1]:g}, {name!r} at {q[0]:g}; "
+                        f"{who}, but {second!r} locks {joint!r} at {q[1]:g}, {name!r} at {q[0]:g}; "
                         "write one position",
                     )
 
 
-def robot_warnings(robot: Robot, arms: Arms, found: Found) -> Iterator[tuple[Parts, str]]:
+def robot_warnings(robot: Robot, arms: Arms, examinations: Found) -> Iterator[tuple[Parts, str]]:
     """The warnings about its arms, those about the whole robot once."""
     told: set[str] = set()
     for name in robot.arms:
-        for text in _arm_warnings(name, robot, arms, found):
+        for text in _arm_warnings(name, robot, arms, examinations):
             if text not in told:
                 yield ("arms", name), text
             told.add(text)
 
 
-def _arm_warnings(name: str, robot: Robot, arms: Arms, found: Found) -> Iterator[str]:
-    own, first = found[name], name == robot.arms[0]
-    for other in robot.arms:
-        moved = [joint for joint in found[other].joint_names or () if joint in arms[name].lock]
-        if moved and other != name:
-            yield f"'lock' has no effect on {listed(moved)}, which arm {other!r} moves"
+def _arm_warnings(name: str, robot: Robot, arms: Arms, examinations: Found) -> Iterator[str]:
+    examination, first = examinations[name], name == robot.arms[0]
+    for peer in robot.arms:
+        moving = examinations[peer].joint_names or ()
+        moved = [joint for joint in moving if joint in arms[name].lock]
+        if moved and peer != name:
+            yield f"'lock' has no effect on {listed(moved)}, which arm {peer!r} moves"
     resting = {
         joint: q
-        for joint, q in own.resting.items()
-        if joint not in own.robot_joints  # a tool's
-        or (first and all(joint in found[other].resting for other in robot.arms))
+        for joint, q in examination.resting.items()
+        if joint not in examination.robot_joints  # a tool's
+        or (first and all(joint in examinations[peer].resting for peer in robot.arms))
     }
     if resting:
         positions = [f"{joint}: {q:g}" for joint, q in resting.items()]
@@ -122,4 +123,4 @@ def _arm_warnings(name: str, robot: Robot, arms: Arms, found: Found) -> Iterator
             f"joints that are not on the way to the tip are locked at {{{counted(positions, 4)}}}; "
             "'lock' chooses other positions"
         )
-    yield from own.warnings
+    yield from examination.warnings

@@ -49,7 +49,18 @@ SOLVE = "solve"
 """Stands for a posture that the program finds."""
 
 
-class Spec(BaseModel):
+class _PartClass(type(BaseModel)):  # type: ignore[misc]
+    """Classes of parts of a scene: completions and ``help`` show what is theirs, not Pydantic's."""
+
+    def __dir__(cls) -> list[str]:
+        names = super().__dir__()
+        return [name for name in names if name[0] != "_" and not hasattr(BaseModel, name)]
+
+
+_DYNAMIC: Any = _PartClass  # its base, Pydantic's, has no public name that mypy could follow
+
+
+class Spec(BaseModel, metaclass=_DYNAMIC):  # type: ignore[misc]
     """Base of all parts of a scene: frozen, strict about keys.
 
     A part built in Python (``Pose(xyz=[0, 0, 1])``) is validated like one read from YAML, and
@@ -66,6 +77,9 @@ class Spec(BaseModel):
     def __dir__(self) -> list[str]:
         return [name for name in public_names(self) if not hasattr(BaseModel, name)]
 
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        return written(self).items()
+
     def __init__(self, /, **data: Any) -> None:
         try:
             super().__init__(**data)
@@ -76,6 +90,15 @@ class Spec(BaseModel):
     # search for others; this mark says that ours adds nothing but the wording.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        try:
+            super().__setattr__(name, value)
+        except ValidationError:
+            raise SceneError(
+                f"{type(self).__name__}.{name}: parts of a scene are not changed in place; another "
+                "scene is made by scene.replace, such as scene.replace({'object.mass': 20})"
+            ) from None
+
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:
         """Validate a mapping or an instance; raises SceneError."""
@@ -83,6 +106,12 @@ class Spec(BaseModel):
             return super().model_validate(obj, **options)
         except ValidationError as error:
             raise SceneError(explain(error, cls, cls.__name__)) from None
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, with other values for some keys, which are validated; raises SceneError."""
+        if not update:
+            return super().model_copy(deep=deep)
+        return type(self).model_validate({**written(self), **update})
 
     @model_serializer(mode="wrap")
     def _kind_is_always_written(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -98,14 +127,14 @@ def written(value: Any) -> dict[str, Any]:
     return {name: v for name, v in value if name in value.model_fields_set or name == "kind"}
 
 
-def shorthand(key: str, *types: type) -> BeforeValidator:
-    """Let a value of some types stand for a table with one key."""
+def shorthand(key: str, written: Any, *types: type) -> BeforeValidator:
+    """Let a value of some types stand for a table with one key; ``written`` is what may stand."""
 
     def table(value: Any) -> Any:
         bare = isinstance(value, types) and not isinstance(value, bool)
         return {key: value} if bare else value
 
-    return BeforeValidator(table)
+    return BeforeValidator(table, json_schema_input_type=written)
 
 
 class OneOf(Spec):
@@ -115,10 +144,10 @@ class OneOf(Spec):
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        given = [name for name, value in self if value is not None]
-        if len(given) != 1:
+        written = [name for name, value in self if value is not None]
+        if len(written) != 1:
             known = listed(type(self).model_fields)
-            raise fault(f"needs exactly one of {known}, got {given or 'none'}")
+            raise fault(f"needs exactly one of {known}, got {written or 'none'}")
         return self
 
 
@@ -150,8 +179,9 @@ def _number(value: Any) -> float:
 
 
 Number = Annotated[float, BeforeValidator(_number)]
-Positive = Annotated[Number, Field(gt=0.0)]
-NonNegative = Annotated[Number, Field(ge=0.0)]
+# bounds stand within the validator, where they are the number's own in JSON Schema
+Positive = Annotated[float, Field(gt=0.0), BeforeValidator(_number)]
+NonNegative = Annotated[float, Field(ge=0.0), BeforeValidator(_number)]
 number_list = TypeAdapter(tuple[Number, ...]).validate_python
 """Numbers of a list as floats; every one that is no finite number is a fault at its place."""
 
@@ -189,10 +219,48 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+_A_TURN = 2.0 * math.pi * (1.0 + 1e-3)  # [rad], however it was rounded
+
+
+def angle_fault(angle: float, turns: int = 1) -> str:
+    """Why this is no angle in radians; empty where it may be one."""
+    if abs(angle) <= turns * _A_TURN:
+        return ""
+    within = "a turn" if turns == 1 else f"{turns} turns"
+    return (
+        f"must lie within {within}, got {angle:g} rad; angles are in radians, {angle:g} degrees "
+        f"are {math.radians(angle):.6g} rad"
+    )
+
+
+def _angle_within(turns: int) -> Any:
+    """The type of an angle of so many turns at most; larger ones are taken for degrees."""
+
+    def check(angle: float) -> float:
+        text = angle_fault(angle, turns)
+        if text:
+            raise fault(text)
+        return angle
+
+    bound = turns * _A_TURN
+    bounds = Field(json_schema_extra={"minimum": -bound, "maximum": bound})
+    return Annotated[Number, AfterValidator(check), bounds]
+
+
+if TYPE_CHECKING:
+    Angle = float
+    BaseAngle = float
+else:
+    Angle = _angle_within(1)
+    BaseAngle = _angle_within(3)  # bases around an object are set at multiples of an angle
 Vec3 = Annotated[tuple[Number, Number, Number], list_of("must be a list of 3 numbers", 3)]
 Vec4 = Annotated[tuple[Number, Number, Number, Number], list_of("must be a list of 4 numbers", 4)]
 Vec6 = Annotated[
     tuple[Number, Number, Number, Number, Number, Number], list_of("must be a list of 6 numbers", 6)
+]
+RollPitchYaw = Annotated[tuple[Angle, Angle, Angle], list_of("must be a list of 3 angles [rad]", 3)]
+BaseTurn = Annotated[
+    tuple[BaseAngle, BaseAngle, BaseAngle], list_of("must be a list of 3 angles [rad]", 3)
 ]
 Direction = Annotated[Vec3, AfterValidator(_not_zero)]
 Range = Annotated[
@@ -350,7 +418,7 @@ class Pose(Spec):
 
     xyz: Vec3 = (0.0, 0.0, 0.0)
     """Origin [m] in the parent frame."""
-    rpy: Vec3 = (0.0, 0.0, 0.0)
+    rpy: RollPitchYaw = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw [rad] about the fixed axes x, y, z in that order, as in URDF: R = Rz(yaw)
     Ry(pitch) Rx(roll)."""
     quaternion_xyzw: Vec4 | None = None
@@ -505,8 +573,8 @@ def gain_vector(
     joint_names: Sequence[str],
 ) -> np.ndarray:
     """One value per joint of ``arm``, shape (n,); zero for joints and arms that are not named."""
-    own = gain.get(arm) if isinstance(gain, Mapping) else gain
-    return joint_vector(own, joint_names)
+    value = gain.get(arm) if isinstance(gain, Mapping) else gain
+    return joint_vector(value, joint_names)
 
 
 def joint_value_faults(
@@ -567,16 +635,16 @@ def gain_faults(
         return []
     by_arm = isinstance(value, Mapping)
     faults: Faults = []
-    for arm, own in (value if by_arm else dict.fromkeys(arms, value)).items():
+    for arm, gain in (value if by_arm else dict.fromkeys(arms, value)).items():
         where: Parts = (arm,) if by_arm else ()
         if arm not in arms:
             faults.append((where, unknown("arm", arm, arms)))
             continue
         names = arms[arm].joint_names
-        if names is None or _is_urdf(own):
+        if names is None or _is_urdf(gain):
             continue
         subject = "" if by_arm else f"arm {arm!r}: "
-        for further, text in joint_value_faults(own, names):
+        for further, text in joint_value_faults(gain, names):
             faults.append(((*where, *further), f"{subject}{text}"))
     if in_urdf is None:
         return faults
@@ -588,9 +656,9 @@ def gain_faults(
     return faults
 
 
-def below(where: Parts, found: Faults) -> Faults:
+def below(where: Parts, faults: Faults) -> Faults:
     """Faults of a part, which is at the place ``where`` in its owner."""
-    return [((*where, *further), text) for further, text in found]
+    return [((*where, *further), text) for further, text in faults]
 
 
 def urdf_warnings(

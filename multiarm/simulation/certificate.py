@@ -52,6 +52,7 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
+from multiarm.notation import number
 from multiarm.results.trajectory import ENERGIES, Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.comparison import (
@@ -365,4 +366,4 @@ def _estimate(difference: float, size: float) -> float:
 
 
 def _listed(values: dict[str, float]) -> str:
-    return ", ".join(f"{value:.2g} {UNITS[kind]}" for kind, value in values.items())
+    return ", ".join(number(value, UNITS[kind], digits=2) for kind, value in values.items())

@@ -134,26 +134,6 @@ class RunFacts:
 
 
 @dataclass(frozen=True)
-class EffectFacts:
-    """Cost of an effect in an evaluation at the start."""
-
-    microseconds: float | None = None
-    uncertainty_microseconds: float | None = None  # twice the standard error
-    bytes: int = 0
-    states: int = 0
-    rows: int = 0
-    callbacks: int = 0
-    trouble: str = ""  # why it was not measured
-
-    @property
-    def within_noise(self) -> bool:
-        """Whether the time is zero within its uncertainty."""
-        if self.microseconds is None or self.uncertainty_microseconds is None:
-            return False
-        return abs(self.microseconds) <= self.uncertainty_microseconds
-
-
-@dataclass(frozen=True)
 class Inspection:
     """Result of :func:`inspect_system`.
 
@@ -168,7 +148,7 @@ class Inspection:
     joints: list[JointFacts]
     freedom: Freedom | None  # all contacts of the joints closed, those with a floor open
     coming_and_going: list[str]  # unilateral constraints
-    effects: dict[str, EffectFacts | None]  # active ones, and gravity; None: not measured
+    effects: dict[str, Any]  # active ones, and gravity, with their parameters
     control: str
     run: RunFacts
     start: StartReport | None  # gaps of the written start, and its correction
@@ -217,7 +197,7 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         ],
         freedom=freedom,
         coming_and_going=[] if away else coming_and_going(system),
-        effects=dict.fromkeys(active_effects(scene)),
+        effects=active_effects(scene),
         control=scene.control.kind,
         run=resolve_run(scene.run),
         start=None if away else system.start_report,
@@ -279,10 +259,10 @@ def _unit_words(unit: Constraint) -> str:
     return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.compliant)
 
 
-def active_effects(scene: Scene) -> list[str]:
-    """Names of the effects that the scene models."""
-    gravity = ["gravity"] if scene.gravity is not None and any(scene.gravity) else []
-    return gravity + list(scene.effects.named)
+def active_effects(scene: Scene) -> dict[str, Any]:
+    """The effects that the scene models, gravity [m/s^2] among them, with their parameters."""
+    gravity = {"gravity": scene.gravity} if scene.gravity is not None and any(scene.gravity) else {}
+    return gravity | scene.effects.model_dump(mode="json", exclude_none=True)
 
 
 def resolve_run(spec: RunSpec) -> RunFacts:

@@ -1,4 +1,4 @@
-"""Sweeps: one scene, hundreds or thousands of runs, one file.
+"""Sweeps: one scene, hundreds or thousands of runs, one folder.
 
-scene + sweep file -> plan -> jobs -> executor -> records -> one file
+scene + sweep file -> plan -> run, on workers -> rows -> folder -> table
 """

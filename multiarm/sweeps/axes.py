@@ -1,16 +1,14 @@
 """Axes of a sweep: the values of one path of the scene, or of several that vary together.
 
-    a list of values, {linspace: [5, 50, 10]}, ...         enumerated, one value after the other
-    {uniform: [-0.01, 0.01]}, {normal: {mean: ...}}, ...   drawn at random, independently each run
-
-Enumerated values are computed one by one, so that long axes need no memory.
+a list of values, {linspace: [5, 50, 10]}, ...         enumerated, one value after the other
+{uniform: [-0.01, 0.01]}, {normal: {mean: ...}}, ...   drawn at random, independently each run
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -54,11 +52,11 @@ def _whole(least: int, value: Any) -> int:
 
 
 # Values that an axis may have, and its largest whole number: up to there floats are exact.
-MOST_VALUES, LARGEST = 10**9, 2**53
+MOST_VALUES, LARGEST = 10**6, 2**53
 
 
-Count = Annotated[int, BeforeValidator(partial(_whole, 1)), Field(ge=1)]
-NonNegativeCount = Annotated[int, BeforeValidator(partial(_whole, 0)), Field(ge=0)]
+Count = Annotated[int, Field(ge=1), BeforeValidator(partial(_whole, 1))]
+NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(partial(_whole, 0))]
 
 
 def items(value: Any) -> list[Any]:
@@ -161,57 +159,28 @@ class LogNormalSpec(Spec):
         return self
 
 
-@dataclass(frozen=True)
-class Spaced(Sequence):
-    """Values from one bound to the other: with equal differences, or as ``between`` gives them."""
-
-    start: float
-    stop: float
-    size: int
-    between: Callable[[float, float, float], float] | None = None
-
-    def __len__(self) -> int:
-        return self.size
-
-    def __getitem__(self, number: Any) -> Any:
-        k = range(self.size)[number]
-        if k == 0:
-            return self.start
-        if k == self.size - 1:
-            return self.stop
-        if self.between is not None:
-            return self.between(self.start, self.stop, k / (self.size - 1))
-        # as numpy.linspace rounds
-        return self.start + k * ((self.stop - self.start) / (self.size - 1))
-
-
-def _with_ratio(start: float, stop: float, share: float) -> float:
-    low, high = math.log10(start), math.log10(stop)
-    return 10.0 ** (low + share * (high - low))
-
-
 def _standard_normal(u: float) -> float:
     from scipy.special import ndtri
 
     return float(ndtri(u))
 
 
-SEQUENCES: dict[str, Callable[[Any], Sequence[Any]]] = {
+VALUES: dict[str, Callable[[Any], list[Any]]] = {
     "values": list,
-    "linspace": lambda given: Spaced(given[0], given[1], given[2]),
-    "logspace": lambda given: Spaced(10.0 ** given[0], 10.0 ** given[1], given[2], _with_ratio),
-    "geomspace": lambda given: Spaced(given[0], given[1], given[2], _with_ratio),
-    "range": lambda given: range(*given),
+    "linspace": lambda v: np.linspace(*v).tolist(),
+    "logspace": lambda v: np.logspace(*v).tolist(),
+    "geomspace": lambda v: np.geomspace(*v).tolist(),
+    "range": lambda v: list(range(*v)),
     "rows": list,
 }
-"""Kinds of axes whose values come one after the other: the sequence of them, as given."""
+"""Kinds of axes whose values come one after the other: all of them, as given."""
 QUANTILES: dict[str, Callable[[Any, float], Any]] = {
-    "uniform": lambda given, u: given[0] + u * (given[1] - given[0]),
-    "loguniform": lambda given, u: given[0] * (given[1] / given[0]) ** u,
-    "normal": lambda given, u: given.mean + given.deviation * _standard_normal(u),
-    "lognormal": lambda given, u: given.median * math.exp(given.deviation * _standard_normal(u)),
-    "integers": lambda given, u: given[0] + int(u * (given[1] + 1 - given[0])),
-    "choice": lambda given, u: given[int(u * len(given))],
+    "uniform": lambda v, u: v[0] + u * (v[1] - v[0]),
+    "loguniform": lambda v, u: v[0] * (v[1] / v[0]) ** u,
+    "normal": lambda v, u: v.mean + v.deviation * _standard_normal(u),
+    "lognormal": lambda v, u: v.median * math.exp(v.deviation * _standard_normal(u)),
+    "integers": lambda v, u: v[0] + int(u * (v[1] + 1 - v[0])),
+    "choice": lambda v, u: v[int(u * len(v))],
 }
 """Kinds whose values are random: the quantile Q(u), a share u in (0, 1) of all values is below."""
 
@@ -247,13 +216,13 @@ class AxisSpec(Spec):
     linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None
     logspace: Annotated[list[Any] | None, BeforeValidator(exponents)] = None
     geomspace: Annotated[
-        list[Any] | None, BeforeValidator(lambda given: in_ratio(spaced(given)))
+        list[Any] | None, BeforeValidator(lambda value: in_ratio(spaced(value)))
     ] = None
     range: Annotated[list[int] | None, BeforeValidator(counted)] = None
     rows: Annotated[list[Any] | None, BeforeValidator(items)] = None
     uniform: Annotated[list[float] | None, BeforeValidator(bounds)] = None
     loguniform: Annotated[
-        list[float] | None, BeforeValidator(lambda given: in_ratio(bounds(given)))
+        list[float] | None, BeforeValidator(lambda value: in_ratio(bounds(value)))
     ] = None
     normal: NormalSpec | None = None
     lognormal: LogNormalSpec | None = None
@@ -263,23 +232,23 @@ class AxisSpec(Spec):
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         known = type(self).model_fields
-        given = [key for key in known if key in self.model_fields_set]
-        if len(given) != 1:
+        keys = [key for key in known if key in self.model_fields_set]
+        if len(keys) != 1:
             raise fault(
                 f"must be a list of values or a table with one of {', '.join(known)}; got "
-                f"{listed(given) if given else 'nothing'}"
+                f"{listed(keys) if keys else 'nothing'}"
             )
-        if self.given is None:
+        if self.content is None:
             raise fault(f"'{self.name}' is empty; write its values after the colon")
         return self
 
     @property
     def name(self) -> str:
-        """The key that is given."""
+        """The key."""
         return next(iter(self.model_fields_set))
 
     @property
-    def given(self) -> Any:
+    def content(self) -> Any:
         """What stands below the key."""
         return getattr(self, self.name)
 
@@ -289,13 +258,15 @@ class AxisSpec(Spec):
         return self.name in QUANTILES
 
     @cached_property
-    def steps(self) -> Sequence[Any]:
-        """The enumerated values; empty if they are drawn."""
-        return () if self.drawn else SEQUENCES[self.name](self.given)
+    def values_in_turn(self) -> list[Any]:
+        """The enumerated values; none if they are drawn."""
+        return [] if self.drawn else VALUES[self.name](self.content)
 
     def value(self, place: Any) -> Any:
         """The enumerated value of a number from 0 on; a drawn one at the quantile u in (0, 1)."""
-        return QUANTILES[self.name](self.given, place) if self.drawn else self.steps[place]
+        if self.drawn:
+            return QUANTILES[self.name](self.content, place)
+        return self.values_in_turn[place]
 
     def written(self) -> Any:
         """The axis as in a sweep file."""
@@ -318,23 +289,13 @@ class Axis:
     @property
     def count(self) -> int:
         """Number of enumerated values; 1 if they are drawn."""
-        return 1 if self.drawn else len(self.spec.steps)
+        return 1 if self.drawn else len(self.spec.values_in_turn)
 
     def at(self, place: Any) -> dict[str, Any]:
         """Path -> value, see :meth:`AxisSpec.value`."""
         value = self.spec.value(place)
         values = value if self.spec.rows is not None else [value] * len(self.paths)
         return dict(zip(self.paths, values, strict=True))
-
-    def examples(self, path: str) -> list[Any]:
-        """Values of all types that a path takes: listed ones, or one of a kind of numbers."""
-        spec = self.spec
-        if spec.rows is not None:
-            return [row[self.paths.index(path)] for row in spec.rows]
-        listed = spec.values if spec.values is not None else spec.choice
-        if listed is not None:
-            return listed
-        return [spec.value(0.5 if spec.drawn else 0)]
 
 
 def paths_of(key: str) -> tuple[str, ...]:

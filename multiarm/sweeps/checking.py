@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path
-from multiarm.scene.faults import place, shown
-from multiarm.scene.functions import (
-    FunctionReference,
+from multiarm.scene import REGISTRIES, NamedCode, Scene, parse_path, value_at
+from multiarm.scene.code import (
+    CodeReference,
     function_references,
     load_function,
     located,
     reference_fault,
 )
+from multiarm.scene.faults import place, shown
 from multiarm.sweeps.axes import Axis
 
 if TYPE_CHECKING:
@@ -34,11 +34,9 @@ _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
 
 TRIED = 24
 """Values of an axis that are tried, at most."""
-MOST_IN_HYPERCUBE = 1_000_000
-"""Runs of a point whose samples are drawn together."""
 TAILS = (0.5, 0.001, 0.999)
 """Quantiles of a drawn axis that are tried."""
-MOST_RUNS = 100_000_000
+MOST_RUNS = 1_000_000
 """Of one sweep."""
 
 
@@ -64,16 +62,11 @@ def axis_faults(spec: SweepSpec) -> list[str]:
             f"$.sampling: {spec.sampling!r} spreads the runs of one point of the grid, and there "
             "is one; set their number with 'repeat'"
         )
-    elif spec.sampling == "latin_hypercube" and spec.repeat > MOST_IN_HYPERCUBE:
-        faults.append(
-            f"$.repeat: {spec.repeat:,} runs of a point in one latin hypercube, which is drawn "
-            f"as a whole; at most {MOST_IN_HYPERCUBE:,}: take sampling 'sobol' or 'random'"
-        )
     count = spec.repeat
     for axis in steps[:1] if spec.combine == "zip" else steps:
         count *= axis.count
     if count > MOST_RUNS:
-        faults.append(f"$.over: makes {count} runs; at most {MOST_RUNS} are possible")
+        faults.append(f"$.over: makes {count:,} runs; at most {MOST_RUNS:,} are possible")
     return faults
 
 
@@ -102,18 +95,18 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
 def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
     """The code that a sweep names: its quantities, and functions and user classes of its values."""
     named = function_references(spec.keep)
-    found = [NamedCode.function(("keep", parts[0]), function) for parts, function in named]
+    code = [NamedCode.function(("keep", parts[0]), function) for parts, function in named]
     used = {*words(scene.model_dump(mode="json"))}
-    classes = [(own, name) for own in REGISTRIES for name in own.names() if name not in used]
+    classes = [(sort, name) for sort in REGISTRIES for name in sort.names() if name not in used]
     for axis in spec.axes:
         at = ("over", axis.written)
         texts = axis_words(axis)
-        found += [NamedCode.user_class(at, own, name) for own, name in classes if name in texts]
+        code += [NamedCode.user_class(at, sort, name) for sort, name in classes if name in texts]
         for text in sorted(texts):
             if _FUNCTION.fullmatch(text):
-                function = located(FunctionReference(text), scene.folder)
-                found.append(NamedCode.function(at, function))
-    return found
+                function = located(CodeReference(text), scene.folder)
+                code.append(NamedCode.function(at, function))
+    return code
 
 
 def words(value: Any) -> Iterator[str]:
@@ -138,17 +131,17 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
     Of computed values only the first wrong one is reported.
     """
     axes = tuple(axis for axis in spec.axes if not any(_axis_faults(axis)))
-    found: dict[tuple[str, ...], str] = {}
+    faults: dict[tuple[str, ...], str] = {}
     for entries in _trials(axes, spec.combine == "zip"):
         values: dict[str, Any] = {}
         for axis, entry in zip(axes, entries, strict=True):
             values |= axis.at(entry)
         try:
-            changed(scene, values)
+            scene.replace(values)
         except SceneError as error:
             for fault in error.faults:
-                found.setdefault(*_at_its_axis(fault, axes, entries))
-    return list(found.values())
+                faults.setdefault(*_at_its_axis(scene, fault, axes, entries))
+    return list(faults.values())
 
 
 def _axis_faults(axis: Axis) -> Iterator[str]:
@@ -179,7 +172,7 @@ def _trials(axes: tuple[Axis, ...], zipped: bool) -> Iterator[list[Any]]:
     together += [[k] for k, axis in enumerate(axes) if axis.drawn]
     for group in together:
         for entry in options[group[0]][1:]:
-            yield [entry if k in group else other for k, other in enumerate(first)]
+            yield [entry if k in group else default for k, default in enumerate(first)]
 
 
 def _some(count: int) -> list[int]:
@@ -190,25 +183,25 @@ def _some(count: int) -> list[int]:
 
 
 def _at_its_axis(
-    fault: str, axes: tuple[Axis, ...], entries: list[Any]
+    scene: Scene, fault: str, axes: tuple[Axis, ...], entries: list[Any]
 ) -> tuple[tuple[str, ...], str]:
     """A key of a fault of the scene, and its message at the place in the sweep that causes it."""
     where, _, text = fault.partition(": ")
-    found = [
+    causes = [
         (place(parse_path(path)), axis, entry, path)
         for axis, entry in zip(axes, entries, strict=True)
         for path in axis.paths
         if _meet(place(parse_path(path)), where)
     ]
-    if not found:
+    if not causes:
         tried = ", ".join(
             f"{path} = {shown(value)}"
             for axis, entry in zip(axes, entries, strict=True)
             for path, value in axis.at(entry).items()
         )
         return (fault,), f"$.over: no scene is made by {tried}: {fault}"
-    at, axis, entry, path = max(found, key=lambda one: len(one[0]))
-    if len(where) <= len(at) and _of_path(text):
+    at, axis, entry, path = max(causes, key=lambda cause: len(cause[0]))
+    if len(where) <= len(at) and not _leads_somewhere(scene, path):
         return (at, text), f"{_place(axis)}: {text}"
     below = where.removeprefix(at).lstrip(".") if where.startswith(at) else ""
     text = f"its {below}: {text}" if below else text
@@ -218,11 +211,13 @@ def _at_its_axis(
     return (at, where), f"{_place(axis)}.{axis.spec.name}: the value {value}: {text}"
 
 
-def _of_path(text: str) -> bool:
-    """Whether a fault concerns a path, not its value."""
-    phrases = "is a list with", "is no list", "nothing is below it"
-    names = "unknown key", "unknown effect", "unknown surface"
-    return text.startswith(names) or any(p in text for p in phrases)
+def _leads_somewhere(scene: Scene, path: str) -> bool:
+    """Whether a scene may have a value at a path."""
+    try:
+        value_at(scene, path)
+    except SceneError:
+        return False
+    return True
 
 
 def _meet(path: str, where: str) -> bool:

@@ -1,12 +1,9 @@
-"""The plan of a sweep: the number of runs and the values of each.
+"""The plan of a sweep: a table with the values of every run.
 
     run = 1 + point * repeat + repetition
 
-A point of the grid is a number whose digits are the entries of the axes, the last axis fastest.
-The values of a run are computed on demand from its number alone: a plan of a million runs takes no
-more memory than one of ten.
-
-A random value is the quantile Q(u) of a number u in (0, 1), so that one sampler serves all kinds:
+The points of the grid go through the axes with the last one fastest.  A random value is the
+quantile Q(u) of a number u in (0, 1), so that one sampler serves all kinds:
 
     random            u = Philox(seed, run), independent for every run
     latin_hypercube   the runs of one grid point fill `repeat` layers of every axis once
@@ -19,75 +16,25 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import math
+import itertools
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import pandas
 
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import Scene, changed, dump_scene, load_scene
-from multiarm.scene.functions import FunctionReference
-from multiarm.sweeps.axes import Axis
+from multiarm.scene import Scene, dump_scene, load_scene
+from multiarm.scene.code import CodeReference
 from multiarm.sweeps.checking import axis_faults, axis_words, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
-__all__ = [
-    "Job",
-    "Record",
-    "SweepPlan",
-    "make_plan",
-    "plan_of",
-    "program_version",
-    "require_run",
-]
-
-
-class Job(NamedTuple):
-    """One run: its number, and the values that it sets in the scene."""
-
-    run: int
-    values: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Record:
-    """Inputs, status and outputs of one run of a sweep.
-
-    All but ``wall_time`` and ``worker`` follow from the scene, the sweep and the run's number.
-
-    Attributes
-    ----------
-    run : int
-        From 1 on.
-    status : {"completed", "failed"}
-        Also "failed" if the run completed but a user-defined quantity raised an error; the other
-        quantities are there.
-    message : str
-        How the run ended and, after a failure, the remedy.
-    values : mapping
-        Path in the scene -> value in this run.
-    quantities : mapping
-        Name -> number, in the quantity's unit; None if the run failed or the quantity is not
-        defined for it.
-    wall_time : float
-        [s]
-    worker : str
-        Computer and process of the run.
-    """
-
-    run: int
-    status: str
-    message: str
-    values: Mapping[str, Any]
-    quantities: Mapping[str, float | None]
-    wall_time: float
-    worker: str
+__all__ = ["SweepPlan", "make_plan", "plan_of", "program_version", "require_run"]
 
 
 @dataclass(frozen=True)
@@ -98,32 +45,20 @@ class SweepPlan:
     spec: SweepSpec
     quantities: tuple[Quantity, ...]  # outputs of every run, besides its wall time
 
-    @cached_property
-    def axes(self) -> tuple[Axis, ...]:
-        """The axes, in the order of the file."""
-        return self.spec.axes
-
-    @cached_property
+    @property
     def paths(self) -> tuple[str, ...]:
         """The paths that vary."""
-        return tuple(path for axis in self.axes for path in axis.paths)
-
-    def examples(self, path: str) -> list[Any]:
-        """Values of all types that a path takes."""
-        return next(axis.examples(path) for axis in self.axes if path in axis.paths)
+        return tuple(path for axis in self.spec.axes for path in axis.paths)
 
     @cached_property
-    def sizes(self) -> tuple[int, ...]:
-        """Size of the grid along each enumerated axis; a zip has one size."""
-        counts = [axis.count for axis in self.axes if not axis.drawn]
-        if self.spec.combine == "zip":
-            return tuple(counts[:1])
-        return tuple(counts)
+    def table(self) -> pandas.DataFrame:
+        """A row for each run, numbered from 1 on; a column for each path, of objects."""
+        return planned_values(self.spec)
 
     @property
     def count(self) -> int:
         """Number of runs."""
-        return math.prod(self.sizes) * self.spec.repeat
+        return len(self.table)
 
     @cached_property
     def text(self) -> str:
@@ -139,24 +74,24 @@ class SweepPlan:
     def words(self) -> frozenset[str]:
         """All strings in the scene, and in the paths and values of the sweep."""
         named = words(self.scene.model_dump(mode="json"))
-        return frozenset(named).union(*map(axis_words, self.axes))
+        return frozenset(named).union(*map(axis_words, self.spec.axes))
 
     @cached_property
     def files(self) -> dict[str, str]:
         """Path -> SHA-256 of the files that the scene or values of the sweep name.
 
         Runs give other numbers when such a file changes.  Robots by name belong to installed
-        packages, whose versions are in the file's provenance.
+        packages, whose versions are in the provenance.
         """
-        found: dict[str, str] = {}
+        digests: dict[str, str] = {}
         for text in self.words:
-            name = FunctionReference(text).file or Path(text)
+            name = CodeReference(text).file or Path(text)
             if name.suffix.lower() not in _SUFFIXES:
                 continue
             path = (self.scene.folder / name.expanduser()).resolve()
-            if str(path) not in found and path.is_file():
-                found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
-        return dict(sorted(found.items()))
+            if str(path) not in digests and path.is_file():
+                digests[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return dict(sorted(digests.items()))
 
     @cached_property
     def fingerprint(self) -> str:
@@ -168,7 +103,7 @@ class SweepPlan:
             program_version(),
             self.scene_text,
             self.text,
-            *(one.digest for one in self.quantities),
+            *(quantity.digest for quantity in self.quantities),
             *(f"{path} {digest}" for path, digest in self.files.items()),
         ]
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()
@@ -176,25 +111,13 @@ class SweepPlan:
     def values(self, run: int) -> dict[str, Any]:
         """Path -> value in the scene of a run.
 
-        Parameters
-        ----------
-        run : int
-            From 1 to the count.
-
         Raises
         ------
         SweepError
             When there is no such run.
         """
         require_run(run, self.count)
-        return next(self.jobs([run])).values
-
-    def jobs(self, runs: Iterable[int] | None = None) -> Iterator[Job]:
-        """The jobs of all runs, or of some."""
-        drawn = sum(axis.drawn for axis in self.axes)
-        sampler = Sampler(self.spec.sampling, self.spec.seed, drawn, self.spec.repeat)
-        for run in range(1, self.count + 1) if runs is None else runs:
-            yield Job(run, self._values(run, sampler))
+        return self.table.loc[run].to_dict()
 
     def scene_of(self, run: int) -> Scene:
         """The scene of a run.
@@ -206,21 +129,56 @@ class SweepPlan:
         SceneError
             When its values make no valid scene.
         """
-        return changed(self.scene, self.values(run))
+        return self.scene.replace(self.values(run))
 
-    def _values(self, run: int, sampler: Sampler) -> dict[str, Any]:
-        entries = iter(self._entries((run - 1) // self.spec.repeat))
-        numbers = iter(sampler.at(run).tolist())
-        found: dict[str, Any] = {}
-        for axis in self.axes:
-            found |= axis.at(next(numbers if axis.drawn else entries))
-        return found
 
-    def _entries(self, point: int) -> list[int]:
-        """Indices of the values of the enumerated axes at a point of the grid."""
-        if self.spec.combine == "zip":
-            return [point] * sum(not axis.drawn for axis in self.axes)
-        return [int(entry) for entry in np.unravel_index(point, self.sizes)]
+def planned_values(spec: SweepSpec) -> pandas.DataFrame:
+    """The values of all runs: a row for each, a column for each path."""
+    in_turn = [axis for axis in spec.axes if not axis.drawn]
+    places = [range(axis.count) for axis in in_turn]
+    zipped = spec.combine == "zip" and bool(in_turn)
+    points = list(zip(*places, strict=True)) if zipped else list(itertools.product(*places))
+    quantiles = samples(spec, len(points))
+    columns: dict[str, list[Any]] = {}
+    for axis in spec.axes:
+        if axis.drawn:
+            u = quantiles[:, sum(earlier.drawn for earlier in spec.axes[: spec.axes.index(axis)])]
+            rows = [axis.at(share) for share in u.tolist()]
+        else:
+            k = in_turn.index(axis)
+            rows = [axis.at(point[k]) for point in points for _ in range(spec.repeat)]
+        columns |= {path: [row[path] for row in rows] for path in axis.paths}
+    runs = pandas.RangeIndex(1, len(points) * spec.repeat + 1, name="run")
+    return pandas.DataFrame(columns, index=runs, dtype=object)
+
+
+_SMALLEST = 2.0**-54
+"""Distance of u from 0 and 1, where many quantiles are infinite."""
+
+
+def samples(spec: SweepSpec, points: int) -> np.ndarray:
+    """Numbers in (0, 1) for the drawn axes, shape (points * repeat, axes)."""
+    from scipy.stats.qmc import LatinHypercube, Sobol
+
+    axes, repeat = sum(axis.drawn for axis in spec.axes), spec.repeat
+
+    def generator(key: int) -> np.random.Generator:
+        return np.random.Generator(
+            np.random.Philox(np.random.SeedSequence(spec.seed, spawn_key=(key,)))
+        )
+
+    if axes == 0:
+        return np.zeros((points * repeat, 0))
+    if spec.sampling == "random":
+        u = np.array([generator(run).random(axes) for run in range(1, points * repeat + 1)])
+    elif spec.sampling == "latin_hypercube":
+        u = np.vstack(
+            [LatinHypercube(axes, rng=generator(p)).random(repeat) for p in range(points)]
+        )
+    else:
+        sequences = (Sobol(axes, rng=generator(point)) for point in range(points))
+        u = np.vstack([sequence.random(1) for sequence in sequences for _ in range(repeat)])
+    return np.clip(u, _SMALLEST, 1.0 - 2.0 * _SMALLEST)
 
 
 def make_plan(
@@ -251,7 +209,7 @@ def make_plan(
         within = None if source is None or "keep" in changes else folder
         faults += [*axis_faults(spec), *quantity_faults(spec, within)]
         try:  # faults of `run` have the same place in the sweep as in the scene
-            scene = changed(scene, {f"run.{key}": value for key, value in spec.run.items()})
+            scene = scene.replace({f"run.{key}": value for key, value in spec.run.items()})
         except SceneError as error:
             faults += error.faults
         faults += value_faults(scene, spec)
@@ -296,58 +254,6 @@ def _path_of(scene: Any) -> Any:
         f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system has "
         "its scene as `system.scene`)"
     )
-
-
-_SMALLEST = 2.0**-54
-"""Distance of u from 0 and 1, where many quantiles are infinite."""
-
-
-@dataclass
-class Sampler:
-    """Numbers in (0, 1), one for each drawn axis, for any run."""
-
-    sampling: str  # "random", "latin_hypercube" or "sobol"
-    seed: int
-    axes: int  # how many numbers a run needs
-    repeat: int  # runs of one grid point
-    # the sample of the last grid point: runs mostly come in order
-    _point: int = field(default=-1, init=False)
-    _sample: Any = field(default=None, init=False, repr=False)
-
-    def at(self, run: int) -> np.ndarray:
-        """The numbers of a run, counted from 1, shape (axes,)."""
-        if self.axes == 0:
-            return np.zeros(0)
-        point, repetition = divmod(run - 1, self.repeat)
-        if self.sampling == "random":
-            u = self._generator(run).random(self.axes)
-        elif self.sampling == "latin_hypercube":
-            u = self._hypercube(point)[repetition]
-        else:
-            u = self._sobol(point, repetition)
-        return np.clip(u, _SMALLEST, 1.0 - 2.0 * _SMALLEST)
-
-    def _generator(self, key: int) -> np.random.Generator:
-        own = np.random.SeedSequence(self.seed, spawn_key=(key,))
-        return np.random.Generator(np.random.Philox(own))
-
-    def _hypercube(self, point: int) -> np.ndarray:
-        if point != self._point:
-            from scipy.stats.qmc import LatinHypercube
-
-            hypercube = LatinHypercube(self.axes, rng=self._generator(point))
-            self._point, self._sample = point, hypercube.random(self.repeat)
-        return self._sample
-
-    def _sobol(self, point: int, repetition: int) -> np.ndarray:
-        if point != self._point or repetition < self._sample.num_generated:
-            from scipy.stats.qmc import Sobol
-
-            self._point, self._sample = point, Sobol(self.axes, rng=self._generator(point))
-        skipped = repetition - self._sample.num_generated
-        if skipped:
-            self._sample.fast_forward(skipped)
-        return self._sample.random(1)[0]
 
 
 # Of strings that may name a file.

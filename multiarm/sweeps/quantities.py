@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import USER_FAULTS
-from multiarm.scene.functions import FunctionReference, load_function
+from multiarm.results.limit_use import largest_shares
+from multiarm.scene.code import CodeReference, load_function
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -38,7 +39,7 @@ class Quantity:
     unit: str
     words: str  # description
     # the user's function, or its place
-    function: Callable[[Trajectory], Any] | FunctionReference | None = None
+    function: Callable[[Trajectory], Any] | CodeReference | None = None
     key: str | None = None  # of the table that the function returns
     digest: str = ""  # of the function's source text
 
@@ -52,13 +53,15 @@ def measure(
     """
     numbers: dict[str, float | None] = {}
     faults = []
-    for function, group in groupby(quantities, lambda one: (one.function, one.digest)):
+    for function, group in groupby(
+        quantities, lambda quantity: (quantity.function, quantity.digest)
+    ):
         members = list(group)
         try:
             numbers |= _measured(function[0], members, trajectory)
         except _Fault as fault:
             faults.append(str(fault))
-            numbers |= dict.fromkeys([one.name for one in members])
+            numbers |= dict.fromkeys([quantity.name for quantity in members])
     return numbers, "; ".join(faults)
 
 
@@ -66,7 +69,7 @@ def digest(function: Callable | str) -> str:
     """A digest of the function's source text; empty if the text is not available."""
     try:
         if isinstance(function, str):
-            file = FunctionReference(function).file
+            file = CodeReference(function).file
             text = "" if file is None else file.read_text(encoding="utf-8")
         else:
             text = inspect.getsource(function)
@@ -80,27 +83,29 @@ class _Fault(Exception):
 
 
 def _measured(
-    function: Callable | FunctionReference | None, members: list[Quantity], trajectory: Trajectory
+    function: Callable | CodeReference | None, members: list[Quantity], trajectory: Trajectory
 ) -> dict[str, float | None]:
     if function is None:
-        return {one.name: KNOWN[one.name].function(trajectory) for one in members}
+        return {member.name: KNOWN[member.name].function(trajectory) for member in members}
     key = members[0].key
     name = members[0].name if key is None else members[0].name.removesuffix(f".{key}")
     try:
-        given = _loaded(function, members[0].digest)(trajectory)
+        output = _loaded(function, members[0].digest)(trajectory)
     except USER_FAULTS as error:
         raise _Fault(f"quantity {name!r} raised {type(error).__name__}: {error}") from error
     if key is None:
-        return {members[0].name: _number(given, name)}
-    if not isinstance(given, Mapping):
-        raise _Fault(f"quantity {name!r} must give a table of numbers, it gave {given!r:.60}")
-    keys = {one.key for one in members}
-    if set(given) != keys:
+        return {members[0].name: _number(output, name)}
+    if not isinstance(output, Mapping):
+        raise _Fault(f"quantity {name!r} must give a table of numbers, it gave {output!r:.60}")
+    keys = {member.key for member in members}
+    if set(output) != keys:
         raise _Fault(
-            f"quantity {name!r} gave {', '.join(map(str, given)) or 'nothing'}; its 'gives' lists "
+            f"quantity {name!r} gave {', '.join(map(str, output)) or 'nothing'}; its 'gives' lists "
             f"{', '.join(map(str, sorted(map(str, keys))))}"
         )
-    return {one.name: _number(given[one.key], f"{name} [{one.key}]") for one in members}
+    return {
+        member.name: _number(output[member.key], f"{name} [{member.key}]") for member in members
+    }
 
 
 def _number(value: Any, name: str) -> float:
@@ -114,7 +119,7 @@ def _number(value: Any, name: str) -> float:
 
 
 @lru_cache(maxsize=64)
-def _loaded(function: Callable | FunctionReference, _digest: str) -> Callable:
+def _loaded(function: Callable | CodeReference, _digest: str) -> Callable:
     """The function; the digest makes a changed file be read again."""
     return load_function(function)
 
@@ -181,8 +186,12 @@ def _estimated_error(trajectory: Trajectory) -> float | None:
 
 
 def _count(trajectory: Trajectory, key: str) -> float | None:
-    found = trajectory.statistics.get(key)
-    return None if found is None else float(found)
+    number = trajectory.statistics.get(key)
+    return None if number is None else float(number)
+
+
+def _limit_share(limit: str) -> Callable[[Trajectory], float | None]:
+    return lambda run: largest_shares(run)[limit]
 
 
 class Known(NamedTuple):
@@ -217,6 +226,12 @@ KNOWN = {
         "magnitude of the controller's, of sliding joints in N",
         lambda run: _largest_of(run.joint_torques),
     ),
+    **{
+        f"largest_{limit}_share": Known(
+            "1", f"of a joint's {limit} limit, 1 at the limit", _limit_share(limit)
+        )
+        for limit in ("effort", "speed", "range")
+    },
     "position_drift": Known(
         "m", "largest gap of a contact", lambda run: _largest(run.position_drift)
     ),

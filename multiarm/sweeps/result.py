@@ -1,4 +1,4 @@
-"""The result of a sweep: its table, read on demand, and the trajectory of any of its runs.
+"""The result of a sweep: its table, and the trajectory of any of its runs.
 
 A run follows from the scene, the sweep and its number, so its trajectory is not stored: it is
 simulated again when it is requested, and is the same bit for bit.
@@ -6,39 +6,33 @@ simulated again when it is requested, and is the same bit for bit.
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
+import pandas
 
-from multiarm.errors import SweepError
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.results.files import resolved
-from multiarm.scene.faults import unknown
-from multiarm.sweeps.plan import Record, require_run
-from multiarm.sweeps.store import StoredSweep, differences
-from multiarm.sweeps.table import Column, numpy_column, records, write_csv, write_parquet
+from multiarm.sweeps.folder import About, Column, read_about, read_rows
+from multiarm.sweeps.plan import SweepPlan, plan_of, program_version, require_run
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
-    from multiarm.sweeps.plan import SweepPlan
 
-__all__ = ["Failure", "Spread", "Sweep", "SweepSummary", "load_sweep"]
+__all__ = ["Failure", "Spread", "Sweep", "SweepSummary", "differences", "load_sweep"]
 
 
 class Sweep:
-    """The rows of a sweep when its file was read; rows that are appended later are not seen.
+    """The rows of a sweep when its folder was read; rows that are appended later are not seen.
 
     Parameters
     ----------
@@ -49,18 +43,18 @@ class Sweep:
     Raises
     ------
     SweepError
-        The file cannot be read, or is no sweep.
+        The folder cannot be read, or is no sweep.
     """
 
     def __init__(self, path: str | os.PathLike, code: bool = False):
-        self.path = resolved(path, SweepError)
+        self.path, self._about, self._texts = read_about(path)
         self._code = code
-        self._stored = StoredSweep.read(self.path)
+        self._rows = read_rows(self.path, self._about)
 
     __dir__ = public_names
 
     def __len__(self) -> int:
-        return len(self._stored.table)
+        return len(self._rows)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
@@ -70,7 +64,7 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of planned runs."""
-        return self._stored.header.count
+        return self._about.count
 
     @property
     def complete(self) -> bool:
@@ -80,118 +74,81 @@ class Sweep:
     @property
     def runs(self) -> np.ndarray:
         """Numbers of the runs that have a row, ascending."""
-        return self._stored.table["run"].to_numpy().copy()
+        return self._rows.index.to_numpy(dtype=np.int64)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns of the table: run, status, message, values, quantities, wall time, worker."""
-        return self._stored.header.columns
+        return self._about.columns
 
     @property
     def paths(self) -> tuple[str, ...]:
         """Paths in the scene that vary."""
-        return self._keys("values")
+        return tuple(column.key for column in self._about.of_group("values"))
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """Outputs of each run."""
-        return self._keys("quantities")
+        return tuple(column.key for column in self._about.of_group("quantities"))
 
     @property
     def provenance(self) -> Mapping[str, Any]:
         """Version, computer and time of the start."""
-        return dict(self._stored.header.provenance)
+        return dict(self._about.provenance)
 
     @cached_property
     def scene(self) -> Scene:
         """The scene that is varied."""
         from multiarm.scene import parse_scene
 
-        text, folder = self._stored.texts["scene"], self._stored.header.folder
-        return parse_scene(text, folder, stored=True, code=self._code)
+        text, folder = self._texts["scene"], self._about.folder
+        return parse_scene(text, folder, self._code)
 
     @property
     def text(self) -> str:
         """The sweep as YAML."""
-        return self._stored.texts["sweep"]
+        return self._texts["sweep"]
 
     @cached_property
     def plan(self) -> SweepPlan:
         """The plan: values of each run."""
-        from multiarm.sweeps.plan import plan_of
-
         return plan_of(self.scene, self.text)
 
     @cached_property
     def status_counts(self) -> dict[str, int]:
         """Status -> runs, the most frequent first."""
-        return status_counts(self._stored.table)
+        counts = self._rows["status"].value_counts()
+        return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
     @cached_property
-    def table(self) -> dict[str, np.ndarray]:
-        """All columns by name, in the order of the runs; missing numbers are NaN.
+    def table(self) -> pandas.DataFrame:
+        """A row for each finished run, in their order; a missing entry is ``pandas.NA``.
 
-        ``pandas.DataFrame(sweep.table)`` makes a data frame of it.
+        Columns: ``run``, ``status``, ``message``, the values that vary by their paths, the
+        quantities, ``wall_time`` [s] and ``worker``.  ``attrs["units"]`` maps columns to units.
         """
-        return self.select()
-
-    def select(
-        self,
-        columns: Iterable[str] | None = None,
-        *,
-        status: str | None = None,
-        where: Mapping[str, Any] | None = None,
-    ) -> dict[str, np.ndarray]:
-        """Some columns of some runs, in the order of the runs.
-
-        Parameters
-        ----------
-        columns : iterable of str, optional
-            Default: all.
-        status : str, optional
-            Select runs with this status.
-        where : mapping, optional
-            Select runs by name of a column -> value, or (lowest, highest) of a number.
-
-        Raises
-        ------
-        SweepError
-            There is no such column, with the alternatives.
-        """
-        stored = self._stored
-        named = {column.name: column for column in stored.header.columns}
-        wanted = list(named if columns is None else columns)
-        conditions = dict(where or {}) | ({} if status is None else {"status": status})
-        for name in (*wanted, *conditions):
-            if name not in named:
-                raise SweepError(unknown("column", name, named))
-        fits = np.ones(len(self), dtype=bool)
-        for name, condition in conditions.items():
-            fits &= [_fits(value, condition) for value in named[name].values(stored.table)]
-        table = stored.table.filter(fits)
-        return {name: numpy_column(table, named[name]) for name in wanted}
-
-    def rows(self) -> Iterator[Record]:
-        """The records in the order of the runs."""
-        return records(self._stored.table, self.columns)
-
-    def row(self, run: int) -> Record:
-        """The record of one run.
-
-        Raises
-        ------
-        SweepError
-            There is no such run, or it has no record yet.
-        """
-        require_run(run, self.count)
-        place = np.flatnonzero(self.runs == run)
-        if not len(place):
-            raise SweepError(f"run {run} has not been made yet; resume the sweep")
-        return next(records(self._stored.table.slice(place[0], 1), self.columns))
+        values = self.plan.table.loc[self._rows.index]
+        complete = values.notna().all()
+        table = self._rows.copy()
+        for column in self._about.of_group("values"):
+            cells = values[column.key]  # objects: None stays what the sweep gave
+            table[column.name] = cells.infer_objects() if complete[column.key] else cells
+        table = table.reset_index()
+        table = table[[column.name for column in self.columns]]
+        table.attrs["units"] = {column.name: column.unit for column in self.columns if column.unit}
+        return table
 
     def summary(self) -> SweepSummary:
         """How the runs ended and how each quantity spreads."""
-        return summarise(self._stored)
+        quantities = self._about.of_group("quantities")
+        return SweepSummary(
+            count=self.count,
+            done=len(self),
+            statuses=self.status_counts,
+            wall_time=math.fsum(self._rows["wall_time"].dropna()),
+            spreads=tuple(_spread(self._rows[column.name], column) for column in quantities),
+            failures=_failures(self._rows),
+        )
 
     def values_of(self, run: int) -> dict[str, Any]:
         """Path -> value in the scene of one run, also of a run that has not been made.
@@ -226,10 +183,10 @@ class Sweep:
         SceneError
             Its scene names code, and :func:`load_sweep` was called without ``code``.
         """
-        from multiarm.sweeps.worker import simulate_run
+        from multiarm.sweeps.run import simulate_run
 
         require_run(run, self.count)
-        differs = differences(self._stored, self.plan)
+        differs = differences(self._about, self._texts, self.plan)
         if differs:
             warnings.warn(
                 f"this run may give other numbers than its row has: {'; '.join(differs)}",
@@ -237,37 +194,9 @@ class Sweep:
             )
         return simulate_run(self.plan, run)
 
-    def to_csv(self, path: str | os.PathLike) -> Path:
-        """Write the table as CSV.
-
-        Raises
-        ------
-        MultiarmError
-            The file cannot be written.
-        """
-        return write_csv(self._stored.table, self.columns, path)
-
-    def to_parquet(self, path: str | os.PathLike) -> Path:
-        """Write the table as Parquet.
-
-        Raises
-        ------
-        MultiarmError
-            The file cannot be written.
-        """
-        texts = {name: self._stored.texts[name] for name in ("scene", "sweep")}
-        return write_parquet(self._stored.table, self.columns, path, texts)
-
-    def close(self) -> None:
-        """Release the rows; nothing more can be read."""
-        del self._stored
-
-    def _keys(self, group: str) -> tuple[str, ...]:
-        return tuple(column.key for column in self.columns if column.group == group)
-
 
 def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
-    """Read the file of a sweep, complete or not, without loading the code that it names.
+    """Read the folder of a sweep, complete or not, without loading the code that it names.
 
     Parameters
     ----------
@@ -279,16 +208,32 @@ def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
     Raises
     ------
     SweepError
-        The file cannot be read, or is no sweep.
+        The folder cannot be read, or is no sweep.
     """
     return Sweep(path, code)
 
 
-def _fits(value: Any, condition: Any) -> bool:
-    if isinstance(condition, tuple):
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and condition[0] <= value <= condition[1]
-    return bool(value == condition)
+def differences(about: About, texts: Mapping[str, str], plan: SweepPlan) -> list[str]:
+    """Differences between a stored sweep and a plan that change the numbers of runs, as text."""
+    differs = [
+        *_changed_lines("scene", texts["scene"], plan.scene_text),
+        *_changed_lines("sweep", texts["sweep"], plan.text),
+    ]
+    there, here = about.provenance.get("version", "of unknown version"), program_version()
+    if not differs and there != here:
+        differs = [f"it was begun by multiarm {there}, this is {here}"]
+    for name in sorted({*about.files, *plan.files}):
+        if about.files.get(name) != plan.files.get(name):
+            differs.append(f"the file '{name}' has changed, or is missing")
+    return differs
+
+
+def _changed_lines(what: str, there: str, here: str) -> list[str]:
+    lines = difflib.unified_diff(there.splitlines(), here.splitlines(), n=0, lineterm="")
+    changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
+    shown = [f"{what}: {line}" for line in changed[:6]]
+    more = len(changed) - len(shown)
+    return [*shown, f"{what}: and {count_of(more, 'more line')}"] if more > 0 else shown
 
 
 # --- the summary ----------------------------------------------------------------------------------
@@ -371,67 +316,43 @@ class SweepSummary:
         return data
 
 
-def summarise(stored: StoredSweep) -> SweepSummary:
-    """The summary of a stored sweep."""
-    table = stored.table
-    return SweepSummary(
-        count=stored.header.count,
-        done=len(table),
-        statuses=status_counts(table),
-        wall_time=math.fsum(table["wall_time"].to_pylist()),
-        spreads=tuple(
-            _spread(table, own) for own in stored.header.columns if own.group == "quantities"
-        ),
-        failures=_failures(table),
-    )
-
-
-def status_counts(table: pa.Table) -> dict[str, int]:
-    """Status -> runs, the most frequent first."""
-    found = {own["values"]: own["counts"] for own in table["status"].value_counts().to_pylist()}
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
-
-
-def _spread(table: pa.Table, column: Column) -> Spread:
-    there = table.select(["run", column.name]).drop_null()
-    runs, values = (own.to_numpy() for own in there.columns)
-    spread = Spread(column.name, column.unit, column.words, len(values))
-    if not len(values):
-        return spread
-    values = values + 0.0  # -0.0 becomes 0.0
-    first, last = int(np.argmin(values)), int(np.argmax(values))
+def _spread(cells: pandas.Series, column: Column) -> Spread:
+    numbers = cells.dropna().astype(float) + 0.0  # -0.0 becomes 0.0
+    if numbers.empty:
+        return Spread(column.name, column.unit, column.words, count=0)
     with np.errstate(invalid="ignore"):  # between infinite values
-        quantiles = np.quantile(values, LEVELS).tolist()
-    return replace(
-        spread,
-        smallest=_finite(values[first]),
-        smallest_run=int(runs[first]),
-        largest=_finite(values[last]),
-        largest_run=int(runs[last]),
-        mean=_mean(values),
+        quantiles = np.quantile(numbers, LEVELS).tolist()
+    return Spread(
+        column.name,
+        column.unit,
+        column.words,
+        count=len(numbers),
+        smallest=_finite(numbers.min()),
+        smallest_run=int(numbers.idxmin()),
+        largest=_finite(numbers.max()),
+        largest_run=int(numbers.idxmax()),
+        mean=_mean(numbers),
         quantiles=dict(zip(LEVELS, map(_finite, quantiles), strict=True)),
     )
 
 
-def _mean(values: np.ndarray) -> float | None:
+def _mean(numbers: pandas.Series) -> float | None:
     """The mean, from a sum that is rounded once; None if that exceeds the range of floats."""
     try:
-        return _finite(math.fsum(values) / len(values))
+        return _finite(math.fsum(numbers) / len(numbers))
     except (OverflowError, ValueError):  # too large; of infinite values with both signs
         return None
 
 
-def _failures(table: pa.Table) -> tuple[Failure, ...]:
+def _failures(rows: pandas.DataFrame) -> tuple[Failure, ...]:
     """The different messages of runs that did not complete, the first few."""
-    found: dict[tuple[str, str], Failure] = {}
-    failed = table.filter(pc.not_equal(table["status"], "completed"))
-    for row in failed.select(["run", "status", "message"]).to_pylist():
-        key = row["status"], _NUMBER.sub("#", row["message"])
-        if key not in found and len(found) == FAILURES:
-            continue
-        known = found.get(key, Failure(row["status"], row["message"], 0, row["run"]))
-        found[key] = replace(known, runs=known.runs + 1)
-    return tuple(found.values())
+    failed = rows.loc[rows["status"] != "completed", ["status", "message"]]
+    alike = failed["message"].str.replace(_NUMBER, "#", regex=True).rename("alike")
+    failures = [
+        Failure(group["status"].iloc[0], group["message"].iloc[0], len(group), int(group.index[0]))
+        for _, group in failed.groupby(["status", alike], sort=False)
+    ]
+    return tuple(failures[:FAILURES])
 
 
 def _finite(value: float) -> float | None:

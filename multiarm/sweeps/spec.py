@@ -16,8 +16,8 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJ
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
+from multiarm.scene.code import UserFunction, located
 from multiarm.scene.faults import explain, fault, shown, unknown
-from multiarm.scene.functions import UserFunction, located
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
@@ -25,9 +25,9 @@ from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity, digest
 
 __all__ = [
     "DEFAULT_KEEP",
-    "Kept",
-    "OwnQuantity",
+    "QuantityEntry",
     "SweepSpec",
+    "UserQuantity",
     "examined",
     "parse_sweep",
     "read_sweep",
@@ -56,7 +56,7 @@ def _column(value: Any) -> str:
 Column = Annotated[str, BeforeValidator(_column)]
 
 
-class OwnQuantity(Spec):
+class UserQuantity(Spec):
     """A user-defined function of a run's trajectory.
 
     Attributes
@@ -79,8 +79,10 @@ class OwnQuantity(Spec):
 
     def quantities(self) -> list[Quantity]:
         """The quantities that the function gives."""
-        own = re.sub(r"\W", "", function_text(self.function).rpartition(":")[2].split(".")[-1])
-        name, text = self.name or own or "quantity", digest(self.function)
+        function_name = re.sub(
+            r"\W", "", function_text(self.function).rpartition(":")[2].split(".")[-1]
+        )
+        name, text = self.name or function_name or "quantity", digest(self.function)
         if self.gives is None:
             return [Quantity(name, self.unit, self.words, self.function, None, text)]
         return [
@@ -89,12 +91,12 @@ class OwnQuantity(Spec):
         ]
 
 
-def _kept(value: Any) -> Any:
+def _entry(value: Any) -> Any:
     """A quantity by its name, or a function: as a table, by its place, or itself."""
-    if isinstance(value, (Mapping, OwnQuantity)):
-        return TypeAdapter(OwnQuantity).validate_python(value)
+    if isinstance(value, (Mapping, UserQuantity)):
+        return TypeAdapter(UserQuantity).validate_python(value)
     if callable(value) or (isinstance(value, str) and ":" in value):
-        return TypeAdapter(OwnQuantity).validate_python({"function": value})
+        return TypeAdapter(UserQuantity).validate_python({"function": value})
     if isinstance(value, str) and (value in KNOWN or value == MEASURED):
         return value
     names = [*KNOWN, MEASURED]
@@ -106,14 +108,17 @@ _Name = Annotated[
     str,
     WithJsonSchema({"anyOf": [{"enum": [*KNOWN, MEASURED]}, {"type": "string", "pattern": ":"}]}),
 ]
-Kept = Annotated[OwnQuantity | _Name, BeforeValidator(_kept)]
-"""An entry of ``keep``: the name of a quantity, or an :class:`OwnQuantity`."""
+QuantityEntry = Annotated[UserQuantity | _Name, BeforeValidator(_entry)]
+"""An entry of ``keep``: the name of a quantity, or an :class:`UserQuantity`."""
 
 
 def _axis(value: Any) -> Any:
     if isinstance(value, (Mapping, AxisSpec)):
         return value
     return {"values": value}
+
+
+_AXIS = BeforeValidator(_axis, json_schema_input_type=AxisSpec | list[Any])
 
 
 def _by_text(value: Any) -> Any:
@@ -157,14 +162,14 @@ class SweepSpec(Spec):
         Replaces entries of the scene's ``run``.
     """
 
-    over: Annotated[
-        dict[str, Annotated[AxisSpec, BeforeValidator(_axis)]], BeforeValidator(_by_text)
-    ] = Field(description="a table 'path: values' of what varies, such as (object.mass: [5, 10])")
+    over: Annotated[dict[str, Annotated[AxisSpec, _AXIS]], BeforeValidator(_by_text)] = Field(
+        description="a table 'path: values' of what varies, such as (object.mass: [5, 10])"
+    )
     combine: Literal["product", "zip"] = "product"
     repeat: Count = 1
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
     seed: NonNegativeCount = 0
-    keep: tuple[Kept, ...] = DEFAULT_KEEP
+    keep: tuple[QuantityEntry, ...] = DEFAULT_KEEP
     certificate: bool = True
     run: Annotated[dict[str, Any], BeforeValidator(_plain_table)] = Field(default_factory=dict)
 
@@ -175,14 +180,14 @@ class SweepSpec(Spec):
 
     def quantities(self) -> tuple[Quantity, ...]:
         """The outputs, except the wall time, which every record has anyway."""
-        found: list[Quantity] = []
+        quantities: list[Quantity] = []
         for entry in self.keep:
-            if isinstance(entry, OwnQuantity):
-                found += entry.quantities()
+            if isinstance(entry, UserQuantity):
+                quantities += entry.quantities()
             elif entry != MEASURED:
                 known = KNOWN[entry]
-                found.append(Quantity(entry, known.unit, known.words))
-        return tuple(found)
+                quantities.append(Quantity(entry, known.unit, known.words))
+        return tuple(quantities)
 
     def text(self) -> str:
         """Canonical YAML that :func:`parse_sweep` reads back."""
@@ -274,14 +279,14 @@ def _without(data: Mapping[str, Any], faults: Sequence[Sequence[Any]]) -> dict[s
     """A sweep's table without its faulty parts: single paths, single quantities, else keys."""
     places = [tuple(loc) for loc in faults]
     whole = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
-    kept = {key: value for key, value in data.items() if key not in whole}
-    if isinstance(kept.get("over"), Mapping):
+    valid = {key: value for key, value in data.items() if key not in whole}
+    if isinstance(valid.get("over"), Mapping):
         bad = {loc[1] for loc in places if loc[0] == "over" and len(loc) > 1}
-        kept["over"] = {k: v for k, v in _by_text(kept["over"]).items() if k not in bad}
-    if isinstance(kept.get("keep"), (list, tuple)):
+        valid["over"] = {k: v for k, v in _by_text(valid["over"]).items() if k not in bad}
+    if isinstance(valid.get("keep"), (list, tuple)):
         wrong = {loc[1] for loc in places if loc[0] == "keep" and len(loc) > 1}
-        kept["keep"] = [entry for k, entry in enumerate(kept["keep"]) if k not in wrong]
-    return kept
+        valid["keep"] = [entry for k, entry in enumerate(valid["keep"]) if k not in wrong]
+    return valid
 
 
 def _with(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,20 +1,30 @@
-"""`sweep`: run one scene hundreds or thousands of times on all cores, into one file."""
+"""`sweep`: run one scene hundreds or thousands of times on all cores, into one folder."""
 
 from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from numbers import Integral
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
+from multiarm.results.files import resolved
 from multiarm.scene import Scene
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.sweeps.plan import Record, SweepPlan, make_plan
-from multiarm.sweeps.result import Sweep, load_sweep
-from multiarm.sweeps.store import SweepFile
+from multiarm.sweeps.folder import (
+    About,
+    PartWriter,
+    create,
+    is_sweep,
+    read_about,
+    read_rows,
+    remove_unfinished,
+)
+from multiarm.sweeps.plan import SweepPlan, make_plan
+from multiarm.sweeps.result import Sweep, differences, load_sweep
 from multiarm.terminal.progress import SweepProgress as SweepBar
 from multiarm.terminal.progress import displayed
 
@@ -30,7 +40,7 @@ def sweep(
     scene: Scene | str | os.PathLike,
     over: str | os.PathLike | Mapping[str, Any] | None = None,
     *,
-    out: str | os.PathLike = "sweep.h5",
+    out: str | os.PathLike = "run.sweep",
     workers: int | None = None,
     dask: str | bool | Client | None = None,
     keep: str | Sequence[Any] | None = None,
@@ -59,8 +69,8 @@ def sweep(
         ``range``, ``rows``; drawn at random by ``uniform``, ``loguniform``, ``normal``,
         ``lognormal``, ``integers``, ``choice``.
     out : path-like
-        HDF5 file of the table.  Until the call ends, rows of new runs are in a folder beside it,
-        ``sweep.h5.rows``.  A sweep that was killed or stopped resumes from both.
+        Folder of the sweep, ``NAME.sweep``: scene, sweep, and the rows as Parquet files.  A sweep
+        that was killed or stopped resumes from it.
     workers : int, optional
         Processes on this computer, by default one for each core; 1 runs everything in this process.
     dask : str, True or distributed.Client, optional
@@ -82,7 +92,7 @@ def sweep(
         called in this thread with the number of finished runs, of all runs, and of runs that failed
         since the call; it may raise ``KeyboardInterrupt`` to end the sweep.
     resume : bool
-        Continue from the rows of this sweep in the file.  False: overwrite the file.
+        Continue from the rows of this sweep in the folder.  False: begin again in it.
     **run
         Entries of the scene's ``run``: ``duration=1.0, accuracy=1e-6``.
 
@@ -97,7 +107,7 @@ def sweep(
     SceneError
         When the scene cannot be read.
     SweepError
-        When the sweep is wrong, naming all faults; the file belongs to another sweep or cannot be
+        When the sweep is wrong, naming all faults; the folder belongs to another sweep or cannot be
         written; the cluster does not answer or cannot run the jobs.
     """
     from multiarm.sweeps.executors import connected
@@ -115,53 +125,85 @@ def sweep(
     plan = make_plan(scene, over, **{key: v for key, v in keys.items() if v is not None})
     with (
         displayed(progress, SweepBar) as show,
-        # before the file: if the cluster does not answer, rows of an earlier sweep must not be lost
+        # before the folder: if the cluster does not answer, earlier rows must not be lost
         connected(dask) if dask else nullcontext() as client,
-        SweepFile(out, plan, fresh=not resume) as file,
     ):
-        _fill(file, plan, _records(plan, file, workers, client), show)
-    return load_sweep(file.path, code=plan.scene.may_load_code)
+        folder, about = _folder(out, plan, resume)
+        finished = read_rows(folder, about).index
+        missing = plan.table.index.difference(finished)
+        batches = _rows(plan, missing.tolist(), workers, client)
+        if _fill(PartWriter(folder, about, plan), plan, len(finished), batches, show) == plan.count:
+            remove_unfinished(folder)
+    return load_sweep(folder, code=plan.scene.may_load_code)
 
 
-def _records(
-    plan: SweepPlan, file: SweepFile, workers: int | None, client: Client | None
-) -> Iterator[list[Record]]:
-    """Records of the missing runs, as they end."""
+def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> tuple[Path, About]:
+    """The folder of this sweep, which is made if there is none.
+
+    Raises
+    ------
+    SweepError
+        It belongs to another sweep; the message lists the differences.
+    """
+    folder = resolved(out, SweepError)
+    if not (resume and is_sweep(folder)):
+        return folder, create(folder, plan)
+    folder, about, texts = read_about(folder)
+    differs = differences(about, texts, plan)
+    if about.fingerprint != plan.fingerprint:
+        lines = "\n  ".join(differs or ["the text of a function that gives a quantity"])
+        raise SweepError(
+            f"'{folder}' holds another sweep; choose another folder, or begin again in this one "
+            f"(--fresh, in Python resume=False). Differences (- there, + here):\n  {lines}"
+        )
+    return folder, about
+
+
+def _rows(
+    plan: SweepPlan, missing: list[int], workers: int | None, client: Client | None
+) -> Iterator[list[dict[str, Any]]]:
+    """Rows of the missing runs, as they end."""
     from multiarm.jit.ahead import processors
-    from multiarm.sweeps.executors import run_in_process, run_in_processes, run_on_cluster
-    from multiarm.sweeps.worker import JobContext
+    from multiarm.sweeps.executors import run_here, run_in_processes, run_on_cluster
+    from multiarm.sweeps.run import Context
 
-    missing = plan.count - file.made
     if not missing:
-        return
-    context = JobContext.of(plan, session=uuid.uuid4().hex)
-    jobs = plan.jobs(file.missing())
-    workers = workers or processors()
+        return iter(())
+    context = Context.of(plan, session=uuid.uuid4().hex)
+    values = plan.table.loc[missing].to_dict("records")
+    jobs = list(zip(missing, values, strict=True))
     if client is not None:
-        yield from run_on_cluster(context, jobs, client, missing)
-    elif workers == 1:
-        yield from run_in_process(context, jobs)
-    else:
-        yield from run_in_processes(context, jobs, min(workers, missing), missing)
+        return run_on_cluster(context, jobs, client)
+    workers = workers or processors()
+    if workers == 1:
+        return run_here(context, jobs)
+    return run_in_processes(context, jobs, min(workers, len(missing)))
 
 
 def _fill(
-    file: SweepFile, plan: SweepPlan, batches: Iterator[list[Record]], show: SweepProgress
-) -> None:
-    """Append records to the file until all are there or Ctrl-C is pressed."""
+    writer: PartWriter,
+    plan: SweepPlan,
+    done: int,
+    batches: Iterator[list[dict[str, Any]]],
+    show: SweepProgress,
+) -> int:
+    """Append rows to the folder until all are there or Ctrl-C is pressed; returns how many are."""
     failed = 0
     try:
-        show(file.made, plan.count, failed)
-        for records in batches:
-            with deferred_interrupt() as interrupt:  # not while the file is written
-                file.append(records)
+        show(done, plan.count, failed)
+        for rows in batches:
+            with deferred_interrupt() as interrupt:  # not while a part is written
+                writer.append(rows)
             interrupt.deliver()
-            failed += sum(record.status != "completed" for record in records)
-            show(file.made, plan.count, failed)
+            done += len(rows)
+            failed += sum(row["status"] != "completed" for row in rows)
+            show(done, plan.count, failed)
     except KeyboardInterrupt:
-        pass  # the finished runs are in the file
+        pass  # the finished runs are in the folder
     finally:
-        batches.close()  # type: ignore[attr-defined]
+        if isinstance(batches, Generator):
+            batches.close()
+    return done
 
 
 MOST_WORKERS = 1000

@@ -84,8 +84,8 @@ def print_warnings(texts: Iterable[str]) -> None:
 def print_loaded(named: Iterable[NamedCode]) -> None:
     """Say on stderr which code is going to be loaded, a line each."""
     console = messages()
-    for one in dict.fromkeys(code.what for code in named):
-        console.print(Text.assemble(("loading ", "yellow"), one), soft_wrap=True)
+    for what in dict.fromkeys(code.what for code in named):
+        console.print(Text.assemble(("loading ", "yellow"), what), soft_wrap=True)
 
 
 def print_written(what: str, path: Path) -> None:
@@ -147,9 +147,9 @@ class _Columns(Table):
         yield from super().__rich_console__(console, options)
 
     def _halves(self) -> Iterator[_Columns]:
-        names, *others = self.columns
+        names, *values = self.columns
         half = len(self.columns) // 2
-        for title, part in ((self.title, others[:half]), (None, others[half:])):
+        for title, part in ((self.title, values[:half]), (None, values[half:])):
             shown = [names, *part]
             narrow = _Columns(
                 *(column.copy() for column in shown), title=title, box=self.box,

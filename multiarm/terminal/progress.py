@@ -53,7 +53,7 @@ PREPARING, SIMULATING = "preparing", "simulating"
 COMPILING = "compiling kernels (only the first time on this machine)"
 
 
-def displayed(progress: bool | Callable[..., None] | None, own: Callable[[], Shown]) -> Shown:
+def displayed(progress: bool | Callable[..., None] | None, default: Callable[[], Shown]) -> Shown:
     """What long work calls as it goes on: the caller's function, or for True a display of ours.
 
     Raises
@@ -62,7 +62,7 @@ def displayed(progress: bool | Callable[..., None] | None, own: Callable[[], Sho
         When it is neither.
     """
     if progress is True:
-        return own()
+        return default()
     if progress and not callable(progress):
         from multiarm.scene.faults import shown
 

@@ -180,7 +180,7 @@ def far_off(there: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("free", [(), (3, 4, 5), (0, 3, 4, 5)])
 def test_what_an_arm_reaches_is_never_called_out_of_reach(name, free, rng):
     arm = robot(robot=name)
-    search = InverseKinematics(arm, free, whole=True)
+    search = InverseKinematics(arm, free, to_limits=True)
     for q in rng.uniform(*whole_ranges(arm), (200, arm.dof)):
         assert search.farther_than_it_reaches(arm.tip_pose(q)) is None
 
@@ -189,7 +189,7 @@ def test_a_place_beyond_the_stretched_arm_is_called_out_of_reach():
     """Closed form: three bars of 0.5 m in a plane."""
     arm = robot(robot="planar_3r")
     stretched = float(np.sum(arm.levers(np.zeros(3))[:1]))
-    search = InverseKinematics(arm, whole=True)
+    search = InverseKinematics(arm, to_limits=True)
     place = arm.tip_pose(np.zeros(3))
     first = arm.skeleton(np.zeros(3))[0]
     way = (place[:3, 3] - first) / np.linalg.norm(place[:3, 3] - first)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 import signal
@@ -11,10 +10,9 @@ import sys
 import time
 from io import StringIO
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args, get_origin, get_type_hints
 
 import pytest
-import typer
 import yaml
 from commands import figures, multiarm
 from mechanics import planar_pair
@@ -25,12 +23,10 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app, check, run
-from multiarm.cli.check import _effects
-from multiarm.cli.options import with_settings
 from multiarm.errors import ControlError
 from multiarm.jit.compilation import compiling
 from multiarm.scene import RunSpec, StabilizationSpec, dump_scene
-from multiarm.simulation.inspection import EffectFacts
+from multiarm.scene.parameters import description_of
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.terminal.progress import Progress, RunProgress
 
@@ -146,50 +142,21 @@ def test_every_command_has_help(command):
     assert f"multiarm {command}" in result.stdout
 
 
-def test_choices_of_the_options_are_those_of_a_scene():
-    def choices(model, field):
-        kinds = [model.model_fields[field].annotation]
-        while not all(isinstance(kind, (str, type)) for kind in kinds):
-            kinds = [arg for kind in kinds for arg in get_args(kind) or [kind]]
-        return set(kinds)
+def literals(annotation) -> set:
+    """The choices in a type, however deep they stand in it."""
+    if get_origin(annotation) is Literal:
+        return set(get_args(annotation))
+    return set().union(*map(literals, get_args(annotation)))
 
-    options = inspect.signature(run).parameters
+
+def test_every_setting_of_a_run_is_an_option_with_its_choices_and_words():
+    options = get_type_hints(run, include_extras=True)
     assert set(RunSpec.model_fields) < set(options)
-    for model, field, name in (
-        (RunSpec, "integrator", "integrator"),
-        (RunSpec, "solver", "solver"),
-        (RunSpec, "arms", "arms"),
-        (StabilizationSpec, "kind", "stabilization"),
-    ):
-        sort, _ = get_args(get_args(options[name].annotation)[0])
-        assert {choice.value for choice in sort} == choices(model, field) - {type(None)}
-
-
-def test_a_new_setting_of_a_run_is_an_option_with_no_further_line(monkeypatch):
-    class Longer(RunSpec):
-        """A run with one key more.
-
-        Attributes
-        ----------
-        patience : float
-            How long a user waits [s].
-        """
-
-        patience: float = 1.0
-
-    monkeypatch.setattr("multiarm.scene.run.RunSpec", Longer)
-
-    @with_settings()
-    def command(settings):
-        """A command."""
-        print(settings)
-
-    program = typer.Typer(rich_markup_mode="markdown")
-    program.command()(command)
-    result = CliRunner().invoke(program, ["--patience", "2.5", "--arms", "compiled"])
-    assert result.stdout.strip() == "{'arms': 'compiled', 'patience': 2.5}", result.output
-    shown = CliRunner().invoke(program, ["--help"]).stdout
-    assert "waits [s]." in " ".join(re.sub("│", "", shown).split())
+    for name, field in RunSpec.model_fields.items():
+        table = StabilizationSpec.model_fields["kind"] if name == "stabilization" else field
+        value, option = get_args(options[name])
+        assert literals(value) == literals(table.annotation), name
+        assert option.help.startswith(description_of(RunSpec, name)), name
 
 
 # --- run ----------------------------------------------------------------------------------------
@@ -435,25 +402,7 @@ def test_tables_fit_eighty_columns_without_breaking_words(words, monkeypatch):
         printed.append(result.stdout)
     assert max(len(line.rstrip()) for line in printed[0].splitlines()) <= 80
     narrow, wide = (set(re.findall(r"[^\W\d_][^\W\d]{2,}", text)) for text in printed)
-    assert narrow - wide <= {"noise", "within"}, "times differ, words do not"
-
-
-def test_a_long_name_leaves_room_for_the_other_columns():
-    """Every column of the table of effects is seen whole, however long they take."""
-    for took, spread in ((0.2, 0.1), (123.45, 0.1), (0.19, 0.87), (1234.56, 123.45)):
-        added = check_effects(took, spread)
-        printed = StringIO()
-        Console(file=printed, width=80).print(added)
-        lines = printed.getvalue().splitlines()
-        assert max(map(len, lines)) <= 80
-        words = set(printed.getvalue().split())
-        assert {"Python", "calls", "unilateral_contacts", "-14,504", "bytes"} <= words
-
-
-def check_effects(took: float, spread: float):
-    """The table of two effects that took so long."""
-    facts = EffectFacts(took, spread, bytes=-14504, states=3, rows=10, callbacks=2)
-    return _effects({"gravity": facts, "unilateral_contacts": facts})
+    assert narrow <= wide
 
 
 # --- check --------------------------------------------------------------------------------------

@@ -435,17 +435,9 @@ def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
     [
         ("no_such_module:ball", "cannot load the function 'no_such_module:ball': ModuleNotFound"),
         ("no_such_file.py:ball", "there is no file no_such_file.py"),
-        (
-            "mechanics:no_such_name",
-            "there is no 'no_such_name' in mechanics; its functions are 'replace',",
-        ),
+        ("mechanics:no_such_name", "there is no 'no_such_name' in mechanics; its functions are"),
         ("numpy:pi", "'pi' in numpy is not a function"),
-        ("math:hypot", "'math' belongs to Python's standard library; name a function in a .py"),
-        ("os.path:join", "'os.path' belongs to Python's standard library"),
-        ("posix:system", "'posix' belongs to Python's standard library"),
-        ("builtins:exec", "'builtins' belongs to Python's standard library"),
         ("mechanics:np.save", "'np.save' is not a plain name; name a function that stands in"),
-        ("repository:Path", "it is one of 'pathlib"),
         ("tests:<lambda>", "has no name by which it can be found again"),
     ],
 )

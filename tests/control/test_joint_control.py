@@ -278,8 +278,8 @@ def test_arms_that_a_controller_leaves_out_get_no_torque(free_block_system):
 
 
 BAD = {
-    "expected a dict arm -> numbers, got list": lambda t, s: [1.0],
-    "expected a dict arm -> numbers, got NoneType": lambda t, s: None,
+    r"must be a dict .*, such as \{'one': 6 numbers\}, got \[1": lambda t, s: [1.0],
+    r"must be a dict .*, such as \{'one': 6 numbers\}, got None": lambda t, s: None,
     r"unknown arm 'three'; arms are one, two": lambda t, s: {"three": np.zeros(6)},
     r"torques\['one'\]: expected shape \(6,\), got \(5,\)": lambda t, s: {"one": np.zeros(5)},
     r"torques\['one'\]: expected shape \(6,\), got \(\)": lambda t, s: {"one": 3.0},

@@ -19,9 +19,9 @@ from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, ro
 from multiarm import plots
 from multiarm.cli.run import SHOWN_KINDS, run_figures, summary_table
 from multiarm.errors import TrajectoryError
+from multiarm.notation import number
 from multiarm.plots.panels import DISTINCT
 from multiarm.plots.run_figures import MOST_ROWS, spans
-from multiarm.reports.pages import quantity
 from multiarm.reports.report import SHOWN_EVENTS, render
 from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
 from multiarm.results.event_log import (
@@ -518,7 +518,7 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
 def test_report_says_whose_the_largest_forces_are_and_when():
     run = eventful()
     force = np.linalg.norm(run.wrenches["left"][:, :3], axis=1)
-    when = quantity(run.time[force.argmax()], "s")
+    when = number(run.time[force.argmax()], "s")
     told = f"largest force {force.max():.3g} n arm left at {when}; 135 n at a contact"
     assert told in Page(render(run)).text.lower()
     block = samples(step=0.5)

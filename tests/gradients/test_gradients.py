@@ -39,7 +39,7 @@ from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import Parameter, Variation, displaced, displacement
 from multiarm.problems.random_scenes import random_scene
-from multiarm.scene.changes import changed, value_at
+from multiarm.scene.changes import value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]
 WELD = {"kind": "weld"}
@@ -84,7 +84,7 @@ def by_parameter(scene, path, duration, step=1e-3):
     amount = step * abs(value) if abs(value) > 1e-6 else step
 
     def end(shift):
-        return end_of(ma.compile_system(changed(scene, {path: value + shift})), duration)
+        return end_of(ma.compile_system(scene.replace({path: value + shift})), duration)
 
     return difference(lambda shift: displacement(middle, end(shift)), amount)
 
@@ -392,7 +392,7 @@ def test_derivatives_from_a_given_state_are_differences_of_runs_from_it(name, pa
     middle = end_of(system, T, state, begin)
 
     def end(shift):
-        moved = ma.compile_system(changed(scene, {path: value + shift}))
+        moved = ma.compile_system(scene.replace({path: value + shift}))
         return displacement(middle, end_of(moved, T, state, begin))
 
     expected = difference(end, 1e-3 * size)
@@ -413,7 +413,7 @@ def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, 
     """A posture that is sought may be another one in a scene nearby, and what holds it too."""
     scene = CHAINS["open loop"]
     system = ma.compile_system(scene)
-    jumped = ma.compile_system(changed(scene, {path: value_at(scene, path) + change}))
+    jumped = ma.compile_system(scene.replace({path: value_at(scene, path) + change}))
     parameter = Parameter(system, "object.mass")
     for weight in list(parameter._systems)[2:]:
         parameter._systems[weight] = jumped

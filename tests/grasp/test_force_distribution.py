@@ -15,7 +15,7 @@ from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.force_distribution import distribute_forces
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.load_maps import liftable, load_capacity, worst_force
-from multiarm.grasp.programs import least_distance, nonnegative_least_squares
+from multiarm.programs import least_distance, nonnegative_least_squares
 
 # slack of the bounds, and the linear programs' own tolerance, relative to the forces
 TOLERANCE = 1e-7

@@ -23,10 +23,10 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "notation", "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results",
-    "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly",
-    "events", "simulation", "linear", "gradients", "grasp", "sweeps", "plots", "reports", "viewer",
-    "problems", "studies", "multiarm", "cli", "__main__",
+    "notation", "errors", "public", "geometry", "jit", "spatial", "programs", "tableaus", "scene",
+    "results", "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal",
+    "assembly", "events", "simulation", "linear", "gradients", "grasp", "sweeps", "plots",
+    "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
@@ -36,7 +36,8 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
-    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
+    "docstring_parser": ("scene.parameters",),
+    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file"),
     "jinja2": ("reports.pages",),
     "joblib": (
         "jit.ahead",
@@ -59,8 +60,8 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer",
         "studies.pinocchio_peer",
     ),
-    "pandas": ("results.trajectory",),
-    "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
+    "pandas": ("results.trajectory", "sweeps.folder", "sweeps.plan", "sweeps.result"),
+    "pyarrow": ("control.tables", "sweeps.folder"),
     "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
@@ -73,7 +74,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "dynamics.solver.dense",
         "assembly.collisions",
         "assembly.loop_closure",
-        "contacts.internal_forces",
+        "programs",
         "effects.external_wrenches",
         "gradients.collocation",
         "linear.coordinates",
@@ -88,7 +89,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
-    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
+    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
     "trimesh": ("grasp.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
@@ -121,8 +122,8 @@ PUBLIC_ATTRIBUTES = {
     "Stepper": "advance reset time state contact_forces wrenches tip_positions "
     "tip_quaternions_xyzw tip_twists events trajectory",
     "Surface": "name patch record",
-    "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
-    "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
+    "Sweep": "scene plan count complete runs paths quantities columns table status_counts "
+    "summary values_of scene_of trajectory provenance",
     "System": "scene arm_names arms initial_state state kinematics",
     "TipKinematics": "position rotation twist jacobian joint_names",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "

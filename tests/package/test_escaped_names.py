@@ -126,7 +126,7 @@ def test_check_run_and_sweep_show_a_hostile_scene_as_it_is(folder):
     assert NAME in without_breaks(said("check", folder / "scene.yaml"))
     result = folder / "run.h5"
     assert NAME in without_breaks(said("run", folder / "scene.yaml", "--out", result))
-    sweep = folder / "sweep.h5"
+    sweep = folder / "s.sweep"
     words = ("sweep", folder / "scene.yaml", "--over", folder / "sweep.yaml", "--workers", 1)
     assert NAME in without_breaks(said(*words, "--out", sweep))
     page = folder / "replay.html"

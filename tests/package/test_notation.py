@@ -19,6 +19,9 @@ def test_a_number_has_three_digits_its_unit_and_no_prefix(value, text):
 
 def test_roundings_of_zero_beside_larger_numbers_are_zero():
     assert numbers([1e-13, -0.0, -9.81], "m/s^2") == "0, 0, -9.81 m/s^2"
+    assert numbers([1e-10, 0.5]) == "0, 0.5"
+    assert numbers([1e-5, 49.0]) == "1e-05, 49"
+    assert numbers([1e-5, 49.0], rounding=1e-6) == "0, 49"
     assert numbers([1e-3, 2e-3]) == "0.001, 0.002"
     assert numbers([]) == ""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,20 +13,25 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 from repository import ROOT, SCENES
 
 TEMPLATES = ROOT / "multiarm" / "reports" / "templates"
 SCENE = SCENES / "corner_grippers_block.yaml"  # robots of this project only
 
 
+def built(source: Path, folder: Path) -> Path:
+    """The wheel of a checkout, built into a folder."""
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir"]
+    result = subprocess.run([*command, folder, source], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    (path,) = folder.glob("multiarm-*.whl")
+    return path
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
-    (built,) = folder.glob("multiarm-*.whl")
-    return built
+    return built(ROOT, tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="module")
@@ -100,13 +106,41 @@ def test_source_archive_holds_every_template_of_a_page(tmp_path):
     assert {str(p.relative_to(ROOT)) for p in TEMPLATES.iterdir()} <= names
 
 
+@pytest.mark.slow
+def test_wheel_is_the_same_byte_by_byte_wherever_and_whenever_it_is_built(wheel, tmp_path):
+    """A copy of the checkout whose files have other times and permissions."""
+    source = tmp_path / "elsewhere"
+    shutil.copytree(
+        ROOT, source, copy_function=shutil.copyfile,
+        ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache", "docs", "tests"),
+    )  # fmt: skip
+    for path in source.rglob("*"):
+        if path.is_file():
+            os.utime(path, (1e9, 1e9))
+            path.chmod(0o600)
+    assert built(source, tmp_path / "wheel").read_bytes() == wheel.read_bytes()
+
+
+def test_wheel_says_that_it_has_types(contents):
+    assert "multiarm/py.typed" in contents
+
+
+def test_workflow_runs_the_commands_of_the_readme_on_every_supported_python():
+    text = (ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    job = yaml.safe_load(text)["jobs"]["readme"]
+    commands = re.findall(r"```bash\n(.*?)\n```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert [step["run"] for step in job["steps"] if "run" in step] == commands
+    least = re.search(r'requires-python = ">=([\d.]+)"', (ROOT / "pyproject.toml").read_text())
+    assert job["strategy"]["matrix"]["python"][0] == least[1]
+
+
 def test_wheel_holds_the_licence(contents):
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in contents)
 
 
 def test_wheel_has_no_other_files(contents):
     kinds = {Path(name).suffix for name in contents if name.startswith("multiarm/")}
-    assert kinds == {".py", ".html", ".css", ".js", ".urdf", ".md"}
+    assert kinds == {".py", ".html", ".css", ".js", ".urdf", ".md", ".typed"}
     outside = {name for name in contents if not name.startswith("multiarm/")}
     assert all(name.split("/")[0].endswith(".dist-info") for name in outside)
 

@@ -13,10 +13,9 @@ from mechanics import UR5_POSTURE
 
 import multiarm as ma
 from multiarm.cli.files import check_targets
-from multiarm.errors import MultiarmError, SweepError
+from multiarm.errors import MultiarmError
 from multiarm.results.files import atomic_file, atomic_output, temporary_name
 from multiarm.scene import parse_scene
-from multiarm.sweeps.store import WriterLock
 
 TEXT = "what was there"
 
@@ -114,14 +113,6 @@ def test_a_file_appears_when_it_is_complete_with_the_modes_that_the_user_wants(t
         raise KeyError
     assert list(tmp_path.iterdir()) == [target]
     assert target.read_text() == "new"
-
-
-@pytest.mark.parametrize("plant", ["symlink_to", "hardlink_to"])
-def test_a_lock_is_not_written_through_a_link(shared, victim, plant):
-    getattr(shared / ".sweep.h5.lock", plant)(victim)
-    with pytest.raises(SweepError, match=r"sweep\.h5\.lock' is a link.*: remove it, or choose"):
-        WriterLock(shared / "sweep.h5")
-    assert victim.read_text() == TEXT
 
 
 def test_a_hand_of_a_scene_needs_no_file(shared, victim, monkeypatch):

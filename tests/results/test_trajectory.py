@@ -4,6 +4,7 @@ import itertools
 import json
 import pickle
 import random
+import re
 import subprocess
 import sys
 import tracemalloc
@@ -28,7 +29,7 @@ from sample_run import (
     samples,
 )
 
-from multiarm.errors import TrajectoryError
+from multiarm.errors import SceneError, TrajectoryError
 from multiarm.results.channels import Channel, in_sequence
 from multiarm.results.hdf5 import lookup3
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
@@ -142,7 +143,7 @@ def test_samples_do_not_change_when_the_caller_reuses_its_arrays():
 def test_scene_is_parsed_once_from_the_stored_text(monkeypatch):
     calls = []
     scene_module = types.ModuleType("multiarm.scene")
-    scene_module.parse_scene = lambda text, folder, stored: calls.append((text, folder)) or object()
+    scene_module.parse_scene = lambda text, folder, code: calls.append((text, folder)) or object()
     monkeypatch.setitem(sys.modules, "multiarm.scene", scene_module)
     run = record(MemorySink())
     assert calls == []
@@ -174,11 +175,11 @@ def test_summary_reports_extremes_and_the_end():
 def test_largest_wrenches_are_found_in_any_block_and_do_not_overflow():
     block = numbered_block(0, 20_000)  # longer than what is read at a time
     wrench = np.zeros((20_000, 6))
-    wrench[17, :3], wrench[9_000, :3], wrench[19_999, 3:] = [3, 0, 4], [0, -1e200, 0], [1, 2, 2]
+    wrench[17, :3], wrench[9_000, :3], wrench[19_999, 3:] = [3, 0, 4], [0, -1e150, 0], [1, 2, 2]
     block["arms/left/wrench"] = wrench
     largest = record(MemorySink(), [block]).summary()["wrench_max"]["left"]
     assert largest == {
-        "force_N": 1e200, "force_time_s": block["time"][9_000],
+        "force_N": 1e150, "force_time_s": block["time"][9_000],
         "moment_N_m": 3.0, "moment_time_s": block["time"][19_999],
     }  # fmt: skip
 
@@ -248,7 +249,7 @@ def test_a_file_returns_every_bit_however_the_run_was_cut_into_blocks(tmp_path_f
 
 def test_awkward_numbers_survive_bit_for_bit(tmp_path):
     block = numbered_block(0, 4)
-    awkward = np.array([5e-324, -0.0, 1.7976931348623157e308, 0.1])
+    awkward = np.array([5e-324, -0.0, 1.2345678901234567e149, 0.1])
     block["drift/position"] = awkward
     run = load_trajectory(record(MemorySink(), [block]).save(tmp_path / "run.h5"))
     assert run.position_drift.tobytes() == awkward.tobytes()
@@ -316,13 +317,15 @@ def test_loading_a_long_file_needs_memory_for_what_is_asked_only(tmp_path):
 
 
 @both_sinks
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_number_that_is_not_finite_is_refused_by_name_and_time(tmp_path, sink_in, bad):
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e151])
+def test_a_number_that_is_not_finite_or_too_large_is_refused_by_name_and_time(
+    tmp_path, sink_in, bad
+):
     sink, block = sink_in(tmp_path), samples()
     sink.open(CHANNELS, {})
     block["arms/left/joint_torque"][7, 2] = bad
     block["energy/work"][9] = np.nan
-    expected = rf"'arms/left/joint_torque' \(elbow_joint\) is {bad} at t = 0.07 s"
+    expected = re.escape(f"'arms/left/joint_torque' (elbow_joint) is {bad} at t = 0.07 s")
     with pytest.raises(TrajectoryError, match=expected):
         sink.append(rows_of(CHANNELS, block))
     run = sink.finish("failed", "not finite", {})
@@ -555,6 +558,27 @@ def test_what_is_no_run_that_can_be_read_is_refused_with_the_reason(tmp_path, ma
     make(tmp_path / "run.h5")
     with pytest.raises(TrajectoryError, match=told):
         load_trajectory(tmp_path / "run.h5")
+
+
+@pytest.mark.parametrize(
+    ("channel", "value"), [("object/position", 1e308), ("object/position", np.inf), ("time", 1e10)]
+)
+def test_numbers_that_no_run_writes_are_refused_with_channel_and_file(tmp_path, channel, value):
+    record(Hdf5Sink(tmp_path / "run.h5"))
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file[channel][-1] = value
+    with pytest.raises(TrajectoryError, match=r"run\.h5' cannot be used: .*(position|times)"):
+        load_trajectory(tmp_path / "run.h5").read(channel)
+
+
+def test_faults_of_a_stored_scene_name_its_file(tmp_path):
+    sink = Hdf5Sink(tmp_path / "run.h5")
+    sink.open(CHANNELS, {"scene": "object: {mass: -3}"})
+    sink.finish("completed", "", {})
+    with pytest.raises(SceneError) as caught:
+        _ = load_trajectory(tmp_path / "run.h5").scene
+    assert str(tmp_path / "run.h5") in caught.value.source
+    assert any(fault.startswith("$.object.mass: ") for fault in caught.value.faults)
 
 
 @pytest.mark.parametrize("closed", [True, False])

@@ -325,8 +325,8 @@ def test_posture_defaults_to_the_position_nearest_to_zero_within_the_limits():
 
 
 def test_a_posture_outside_its_limits_is_a_warning():
-    scene = scene_of({"robot": "ur5", "tip": "tool0", "posture": {"elbow_joint": 9.0}})
-    assert any("'elbow_joint' is 9, outside its limits" in text for text in scene.warnings)
+    scene = scene_of({"robot": "ur5", "tip": "tool0", "posture": {"elbow_joint": 6.0}})
+    assert any("'elbow_joint' is 6, outside its limits" in text for text in scene.warnings)
 
 
 @pytest.mark.parametrize("kind", ["planar", "floating"])

@@ -13,7 +13,6 @@ import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.scene import (
     RunSpec,
-    changed,
     changed_scenes,
     dump_scene,
     load_scene,
@@ -78,7 +77,7 @@ def test_a_value_put_where_it_is_already_changes_nothing(file):
     for parts in paths_below(scene):
         if parts[-1] != "kind":  # a kind alone is fine too, and is tried below
             path = place(parts)
-            assert dump_scene(changed(scene, {path: value_at(scene, path)})) == text, path
+            assert dump_scene(scene.replace({path: value_at(scene, path)})) == text, path
 
 
 CHANGES = {
@@ -112,38 +111,37 @@ def test_a_changed_scene_is_the_scene_that_is_written_so(scene, paths):
     for path in paths:
         put(data, parse_path(path), CHANGES[path])
     before = dump_scene(scene)
-    found = changed(scene, {path: CHANGES[path] for path in paths})
+    found = scene.replace({path: CHANGES[path] for path in paths})
     assert dump_scene(found) == dump_scene(parse_scene(data)) != before
     assert found.warnings == parse_scene(data).warnings
     assert dump_scene(scene) == before  # and stays what it is
 
 
 def test_numbers_of_numpy_are_numbers(scene):
-    found = changed(scene, {"object.mass": np.float64(3.0), "gravity": np.array([0, 0, -1.6])})
+    found = scene.replace({"object.mass": np.float64(3.0), "gravity": np.array([0, 0, -1.6])})
     assert found.object.mass == 3.0 and found.gravity == (0, 0, -1.6)
 
 
 def test_what_is_optional_and_missing_is_made(scene):
-    found = changed(scene, {"joints[0].at.xyz": [0.5, 0, 0], "effects.rotor_inertia": 0.1})
+    found = scene.replace({"joints[0].at.xyz": [0.5, 0, 0], "effects.rotor_inertia": 0.1})
     assert found.joints[0].at.xyz == (0.5, 0, 0) and found.effects.rotor_inertia == 0.1
-    by_name = changed(ur5_pair({"kind": "weld"}, {"kind": "weld"}), {"effects.drag.linear": 1.0})
+    by_name = ur5_pair({"kind": "weld"}, {"kind": "weld"}).replace({"effects.drag.linear": 1.0})
     assert by_name.effects.drag.linear == (1.0, 1.0, 1.0)
     assert value_at(scene, "joints[0].at") is None
 
 
 def test_a_joint_becomes_one_of_another_kind_and_keeps_its_place(scene):
-    found = changed(scene, {"joints[1].kind": "weld"})
+    found = scene.replace({"joints[1].kind": "weld"})
     assert found.joints[1].kind == "weld" and found.joints[1].at.xyz == (0.6, 0, 0)
 
 
 def test_naming_one_setting_of_the_steps_replaces_the_choice_of_all(scene):
-    run = changed(scene, {"run.integrator": "rk4", "run.step": 1e-3}).run
+    run = scene.replace({"run.integrator": "rk4", "run.step": 1e-3}).run
     assert (run.integrator, run.step, run.accuracy, run.duration) == ("rk4", 1e-3, None, 0.2)
-    run = changed(
-        changed(scene, {"run.integrator": "rk4", "run.step": 1e-3}), {"run.accuracy": 1e-3}
-    ).run
+    fixed = scene.replace({"run.integrator": "rk4", "run.step": 1e-3})
+    run = fixed.replace({"run.accuracy": 1e-3}).run
     assert (run.integrator, run.step, run.accuracy.position) == (None, None, 1e-3)
-    assert changed(scene, {"run": {"duration": 2.0}}).run == RunSpec(duration=2.0)
+    assert scene.replace({"run": {"duration": 2.0}}).run == RunSpec(duration=2.0)
 
 
 def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
@@ -160,11 +158,11 @@ def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
 
     ma.register_effect(Pull)
     pulled = ur5_pair({"kind": "weld"}, {"kind": "weld"}, effects={"pull": {"force": 1.0}})
-    assert value_at(changed(pulled, {"effects.pull.force": 2.0}), "effects.pull.force") == 2.0
+    assert value_at(pulled.replace({"effects.pull.force": 2.0}), "effects.pull.force") == 2.0
     with pytest.raises(
         SceneError, match=r"\$\.effects\.pull\.forse: unknown key 'forse'; did you mean 'force'"
     ):
-        changed(pulled, {"effects.pull.forse": 2.0})
+        pulled.replace({"effects.pull.forse": 2.0})
 
 
 @pytest.mark.parametrize(
@@ -198,7 +196,7 @@ def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
 )  # fmt: skip
 def test_a_wrong_path_or_value_is_told_with_its_place_and_the_alternatives(scene, change, text):
     with pytest.raises(SceneError) as caught:
-        changed(scene, change)
+        scene.replace(change)
     assert text in str(caught.value)
 
 
@@ -218,6 +216,42 @@ def test_all_faults_of_all_runs_are_told_at_once(scene):
     assert places[:3] == ["$.object.mass", "$.object.mas", "$.joints[9]"]
 
 
+def test_paths_and_parts_are_replaced_in_one_move(scene):
+    moved = scene.replace(
+        {"object.mass": 3.0, "joints[0]": {"arm": "left", "kind": "ball"}}, name="x"
+    )
+    assert (moved.object.mass, moved.joints[0].kind, moved.name) == (3.0, "ball", "x")
+    with pytest.raises(SceneError) as caught:
+        scene.replace({"object.mass": -3.0, "joints[0].at.xyz[1]": 0.0}, control={"kind": "pd"})
+    places = [fault.partition(":")[0] for fault in caught.value.faults]
+    assert sorted(places) == ["$.control.kind", "$.joints[0].at.xyz", "$.object.mass"]
+
+
+@pytest.mark.parametrize(
+    ("part", "update", "place"),
+    [
+        ("object", {"mass": -3}, "ObjectSpec.mass"),
+        ("object", {"mas": 3}, "ObjectSpec.mas"),
+        ("run", {"step": 1e-3}, "RunSpec"),
+        (None, {"object": {"shape": {"box": [1, 1, 1]}, "mass": -3}}, "$.object.mass"),
+        (None, {"arms": {}}, "$.arms"),
+    ],
+)
+def test_a_copy_with_changes_is_checked_like_what_is_written(scene, part, update, place):
+    copied = scene if part is None else getattr(scene, part)
+    with pytest.raises(SceneError) as caught:
+        copied.model_copy(update=update)
+    assert any(fault.startswith(f"{place}: ") for fault in caught.value.faults)
+    assert copied.model_copy() == copied
+
+
+def test_a_scene_is_not_changed_in_place_and_says_how_it_is(scene):
+    with pytest.raises(SceneError, match=r"ObjectSpec\.mass: .*scene\.replace"):
+        scene.object.mass = 3.0
+    with pytest.raises(SceneError, match=r"Scene\.gravity: .*scene\.replace"):
+        scene.gravity = None
+
+
 def test_robots_of_arms_that_stay_are_not_looked_at_again(scene, monkeypatch):
     looked = []
 
@@ -226,7 +260,7 @@ def test_robots_of_arms_that_stay_are_not_looked_at_again(scene, monkeypatch):
         return examine_arm(spec)
 
     monkeypatch.setattr("multiarm.scene.schema.examine_arm", examine)
-    changed(scene, {"object.mass": 3.0})
+    scene.replace({"object.mass": 3.0})
     assert looked == []
-    changed(scene, {"arms.left.base.xyz[1]": 0.01})
+    scene.replace({"arms.left.base.xyz[1]": 0.01})
     assert looked == [(-1.1, 0.01, 0.0)]

@@ -145,8 +145,8 @@ class Stranger:
         """Let this process be as one that has not loaded anything."""
         (self.folder / "marker").unlink(missing_ok=True)
         sys.modules.pop("strange_module", None)
-        EFFECTS.loaded.clear()
-        CONTROLS.loaded.clear()
+        EFFECTS.registered.clear()
+        CONTROLS.registered.clear()
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def folder(tmp_path, monkeypatch) -> Path:
     (tmp_path / "gantry.urdf").write_text(slides())
     monkeypatch.syspath_prepend(installed)
     for own in (CONTROLS, EFFECTS):
-        monkeypatch.setattr(own, "loaded", {})
+        monkeypatch.setattr(own, "registered", {})
     monkeypatch.setitem(sys.modules, "strange_module", None)
     del sys.modules["strange_module"]
     return tmp_path
@@ -296,7 +296,7 @@ SWEEP = "over: {object.mass: [1.0, 2.0]}\nkeep: [final_z, 'shapes.py:number']\n"
 
 @pytest.mark.slow
 def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stranger):
-    over, out, page = (stranger.folder / name for name in ("s.yaml", "s.h5", "a.html"))
+    over, out, page = (stranger.folder / name for name in ("s.yaml", "s.sweep", "a.html"))
     over.write_text(SWEEP)
     words = ["sweep", stranger.scene, "--over", over, "--out", out, "--workers", 1]
     result = multiarm(*words, "--no-code")
@@ -342,7 +342,7 @@ def test_code_that_the_values_of_a_sweep_name_is_told_and_refused_too(folder, ov
     plain = written(folder, "wrench")
     plain.scene.write_text(SCENE.format(surface=PLANE, effects="{}"))
     (folder / "s.yaml").write_text(f"over: {{{over}}}\nkeep: [final_z]\n")
-    words = ["sweep", plain.scene, "--over", folder / "s.yaml", "--out", folder / "s.h5"]
+    words = ["sweep", plain.scene, "--over", folder / "s.yaml", "--out", folder / "s.sweep"]
     result = multiarm(*words, "--no-code")
     assert result.exit_code == 2 and what.format(folder=folder) in told(result)
     assert plain.marks() == set()
@@ -399,11 +399,6 @@ def test_an_effect_that_its_package_refuses_is_told_at_its_place(folder):
 @pytest.mark.parametrize(
     ("function", "reason"),
     [
-        ("os:system", "'os' belongs to Python's standard library"),
-        ("subprocess:run", "'subprocess' belongs to Python's standard library"),
-        ("builtins:exec", "'builtins' belongs to Python's standard library"),
-        ("shutil:rmtree", "'shutil' belongs to Python's standard library"),
-        ("posix:system", "'posix' belongs to Python's standard library"),
         ("numpy:os.system", "'os.system' is not a plain name"),
         ("shapes.py:Path.unlink", "'Path.unlink' is not a plain name"),
         ("../shapes.py:push", "its file is not in the folder"),
@@ -411,7 +406,7 @@ def test_an_effect_that_its_package_refuses_is_told_at_its_place(folder):
         ("linked.py:push", "its file is not in the folder"),
     ],
 )
-def test_a_file_may_not_name_the_standard_library_nor_files_elsewhere(function, reason, folder):
+def test_a_file_names_code_by_plain_names_and_no_files_elsewhere(function, reason, folder):
     inner = folder / "inner"
     inner.mkdir()
     for name in ("gantry.urdf", "shapes.py"):
@@ -427,21 +422,9 @@ def test_a_file_may_not_name_the_standard_library_nor_files_elsewhere(function, 
     (inner / "plain.yaml").write_text(SCENE.format(surface=PLANE, effects="{}"))
     (inner / "s.yaml").write_text(f"over: {{object.mass: [1]}}\nkeep: ['{function}']\n")
     with pytest.raises(SweepError) as caught:
-        ma.sweep(inner / "plain.yaml", inner / "s.yaml", out=folder / "s.h5")
+        ma.sweep(inner / "plain.yaml", inner / "s.yaml", out=folder / "s.sweep")
     assert any(reason in fault for fault in caught.value.faults)
     assert not (folder / "marker").exists()
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["from os import system as push", "from shutil import rmtree as push", "push = exec",
-     "import functools, os; push = functools.partial(os.system, 'true')"],
-)  # fmt: skip
-def test_a_name_does_not_lead_through_a_file_into_the_standard_library(line, folder):
-    (folder / "shapes.py").write_text(line)
-    scene = ma.load_scene(written(folder, "wrench").scene)
-    with pytest.raises(ma.MultiarmError, match=r"external_wrenches\[0\].*it is one of '.*standard"):
-        ma.compile_system(scene)
 
 
 def test_what_is_named_in_python_may_be_anywhere(folder):
@@ -505,6 +488,6 @@ def test_controllers_quantities_and_effects_that_are_built_end_no_program(folder
         ma.compile_system(scene.replace(effects={"leaving": {}}))
     (folder / "shapes.py").write_text("import sys\ndef number(trajectory):\n    sys.exit()\n")
     (folder / "s.yaml").write_text(SWEEP)
-    found = ma.sweep(scene, folder / "s.yaml", out=folder / "s.h5", workers=1)
+    found = ma.sweep(scene, folder / "s.yaml", out=folder / "s.sweep", workers=1)
     assert found.status_counts == {"failed": 2}
     assert "quantity 'number' raised SystemExit" in found.row(1).message

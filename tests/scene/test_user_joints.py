@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import kernel_rows, random_pose, ur5_pair
-from sweep_runs import repeatable
+from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
@@ -27,14 +27,13 @@ from multiarm.geometry import (
 from multiarm.scene import (
     REGISTRIES,
     Geometry,
-    changed,
     dump_scene,
     named_code,
     parse_scene,
 )
-from multiarm.sweeps.executors import run_in_process, run_in_processes
+from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
+from multiarm.sweeps.run import Context
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 
@@ -272,9 +271,9 @@ def test_a_scene_with_them_is_written_read_again_and_changed():
         assert parse_scene(dump_scene(scene)) == scene
     egg = scene.joints[0].contacts[0].object
     assert isinstance(egg, Geometry) and egg.value == Egg(half=half) and egg.shape == "egg"
-    longer = changed(scene, {"joints[0].contacts[0].object.egg.half[0]": 0.2})
+    longer = scene.replace({"joints[0].contacts[0].object.egg.half[0]": 0.2})
     assert longer.joints[0].contacts[0].object.value.half == (0.2, 0.07, 0.05)
-    wider = changed(scene_of({"kind": "hitch"}), {"joints[0].width": 0.2})
+    wider = scene_of({"kind": "hitch"}).replace({"joints[0].width": 0.2})
     assert wider.joints[0] == Hitch(arm="left", width=0.2)
 
 
@@ -294,17 +293,17 @@ def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, mo
         scene = ma.load_scene(path)
         (code,) = named_code(scene)
         assert code.place == place and code.arm == "left" and f"({__name__}:" in code.what
-        assert all(own.loaded == {} for own in REGISTRIES)
+        assert all(own.registered == {} for own in REGISTRIES)
         assert dump_scene(scene) == text
         with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
             ma.compile_system(ma.load_scene(path, code=False))
         looked = multiarm("check", path)
         assert looked.exit_code == 0, looked.output
         assert code.what.split(" of ")[0] in " ".join(looked.output.split())
-        assert all(own.loaded == {} for own in REGISTRIES)
+        assert all(own.registered == {} for own in REGISTRIES)
         assert ma.compile_system(scene).contacts["left"]
         for own in REGISTRIES:
-            own.loaded.clear()
+            own.registered.clear()
 
 
 def test_a_fault_of_an_installed_class_has_its_place_when_it_is_loaded(tmp_path, monkeypatch):
@@ -357,9 +356,10 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
         ma.register_joint(own)
     over = {"joints[0].kind": ["hitch", "loose"]}
     plan = make_plan(scene_of({"kind": "ball"}), over, keep=["final_z"], run=RUN)
-    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
+    context, jobs = Context.of(plan), jobs_of(plan)
+    here = repeatable(run_here(context, jobs))
     assert len(here) == 2
-    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
+    assert repeatable(run_in_processes(context, jobs, 2)) == here
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -191,7 +191,7 @@ def test_many_runs_and_sweeps_carry_the_failure_on(tmp_path):
     assert [run.status for run in many] == ["completed", "failed"]
     assert_given_up(many[1])
     sweep = ma.sweep(
-        system.scene, {"control.frequency": [SLOW, FAST]}, out=tmp_path / "sweep.h5", workers=1
+        system.scene, {"control.frequency": [SLOW, FAST]}, out=tmp_path / "s.sweep", workers=1
     )
     assert sweep.status_counts == {"completed": 1, "failed": 1}
 

@@ -314,7 +314,7 @@ def test_a_duration_is_positive(ur5_system, duration):
         ({"middle": [0.0] * 6}, "torques: unknown arm 'middle'; arms are left, right"),
         ({"left": [0.0] * 5}, r"torques\['left'\]: expected shape \(6,\), got \(5,\)"),
         ({"left": [math.nan] * 6}, r"torques\['left'\]: a number is not finite"),
-        ([0.0] * 12, "torques: expected a dict arm -> numbers, got list"),
+        ([0.0] * 12, "torques: must be a dict with numbers by arm"),
     ],
 )
 def test_torques_that_do_not_fit_are_refused(ur5_system, torques, words):

@@ -6,6 +6,7 @@ the answer.  Nothing here judges answers; judge_inputs.py does.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -20,8 +21,10 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow as pa
 import sample_run
 import yaml
+from pyarrow import parquet
 from repository import ROOT, SCENES
 
 import multiarm as ma
@@ -443,16 +446,21 @@ def _stored_scene() -> str:
 
 
 @cache
-def stored_sweep() -> bytes:
-    """The file of a small sweep."""
+def stored_sweep() -> dict[str, bytes]:
+    """The files of a small sweep, by their paths in its folder."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         scene_file(folder)
-        over = yaml.safe_load(SWEEP)
-        ma.sweep(folder / "scene.yaml", over, out=folder / "sweep.h5", workers=1).close()
-        return (folder / "sweep.h5").read_bytes()
+        path = ma.sweep(
+            folder / "scene.yaml", yaml.safe_load(SWEEP), out=folder / "s.sweep", workers=1
+        ).path
+        files = (file for file in path.rglob("*") if file.is_file())
+        return {
+            "parts/0.parquet" if file.suffix == ".parquet" else file.name: file.read_bytes()
+            for file in files
+        }
 
 
 def _used(path: Path) -> Callable[[], Any]:
@@ -479,7 +487,7 @@ def _swept(path: Path) -> Callable[[], Any]:
     def use() -> None:
         sweep = ma.load_sweep(path)
         sweep.table, sweep.summary(), sweep.scene, sweep.count, sweep.complete, sweep.provenance
-        sweep.plan.values(1), list(sweep.rows()), repr(sweep)
+        sweep.plan.values(1), repr(sweep)
 
     return use
 
@@ -639,29 +647,74 @@ RUNS: dict[str, Callable[[h5py.File], Any]] = {
 RUNS_VALID = {"time integers", "columns megabyte", "quaternion zero", "scene other arms"}  # runs that can be looked at all the same
 
 
-def _header(edit: Callable[[Any], Any]) -> Callable[[h5py.File], None]:
-    return edited("header", edit)
+def about(edit: Callable[[Any], Any]) -> Callable[[dict[str, bytes]], None]:
+    """What a sweep says of itself, edited."""
+
+    def change(files: dict[str, bytes]) -> None:
+        new = edit(json.loads(files["about.json"]))
+        files["about.json"] = (new if isinstance(new, str) else json.dumps(new)).encode()
+
+    return change
 
 
-SWEEPS: dict[str, Callable[[h5py.File], Any]] = {
-    **{f"without {name}": without(name) for name in ("scene", "sweep", "header", "columns", "columns/run", "columns/status", "columns/energy_balance", "columns/object.mass", "columns/wall_time")},
-    **{f"attribute {name} {named(repr(value))}": attribute(name, value) for name in ("format", "format_version") for value in (None, 7, "x", [1.5], np.nan)},
-    **{f"header {name} {named(repr(value))}": _header(lambda d, n=name, v=value: {**d, n: v}) for name in ("count", "columns", "fingerprint", "folder", "files", "provenance") for value in (None, 7, "x", [1.5], {}, -1)},
-    **{f"header without {name}": _header(lambda d, n=name: {k: v for k, v in d.items() if k != n}) for name in ("count", "columns", "fingerprint", "folder", "files", "provenance")},
-    "header text": _header(lambda d: "hello"), "header list": _header(lambda d: [1]), "header deep": _header(lambda d: "[" * 50_000), "header number": replaced("header", 5),
-    "column type": _header(lambda d: {**d, "columns": [{**c, "type": "nobody"} for c in d["columns"]]}), "column group": _header(lambda d: {**d, "columns": [{**c, "group": "nobody"} for c in d["columns"]]}),
-    "column json": _header(lambda d: {**d, "columns": [{**c, "type": "json"} for c in d["columns"]]}), "column twice": _header(lambda d: {**d, "columns": d["columns"] + d["columns"]}),
-    "columns none": _header(lambda d: {**d, "columns": []}), "column extra": _header(lambda d: {**d, "columns": [{**c, "x": 1} for c in d["columns"]]}),
-    "run negative": filled("columns/run", 0, -5), "run twice": filled("columns/run", 0, 2), "run large": filled("columns/run", 0, 10**12),
-    "run text": replaced("columns/run", ["a"] * 4), "run short": replaced("columns/run", [1, 2]), "run matrix": replaced("columns/run", np.ones((4, 2), int)), "run float": replaced("columns/run", np.array([1.5, 2, 3, 4])),
-    "status numbers": replaced("columns/status", np.arange(4)), "status unknown": replaced("columns/status", ["gone"] * 4, dtype=h5py.string_dtype()), "status bytes": replaced("columns/status", np.array([b"\xff"] * 4, "S1")),
-    "quantity text": replaced("columns/energy_balance", ["a"] * 4, dtype=h5py.string_dtype()), "quantity inf": filled("columns/energy_balance", 0, math.inf), "quantity compound": replaced("columns/energy_balance", np.zeros(4, [("a", float)])),
-    "quantity huge": lambda f: (without("columns/energy_balance")(f), f.create_dataset("columns/energy_balance", (2**50,), "f8", chunks=(512,)))[0], "quantity group": lambda f: (without("columns/energy_balance")(f), f.create_group("columns/energy_balance"))[0],
-    "quantity external": linked("columns/energy_balance", h5py.ExternalLink("/etc/passwd", "/x")), "quantity soft": linked("columns/energy_balance", h5py.SoftLink("/nobody")),
-    "sweep text": replaced("sweep", "hello"), "sweep empty": replaced("sweep", ""), "sweep deep": replaced("sweep", "[" * 50_000), "sweep other": replaced("sweep", "over: {object.nobody: [1]}"), "sweep large": replaced("sweep", "over: {object.mass: {linspace: [1, 2, 1000000]}}"),
-    "scene text": replaced("scene", "hello"), "scene deep": replaced("scene", "[" * 50_000), "scene number": replaced("scene", 7),
+def content(name: str, data: bytes | str | None) -> Callable[[dict[str, bytes]], None]:
+    """A file of a sweep with another content; without it where there is none."""
+
+    def change(files: dict[str, bytes]) -> None:
+        del files[name]
+        if data is not None:
+            files[name] = data.encode() if isinstance(data, str) else data
+
+    return change
+
+
+def part(edit: Callable[[pa.Table], pa.Table]) -> Callable[[dict[str, bytes]], None]:
+    """The rows of a sweep, edited."""
+
+    def change(files: dict[str, bytes]) -> None:
+        sink = io.BytesIO()
+        parquet.write_table(edit(parquet.read_table(io.BytesIO(files[PART]))), sink)
+        files[PART] = sink.getvalue()
+
+    return change
+
+
+def with_column(name: str, values: list) -> Callable[[dict[str, bytes]], None]:
+    """The rows with other values in a column."""
+    return part(lambda t: t.set_column(t.column_names.index(name), name, pa.array(values)))
+
+
+PART = "parts/0.parquet"
+FIELDS = ("count", "columns", "fingerprint", "folder", "files", "provenance")
+SWEEPS: dict[str, Callable[[dict[str, bytes]], Any]] = {
+    **{f"without {name}": content(name, None) for name in ("scene.yaml", "sweep.yaml", "about.json")},
+    **{f"about {name} {named(repr(value))}": about(lambda d, n=name, v=value: {**d, n: v}) for name in ("format", "version", *FIELDS) for value in (None, 7, "x", [1.5], {}, -1)},
+    **{f"about without {name}": about(lambda d, n=name: {k: v for k, v in d.items() if k != n}) for name in FIELDS},
+    "about text": about(lambda d: "hello"), "about list": about(lambda d: [1]), "about deep": about(lambda d: "[" * 50_000), "about bytes": content("about.json", b"\xff\xfe"),
+    "column group": about(lambda d: {**d, "columns": [{**c, "group": "nobody"} for c in d["columns"]]}), "column extra": about(lambda d: {**d, "columns": [{**c, "x": 1} for c in d["columns"]]}),
+    "column twice": about(lambda d: {**d, "columns": d["columns"] + d["columns"]}), "columns none": about(lambda d: {**d, "columns": []}),
+    "part empty": content(PART, b""), "part text": content(PART, "hello"), "part zeros": content(PART, b"\0" * 4096),
+    "run negative": with_column("run", [-5, 2, 3, 4]), "run large": with_column("run", [10**12, 2, 3, 4]), "run text": with_column("run", ["a"] * 4),
+    "status numbers": with_column("status", [[1]] * 4), "quantity text": with_column("energy_balance", ["a"] * 4), "quantity list": with_column("energy_balance", [[1.0]] * 4),
+    "part without a column": part(lambda t: t.drop_columns(["status"])),
+    "sweep text": content("sweep.yaml", "hello"), "sweep empty": content("sweep.yaml", ""), "sweep deep": content("sweep.yaml", "[" * 50_000),
+    "scene text": content("scene.yaml", "hello"), "scene deep": content("scene.yaml", "[" * 50_000), "scene bytes": content("scene.yaml", b"\xff\xfe"),
 }  # fmt: skip
-SWEEPS_VALID = {"header fingerprint 'x'", "header files {}", "header provenance {}", "header folder 'x'"}
+SWEEPS_VALID = {"about fingerprint 'x'", "about files {}", "about provenance {}", "about folder 'x'"}
+
+
+def changed_sweep(change: Callable[[dict[str, bytes]], Any]) -> Callable[[Path], Any]:
+    """A stored sweep in which something was changed."""
+
+    def make(folder: Path) -> Any:
+        files = dict(stored_sweep())
+        change(files)
+        for name, data in files.items():
+            (folder / "s.sweep" / name).parent.mkdir(parents=True, exist_ok=True)
+            put(folder / "s.sweep" / name, data)
+        return _swept(folder / "s.sweep")
+
+    return make
 
 
 def other_files(use: Callable[[Path], Any]) -> Iterator[tuple[str, Callable[[Path], Any]]]:
@@ -697,17 +750,17 @@ def other_files(use: Callable[[Path], Any]) -> Iterator[tuple[str, Callable[[Pat
 
 
 def stored_cases(count: int, seed: int = 4) -> Iterator[Case]:
-    for kind, data, use, changes, valid, command in (
-        ("stored run", stored_run, _used, RUNS, RUNS_VALID, "replay"),
-        ("stored sweep", stored_sweep, _swept, SWEEPS, SWEEPS_VALID, None),
-    ):
-        for name, change in changes.items():
-            yield Case(kind, name, damaged(change, data, use), name not in valid)
-        for name, make in other_files(use):
-            yield Case(kind, name, make)
-        for k in range(count if command else count // 2):
-            rng = random.Random(1000 * seed + k)
-            yield Case(f"{kind} at random", str(k), bytes_changed(rng, data, use), False)
+    for name, change in RUNS.items():
+        yield Case("stored run", name, damaged(change, stored_run, _used), name not in RUNS_VALID)
+    for name, make in other_files(_used):
+        yield Case("stored run", name, make)
+    for k in range(count):
+        rng = random.Random(1000 * seed + k)
+        yield Case("stored run at random", str(k), bytes_changed(rng, stored_run, _used), False)
+    for name, change in SWEEPS.items():
+        yield Case("stored sweep", name, changed_sweep(change), name not in SWEEPS_VALID)
+    for name, make in other_files(_swept):
+        yield Case("stored sweep", name, make)
     for k, name in enumerate(RUNS):
         if k % 4 == 0:
             command = ("replay", "report")[k % 8 == 0]

@@ -28,20 +28,27 @@ def always(trajectory):
         die()
     return 1.0
 """
+MEASURED = ("wall_time", "worker")
+
+
+def jobs_of(plan, runs=None):
+    """Number and values of all runs, or of some."""
+    numbers = range(1, plan.count + 1) if runs is None else runs
+    return [(number, plan.values(number)) for number in numbers]
 
 
 def same(row):
     """What of a row can be repeated."""
-    return row.run, row.status, row.message, row.values, row.quantities
+    return {key: value for key, value in row.items() if key not in MEASURED}
 
 
 def repeatable(batches):
     """Rows by their runs, without what is measured; every run once."""
     rows = [row for rows in batches for row in rows]
-    assert len({row.run for row in rows}) == len(rows)
-    assert all(row.wall_time >= 0.0 for row in rows)
-    return sorted(map(same, rows), key=lambda row: row[0])
+    assert len({row["run"] for row in rows}) == len(rows)
+    assert all(row["wall_time"] >= 0.0 for row in rows)
+    return sorted(map(same, rows), key=lambda row: row["run"])
 
 
 def statuses(batches):
-    return {row.run: (row.status, row.message) for rows in batches for row in rows}
+    return {row["run"]: (row["status"], row["message"]) for rows in batches for row in rows}

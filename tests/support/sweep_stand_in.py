@@ -1,6 +1,6 @@
-"""A sweep without robots: what its rows hold follows from the run's number, at no cost.
+"""A sweep without runs: what its rows hold follows from the run's number, at no cost.
 
-As a program it is a writer that is killed: it goes on with a file, says what is safe, and ends by
+As a program it is a writer that is killed: it goes on with a folder, says what is safe, and ends by
 SIGKILL before one of the steps by which it changes the disk, however fast the machine is.
 """
 
@@ -11,79 +11,79 @@ import random
 import shutil
 import signal
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from repository import SCENES
 
-from multiarm.sweeps.plan import Record
-from multiarm.sweeps.store import SweepFile
+import multiarm as ma
+from multiarm.sweeps.folder import PartWriter, create, is_sweep, read_about, read_rows
+from multiarm.sweeps.plan import SweepPlan, plan_of
 
 NAMES = ("gap", "force", "never")
-UNITS = {"gap": "m", "force": "N", "never": "J"}
 FAILING = 13
 """Every so many-th run fails."""
-STEPS = (os, "fsync"), (Path, "replace"), (shutil, "rmtree")
+STEPS = (os, "fsync"), (Path, "replace"), (Path, "rename"), (Path, "mkdir"), (shutil, "rmtree")
 """All calls by which a writer changes the disk."""
+TEXT = """
+over:
+  object.mass: {{uniform: [5, 50]}}
+  effects.joint_damping: {{choice: [0, 0.5, 1152921504606846977, null, true]}}
+  name: {{choice: ["schön, “a”\\n", b]}}
+  run: {{choice: [{{duration: 0.1, accuracy: [1.0e-6, 3]}}, {{duration: 0.2}}]}}
+repeat: {count}
+seed: {seed}
+keep:
+- {{function: 'nobody.py:gap', unit: m, words: its gap}}
+- {{function: 'nobody.py:force', unit: N, words: its force}}
+- {{function: 'nobody.py:never', unit: J, words: its never}}
+"""
 
 
-@dataclass(frozen=True)
-class StandInPlan:
-    """What the file of a sweep needs to know of its plan."""
-
-    count: int
-    text: str = "over: {object.mass: {uniform: [5, 50]}}\n"
-    paths: tuple[str, ...] = ("object.mass", "effects.joint_damping", "name", "run")
-    fingerprint: str = "stand-in"
-    scene_text: str = "gravity: [0, 0, -9.81]\n"
-    files: dict[str, str] = field(default_factory=dict)
-    folder: str = "."
-
-    @property
-    def quantities(self) -> tuple[Any, ...]:
-        return tuple(SimpleNamespace(name=n, unit=UNITS[n], words=f"its {n}") for n in NAMES)
-
-    def examples(self, path: str) -> list[Any]:
-        return [row_of(run).values.get(path, 0.5) for run in range(1, 6)]
-
-    @property
-    def scene(self) -> Any:
-        return SimpleNamespace(folder=Path(self.folder))
+def stand_in_plan(count: int, seed: int = 3) -> SweepPlan:
+    """A plan of so many runs."""
+    return plan_of(ma.load_scene(SCENES / "two_ur5_box.yaml"), TEXT.format(count=count, seed=seed))
 
 
-def row_of(run: int, worker: str = "here") -> Record:
+def row_of(run: int, worker: str = "here") -> dict[str, Any]:
     """The row that a run has, wherever it is made."""
     rng = np.random.default_rng(run)
-    values = {
-        "object.mass": float(rng.uniform(5, 50)),
-        "effects.joint_damping": [0, 0.5, 2**60 + 1, None, True][run % 5],
-        "name": f"schön, “{run}”\n" * (1 + 4 * (run % 3)),
-        "run": {"duration": 0.1 * (run % 7), "accuracy": [1e-6, run]},
-    }
-    if run % FAILING == 0:
-        quantities = dict.fromkeys(NAMES)
-        return Record(
-            run, "failed", f"the step of run {run} is too small", values, quantities, 0.0, worker
-        )
+    failed = run % FAILING == 0
     gap, force = (float(x) for x in rng.standard_normal(2))
-    found = {"gap": gap, "force": force * 10.0 ** rng.integers(-300, 300), "never": None}
-    return Record(run, "completed", "", values, found, float(rng.random()), worker)
+    numbers = {"gap": gap, "force": force * 10.0 ** rng.integers(-300, 300), "never": None}
+    return {
+        "run": run,
+        "status": "failed" if failed else "completed",
+        "message": f"the step of run {run} is too small" if failed else "",
+        **(dict.fromkeys(NAMES) if failed else numbers),
+        "wall_time": 0.0 if failed else float(rng.random()),
+        "worker": worker,
+    }
 
 
-def write_on(path: Path, plan: StandInPlan, order: int) -> None:
+def opened(path: Path, plan: SweepPlan) -> tuple[PartWriter, list[int]]:
+    """A writer that goes on with a folder, or begins it, and the runs that are there."""
+    if not is_sweep(path):
+        create(path, plan)
+    folder, about, _ = read_about(path)
+    return PartWriter(folder, about, plan), read_rows(folder, about).index.tolist()
+
+
+def write_on(path: Path, plan: SweepPlan, order: int) -> None:
     """Make what is missing, in an order of its own; say after every block what is safe."""
     print("begin", flush=True)
-    with SweepFile(path, plan) as file:
-        print(file.made, flush=True)
-        rng, left = random.Random(order), list(file.missing())
-        # in threads of work that finish out of order, as real workers do
-        left.sort(key=lambda run: run + rng.uniform(0, 40))
-        while left:
-            block, left = left[: (size := rng.randint(1, 7))], left[size:]
-            file.append([row_of(run, f"process {order}") for run in block])
-            print(file.made, flush=True)
+    writer, made = opened(path, plan)
+    safe = len(made)
+    print(safe, flush=True)
+    rng, left = random.Random(order), sorted({*range(1, plan.count + 1)} - {*made})
+    # in threads of work that finish out of order, as real workers do
+    left.sort(key=lambda run: run + rng.uniform(0, 40))
+    while left:
+        block, left = left[: (size := rng.randint(1, 7))], left[size:]
+        writer.append([row_of(run, f"process {order}") for run in block])
+        safe += len(block)
+        print(safe, flush=True)
     print("end", flush=True)
 
 
@@ -105,6 +105,7 @@ def die_after(steps: int) -> None:
 
 if __name__ == "__main__":
     path, count, order, *steps = sys.argv[1:]
+    plan = stand_in_plan(int(count))
     if steps:
         die_after(int(steps[0]))
-    write_on(Path(path), StandInPlan(int(count)), int(order))
+    write_on(Path(path), plan, int(order))

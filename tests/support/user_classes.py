@@ -12,7 +12,6 @@ def empty_registries(monkeypatch) -> None:
     """Only our classes are known, and no installed package offers others, until the test ends."""
     for own in REGISTRIES:
         monkeypatch.setattr(own, "registered", {})
-        monkeypatch.setattr(own, "loaded", {})
     offered(monkeypatch)
 
 

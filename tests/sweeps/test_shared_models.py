@@ -16,7 +16,6 @@ from mechanics import (
 import multiarm as ma
 from multiarm.arms.terms import M_STRIDE
 from multiarm.jit.structs import Numbers
-from multiarm.scene import changed
 
 WELD = {"kind": "weld"}
 
@@ -266,7 +265,7 @@ LIKE = {
 @pytest.mark.parametrize("change", LIKE)
 def test_what_differs_is_made_anew(change, arms):
     system = ma.compile_system(ur5_pair(WELD, {"kind": "ball"}), arms=arms)
-    scene = changed(system.scene, LIKE[change])
+    scene = system.scene.replace(LIKE[change])
     run = {"duration": 0.05, "accuracy": 1e-5, "certificate": False}
     found = ma.simulate(ma.compile_system(scene, like=system), **run)
     assert_same_run(found, ma.simulate(ma.compile_system(scene), **run))

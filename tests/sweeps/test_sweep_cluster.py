@@ -9,13 +9,12 @@ from contextlib import contextmanager
 
 import pytest
 from mechanics import ur5_pair
-from sweep_runs import FUNCTIONS, KEEP, MASS, OVER, RUN, repeatable, statuses
+from sweep_runs import FUNCTIONS, KEEP, MASS, OVER, RUN, jobs_of, repeatable, statuses
 
 from multiarm.errors import SweepError
 from multiarm.sweeps import executors
-from multiarm.sweeps.executors import run_in_process
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
+from multiarm.sweeps.run import Context
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +54,17 @@ def cluster_of(folder, workers, **environment):
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_rows_and_survives_the_death_of_a_worker(scene, tmp_path):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
-    expected = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
+    expected = repeatable(executors.run_here(Context.of(plan), jobs_of(plan)))
     (tmp_path / "own.py").write_text(
         "import time\ndef slow(trajectory):\n    time.sleep(0.05)\n    return 1.0\n"
     )
     slow = make_plan(scene, OVER, repeat=20, keep=["final_z", f"{tmp_path}/own.py:slow"], run=RUN)
-    here = repeatable(run_in_process(JobContext.of(slow), slow.jobs()))
+    here = repeatable(executors.run_here(Context.of(slow), jobs_of(slow)))
     with cluster_of(tmp_path, 2) as (address, workers), executors.connected(address) as client:
-        batches = list(executors.run_on_cluster(JobContext.of(plan), plan.jobs(), client))
+        batches = list(executors.run_on_cluster(Context.of(plan), jobs_of(plan), client))
         assert repeatable(batches) == expected
-        assert len({row.worker for rows in batches for row in rows}) == 2
-        coming = executors.run_on_cluster(JobContext.of(slow), slow.jobs(), client)
+        assert len({row["worker"] for rows in batches for row in rows}) == 2
+        coming = executors.run_on_cluster(Context.of(slow), jobs_of(slow), client)
         found = [next(coming), next(coming)]
         workers[0].kill()
         found += coming
@@ -78,7 +77,7 @@ def test_a_run_on_which_workers_of_a_cluster_die_is_a_row_that_says_so(scene, tm
     plan = make_plan(scene, {MASS: [5.0, 10.0, 20.0]}, keep=[f"{tmp_path}/own.py:always"], run=RUN)
     once = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
     with cluster_of(tmp_path, 3, **once) as (address, _), executors.connected(address) as client:
-        found = statuses(executors.run_on_cluster(JobContext.of(plan), plan.jobs(), client))
+        found = statuses(executors.run_on_cluster(Context.of(plan), jobs_of(plan), client))
     assert [found[run][0] for run in (1, 2, 3)] == ["completed", "failed", "completed"]
     assert found[2][1].startswith("its worker died")
 

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from mechanics import ur5_pair
 from repository import SCENES
@@ -20,8 +21,10 @@ from sweep_runs import (
     KEEP,
     LIFT,
     MASS,
+    MEASURED,
     OVER,
     RUN,
+    jobs_of,
     repeatable,
     same,
     statuses,
@@ -29,11 +32,10 @@ from sweep_runs import (
 
 import multiarm as ma
 from multiarm.errors import SweepError
-from multiarm.scene import changed
-from multiarm.sweeps import worker
-from multiarm.sweeps.executors import MOST_JOBS, TARGET, Batches, run_in_process, run_in_processes
-from multiarm.sweeps.plan import Job, Record, make_plan
-from multiarm.sweeps.worker import JobContext, run_job, simulate_run
+from multiarm.sweeps import run as runs
+from multiarm.sweeps.executors import CHUNK_TIME, MOST_JOBS, Chunks, run_here, run_in_processes
+from multiarm.sweeps.plan import make_plan
+from multiarm.sweeps.run import Context, simulate_run
 
 NOTES = """
 from pathlib import Path
@@ -57,7 +59,7 @@ def plan(scene):
 
 @pytest.fixture(scope="module")
 def expected(plan):
-    return repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
+    return repeatable(run_here(Context.of(plan), jobs_of(plan)))
 
 
 @pytest.fixture
@@ -83,9 +85,10 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
             run=RUN,
         )
         alone = ma.simulate(ma.compile_system(own))
-        number, status, message, stored, quantities = expected[run - 1]
-        assert (number, status, message, stored) == (run, alone.status, alone.message, values)
-        assert quantities == {
+        assert expected[run - 1] == {
+            "run": run,
+            "status": alone.status,
+            "message": alone.message,
             "final_x": alone.object_position[-1, 0],
             "final_z": alone.object_position[-1, 2],
             "largest_contact_force": max(alone.summary()["contact_force_max_N"].values()),
@@ -94,39 +97,37 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
         }
         again = simulate_run(plan, run)
         np.testing.assert_array_equal(again.read("object/position"), alone.object_position)
-    assert len({row[4]["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
+    assert len({row["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
 
 
 @pytest.mark.slow
 def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
-    backwards = run_in_process(JobContext.of(plan), reversed(list(plan.jobs())))
+    backwards = run_here(Context.of(plan), jobs_of(plan)[::-1])
     assert repeatable(backwards) == expected
     lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
-    between = [job for pair in zip(plan.jobs(), lighter.jobs(), strict=True) for job in pair]
+    between = [job for pair in zip(jobs_of(plan), jobs_of(lighter), strict=True) for job in pair]
     mixed = [
-        run_job(JobContext.of(plan if k % 2 == 0 else lighter), job)
-        for k, job in enumerate(between)
+        runs.run(Context.of(plan if k % 2 == 0 else lighter), *job) for k, job in enumerate(between)
     ]
     assert [same(row) for row in mixed[::2]] == expected
-    assert mixed[0].quantities != mixed[1].quantities
-    alone = [
-        run_job(JobContext.of(plan, session=str(k)), job) for k, job in enumerate(plan.jobs([1, 2]))
-    ]
+    assert mixed[0]["final_z"] != mixed[1]["final_z"]
+    alone = [runs.run(Context.of(plan, session=str(job[0])), *job) for job in jobs_of(plan, [1, 2])]
     assert list(map(same, alone)) == expected[:2]
 
 
 def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
-    found: list[list[Record]] = []
-    shared = JobContext.of(plan)
-    threads = [
-        threading.Thread(target=lambda part=part: found.append(worker.run_jobs(shared, part)))
-        for part in (plan.jobs(range(1, 7)), plan.jobs(range(7, 13)))
-    ]
+    shared, rows = Context.of(plan), []
+
+    def carry_out(jobs):
+        rows.append([runs.run(shared, *job) for job in jobs])
+
+    halves = jobs_of(plan, range(1, 7)), jobs_of(plan, range(7, 13))
+    threads = [threading.Thread(target=carry_out, args=(half,)) for half in halves]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert repeatable(found) == expected
+    assert repeatable(rows) == expected
 
 
 def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
@@ -135,79 +136,56 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 
     over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
     plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
-    rows = [row for rows in run_in_process(JobContext.of(plan), plan.jobs()) for row in rows]
-    assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
-    assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
-    assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
-    assert rows[3].message.startswith("the run could not begin: ")
-    assert rows[3].quantities == {"steps": None, "fussy": None}
+    rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
+    assert [row["status"] for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
+    assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1]["message"]
+    assert rows[1]["steps"] > 0 and rows[1]["fussy"] is None
+    assert rows[3]["message"].startswith("the run could not begin: ")
+    assert rows[3]["steps"] is rows[3]["fussy"] is None
 
 
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
-    broken = changed(scene, {GRIP: {"xyz": [-3.0, 0, 0]}})
+    broken = scene.replace({GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
-    rows = [row for rows in run_in_process(JobContext.of(plan), plan.jobs()) for row in rows]
-    assert [row.status for row in rows] == ["completed", "failed"]
-    assert "does not satisfy the joint of arm 'left'" in rows[1].message
-    assert rows[1].quantities == {"steps": None}
+    rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
+    assert [row["status"] for row in rows] == ["completed", "failed"]
+    assert "does not satisfy the joint of arm 'left'" in rows[1]["message"]
+    assert rows[1]["steps"] is None
 
 
 def test_another_version_of_the_program_is_refused(plan, monkeypatch):
-    begun = JobContext.of(plan)
-    monkeypatch.setattr(worker, "program_version", lambda: "0.0.1")
+    begun = Context.of(plan)
+    monkeypatch.setattr(runs, "program_version", lambda: "0.0.1")
     with pytest.raises(SweepError, match=r"has multiarm 0\.0\.1, the sweep was begun by"):
-        worker.run_jobs(begun, plan.jobs([1]))
+        runs.run(begun, *jobs_of(plan, [1])[0])
 
 
-# --- batches ------------------------------------------------------------------------------------
+# --- chunks -------------------------------------------------------------------------------------
 
 
-def timed(run, wall):
-    return Record(run, "completed", "", {}, {}, wall, "")
+def timed(wall):
+    return {"run": 1, "wall_time": wall}
 
 
-def test_batches_take_about_the_same_time_however_long_a_run_takes():
-    batches = Batches(Job(run, {}) for run in range(1, 2001))
-    assert len(next(batches)) == 1
+def test_chunks_take_about_the_same_time_however_long_a_run_takes():
+    jobs = [(number, {}) for number in range(1, 20_001)]
+    assert len(next(Chunks(jobs, 1))) == 1
     for wall in (1e-2, 10.0, 1e-6):
-        fresh = Batches(Job(run, {}) for run in range(1, 2001))
-        fresh.learn([timed(1, wall)])
-        expected = min(max(int(TARGET / wall), 1), MOST_JOBS)
-        assert len(next(fresh)) == expected
-    assert [job.run for job in next(batches)] == [2]
+        chunks = Chunks(jobs, 1)
+        chunks.learn([timed(wall)])
+        assert len(next(chunks)) == min(max(int(CHUNK_TIME / wall), 1), MOST_JOBS)
+    assert next(chunks)[0][0] == MOST_JOBS + 1
 
 
-def test_towards_the_end_batches_become_short_so_that_workers_end_together():
-    batches = Batches((Job(run, {}) for run in range(1, 101)), count=100)
-    batches.workers = 2
-    batches.learn([timed(0, 0.01)])
-    sizes = [len(batch) for batch in batches]
+def test_towards_the_end_chunks_become_short_so_that_workers_end_together():
+    chunks = Chunks([(number, {}) for number in range(1, 101)], 2)
+    chunks.learn([timed(0.01)])
+    sizes = [len(chunk) for chunk in chunks]
     assert sum(sizes) == 100
     assert sizes == sorted(sizes, reverse=True) and sizes[-1] == 1
-    # no batch is longer than what is left after it makes for each worker
+    # no chunk is longer than what is left after it makes for each worker
     assert all(size <= max(1, sum(sizes[k:]) / 2) for k, size in enumerate(sizes))
     assert sizes[0] == 12
-
-
-@pytest.mark.slow
-def test_jobs_are_made_when_they_are_asked_for(plan):
-    asked = []
-
-    def endless():
-        for run in range(1, 10**9):
-            asked.append(run)
-            yield Job(run, plan.values(1))
-
-    coming = run_in_process(JobContext.of(plan), endless())
-    next(coming)
-    assert asked == [1]
-    coming.close()
-    asked.clear()
-    coming = run_in_processes(JobContext.of(plan), endless(), 2)
-    next(coming)
-    time.sleep(0.3)
-    assert len(asked) <= 6 * MOST_JOBS  # those under way, and those that wait beside them
-    coming.close()
 
 
 # --- processes ----------------------------------------------------------------------------------
@@ -215,9 +193,9 @@ def test_jobs_are_made_when_they_are_asked_for(plan):
 
 @pytest.mark.slow
 def test_processes_give_the_same_rows(plan, expected):
-    batches = list(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
+    batches = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
     assert repeatable(batches) == expected
-    workers = {row.worker for rows in batches for row in rows}
+    workers = {row["worker"] for rows in batches for row in rows}
     assert len(workers) == 2
     assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
 
@@ -225,7 +203,7 @@ def test_processes_give_the_same_rows(plan, expected):
 @pytest.mark.slow
 def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
-    found = statuses(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
+    found = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
     assert (functions.parent / "died").exists()
     assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
 
@@ -234,7 +212,7 @@ def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
 def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
     over = {MASS: [5.0, 10.0, 20.0, 30.0]}
     plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
-    found = statuses(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
+    found = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
     assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
     assert found[2][1].startswith("its worker died 3 times")
 
@@ -243,9 +221,9 @@ def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
 def test_a_single_run_that_kills_its_worker_does_not_kill_its_caller(scene, functions, tmp_path):
     """Asked for two workers, and there is only one run: it still has a process of its own."""
     asked = {"over": {MASS: [10.0]}, "keep": [f"{functions}:always"], "certificate": False}
-    found = ma.sweep(scene, asked, out=tmp_path / "one.h5", workers=2, **RUN)
+    found = ma.sweep(scene, asked, out=tmp_path / "one.sweep", workers=2, **RUN)
     assert found.status_counts == {"failed": 1}
-    assert "its worker died 3 times" in found.row(1).message
+    assert "its worker died 3 times" in found.table["message"][0]
 
 
 def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
@@ -253,9 +231,9 @@ def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_pat
         raise SystemExit(3)
 
     asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
-    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=[leaving], workers=1, **RUN)
+    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", keep=[leaving], workers=1, **RUN)
     assert found.status_counts == {"failed": 2}
-    assert "SystemExit" in found.row(2).message
+    assert "SystemExit" in found.table["message"][1]
 
 
 def test_a_cluster_that_does_not_answer_costs_no_rows(scene, tmp_path, monkeypatch):
@@ -264,7 +242,7 @@ def test_a_cluster_that_does_not_answer_costs_no_rows(scene, tmp_path, monkeypat
     def silent(dask):
         raise SweepError("the cluster does not answer")
 
-    out = tmp_path / "s.h5"
+    out = tmp_path / "s.sweep"
     asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
     ma.sweep(scene, asked, out=out, workers=1, **RUN)
     monkeypatch.setattr("multiarm.sweeps.executors.connected", silent)
@@ -291,7 +269,7 @@ def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, work
     scene, _ = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
     asked = {"over": over, "certificate": False, "keep": ["final_z"]}
-    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", workers=workers, **RUN)
+    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=workers, **RUN)
     assert found.status_counts == {"completed": 2}
 
 
@@ -307,7 +285,7 @@ def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
     scene, urdf = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
     asked = {"over": over, "certificate": False, "keep": ["final_z"]}
-    out = tmp_path / "s.h5"
+    out = tmp_path / "s.sweep"
     found = ma.sweep(scene, asked, out=out, workers=1, **RUN)
     assert ma.sweep(scene, asked, out=out, workers=1, **RUN).complete  # nothing else changed
     urdf.write_text(urdf.read_text().replace("</robot>", "<!-- another -->\n</robot>"))
@@ -323,8 +301,8 @@ def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another
     """A trajectory does not depend on what is kept of it."""
     asked = {"over": {MASS: [5.0]}, "certificate": False}
     kept = [lambda trajectory: 1.0]
-    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=kept, workers=1, **RUN)
-    assert ma.load_sweep(tmp_path / "s.h5").trajectory(1).status == "completed"
+    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", keep=kept, workers=1, **RUN)
+    assert ma.load_sweep(tmp_path / "s.sweep").trajectory(1).status == "completed"
     assert found.trajectory(1).status == "completed"
 
 
@@ -345,21 +323,22 @@ def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypat
     plan = make_plan(
         scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
     )
-    here = repeatable(run_in_process(JobContext.of(plan), plan.jobs()))
-    assert here[0][4] != here[1][4]
-    assert repeatable(run_in_processes(JobContext.of(plan), plan.jobs(), 2)) == here
+    here = repeatable(run_here(Context.of(plan), jobs_of(plan)))
+    assert here[0]["final_z"] != here[1]["final_z"]
+    assert repeatable(run_in_processes(Context.of(plan), jobs_of(plan), 2)) == here
 
 
 CALLER = """
 from mechanics import ur5_pair
+from sweep_runs import jobs_of
 from multiarm.sweeps.executors import run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import JobContext
+from multiarm.sweeps.run import Context
 weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
-for rows in run_in_processes(JobContext.of(plan), plan.jobs(), 2):
-    print(rows[0].worker.rpartition(":")[2], flush=True)
+for rows in run_in_processes(Context.of(plan), jobs_of(plan), 2):
+    print(rows[0]["worker"].rpartition(":")[2], flush=True)
 """
 
 
@@ -390,7 +369,7 @@ def test_what_cannot_be_sent_to_workers_is_told(scene):
     lock = threading.Lock()
     plan = make_plan(scene, {MASS: [5.0]}, keep=[lambda trajectory: lock and 1.0], run=RUN)
     with pytest.raises(SweepError, match=r"the workers cannot be given the work"):
-        list(run_in_processes(JobContext.of(plan), plan.jobs(), 2))
+        list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
 
 
 # --- the whole ----------------------------------------------------------------------------------
@@ -407,22 +386,24 @@ def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path)
 
     (tmp_path / "own.py").write_text(NOTES)
     keep = [*KEEP, f"{tmp_path}/own.py:noted"]
-    asked = {"repeat": 4, "seed": 7, "keep": keep, "out": tmp_path / "s.h5", **RUN}
+    asked = {"repeat": 4, "seed": 7, "keep": keep, "out": tmp_path / "s.sweep", **RUN}
     part = ma.sweep(scene, OVER, workers=1, progress=stop, **asked)
-    early = {row.run: row for row in part.rows()}
+    early = part.table
     assert told == [(0, 12, 0), (1, 12, 0)]
     assert len(part) == 1 and not part.complete
     whole = ma.sweep(scene, OVER, workers=2, **asked)
-    rows = list(whole.rows())
-    assert [(*same(row)[:4], {k: row.quantities[k] for k in KEEP}) for row in rows] == expected
+    for name in ("run", "status", "message", *KEEP):
+        assert whole.table[name].tolist() == [row[name] for row in expected]
     # what was done is not done again
-    assert {row.run: row for row in rows if row.run in early} == early
+    pandas.testing.assert_frame_equal(whole.table[:1], early)
     assert len((tmp_path / "notes").read_text()) == 12
     told.clear()
     ma.sweep(scene, OVER, workers=2, progress=lambda *done: told.append(done), **asked)
     assert told == [(12, 12, 0)]
     fresh = ma.sweep(scene, OVER, workers=1, resume=False, **asked)
-    assert list(map(same, fresh.rows())) == list(map(same, rows))
+    pandas.testing.assert_frame_equal(
+        fresh.table.drop(columns=[*MEASURED]), whole.table.drop(columns=[*MEASURED])
+    )
     assert len((tmp_path / "notes").read_text()) == 24
 
 
@@ -442,16 +423,16 @@ def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, s
 
     ma.register_effect(Press)
     plan = make_plan(scene, {"effects.press": [{}]}, keep=["estimated_error"], run=RUN)
-    (job,), own = plan.jobs(), JobContext.of(plan)
-    run_job(own, job)
+    (job,), context = jobs_of(plan), Context.of(plan)
+    runs.run(context, *job)
     calls.clear()
-    whole = run_job(own, job)
-    assert whole.quantities["estimated_error"] > 0.0
+    whole = runs.run(context, *job)
+    assert whole["estimated_error"] > 0.0
     when[0] = int(share * len(calls))
     calls.clear()
     with pytest.raises(KeyboardInterrupt):
-        run_job(own, job)
-    assert same(run_job(own, job)) == same(whole)
+        runs.run(context, *job)
+    assert same(runs.run(context, *job)) == same(whole)
 
 
 @pytest.mark.slow
@@ -464,12 +445,12 @@ def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
             timer.start()
 
     found = ma.sweep(
-        scene, {MASS: {"linspace": [5, 6, 5000]}}, workers=workers, out=tmp_path / "s.h5",
+        scene, {MASS: {"linspace": [5, 6, 5000]}}, workers=workers, out=tmp_path / "s.sweep",
         progress=begun, keep=["final_z"], certificate=False, **RUN,
     )  # fmt: skip
     timer.join()
     assert 0 < len(found) < 5000
-    assert {row.status for row in found.rows()} == {"completed"}
+    assert set(found.table["status"]) == {"completed"}
 
 
 @pytest.mark.parametrize(
@@ -483,5 +464,5 @@ def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
 )
 def test_what_cannot_be_asked_is_refused_before_anything_is_written(scene, asked, text, tmp_path):
     with pytest.raises(SweepError, match=text):
-        ma.sweep(scene, {MASS: [5.0]}, out=tmp_path / "s.h5", **asked)
+        ma.sweep(scene, {MASS: [5.0]}, out=tmp_path / "s.sweep", **asked)
     assert list(tmp_path.iterdir()) == []

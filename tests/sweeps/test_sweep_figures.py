@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
+import pandas
 import pytest
-from sweep_stand_in import NAMES, StandInPlan, row_of
 
 from multiarm.errors import SweepError
 from multiarm.plots.sweep_figures import (
@@ -21,10 +20,9 @@ from multiarm.plots.sweep_figures import (
     sweep_overview,
     variable,
 )
-from multiarm.sweeps.result import load_sweep
-from multiarm.sweeps.store import SweepFile
+from multiarm.sweeps.folder import Column
 
-PATHS = ("object.mass", "effects.drag", "control.kind", "$x.odd_")
+UNITS = {"gap": "m", "force": "N", "never": "J"}
 MASSES, DRAGS = [5.0, 10.0, 20.0], [0.01, 0.1, 1.0, 10.0]
 
 
@@ -36,37 +34,31 @@ def grid_row(run: int):
         "control.kind": ["$none_", "joint_pd"][k // 12 % 2], "$x.odd_": float(rng.normal()),
     }  # fmt: skip
     gap = values["object.mass"] * values["effects.drag"] * (1.0 + 0.1 * float(rng.normal()))
-    done = run % 17 != 0
-    found = {"gap": gap, "force": -gap, "never": None} if done else dict.fromkeys(NAMES)
-    return replace(
-        row_of(1),
-        run=run,
-        values=values,
-        quantities=found,
-        status="completed" if done else "failed",
-    )
+    return values, gap, -gap, run % 17 != 0
 
 
-@dataclass(frozen=True)
-class RowsPlan(StandInPlan):
-    """The plan of a sweep with these rows."""
-
-    row: Callable = grid_row
-
-    def examples(self, path):
-        return [self.row(run).values[path] for run in range(1, 25)]
-
-
-def sweep_of(path, count, row=grid_row, paths=PATHS):
-    with SweepFile(path, RowsPlan(count, paths=paths, row=row)) as file:
-        file.append(map(row, range(1, count + 1)))
-    return load_sweep(path)
+def sweep_of(count, row=grid_row):
+    """What a figure takes of a sweep: its path, its columns and its table."""
+    rows = [row(run) for run in range(1, count + 1)]
+    paths = list(row(1)[0])
+    table = pandas.DataFrame([values for values, *_ in rows], columns=paths)
+    done = pandas.Series([row[3] for row in rows], dtype=bool)
+    table["status"] = np.where(done, "completed", "failed")
+    for name, k in (("gap", 1), ("force", 2)):
+        numbers = pandas.Series([row[k] for row in rows], dtype="Float64")
+        table[name] = numbers.where(done)
+    table["never"] = pandas.Series([pandas.NA] * count, dtype="Float64")
+    columns = [Column(name=path, group="values", key=path, words="") for path in paths]
+    columns += [
+        Column(name=name, group="quantities", key=name, unit=unit, words="")
+        for name, unit in UNITS.items()
+    ]
+    return SimpleNamespace(path="s.sweep", columns=columns, table=table)
 
 
 @pytest.fixture(scope="module")
-def sweep(tmp_path_factory):
-    found = sweep_of(tmp_path_factory.mktemp("figures") / "s.h5", 600)
-    yield found
+def sweep():
+    return sweep_of(600)
 
 
 def panel_of(figure, x, y):
@@ -81,28 +73,28 @@ def median_line(panel):
 
 def test_a_curve_is_the_median_at_each_value_of_a_grid(sweep):
     panel = panel_of(sweep_overview(sweep), "effects.drag", "gap [m]")
-    table = sweep.table
+    table = sweep.table.dropna(subset="gap")
     expected = [
-        (drag, np.median([g for g, d in zip(table["gap"], table["effects.drag"], strict=True)
-                          if d == drag and not np.isnan(g)]))
+        (drag, np.median(table.loc[table["effects.drag"] == drag, "gap"].astype(float)))
         for drag in DRAGS
-    ]  # fmt: skip
+    ]
     np.testing.assert_allclose(median_line(panel), expected, rtol=1e-14)
     assert [label.get_text() for label in panel.get_xticklabels()] == ["0.01", "0.1", "1", "10"]
     assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
 
 
 def test_bands_are_quantiles_of_the_runs_there(sweep):
-    axis = variable("object.mass", sweep.table["object.mass"])
-    places, found = bands(axis, sweep.table["gap"])
+    table = sweep.table
+    axis = variable("object.mass", table["object.mass"].to_numpy())
+    places, quantiles = bands(axis, table["gap"].to_numpy(float, na_value=np.nan))
     assert places.tolist() == MASSES
-    for mass, own in zip(MASSES, found, strict=True):
-        there = sweep.select(["gap"], where={"object.mass": mass}, status="completed")["gap"]
-        np.testing.assert_allclose(own, np.quantile(there, BAND))
+    for mass, band in zip(MASSES, quantiles, strict=True):
+        there = table.loc[table["object.mass"] == mass, "gap"].dropna().astype(float)
+        np.testing.assert_allclose(band, np.quantile(there, BAND))
 
 
 def test_a_value_that_always_differs_is_cut_into_parts_of_equally_many_runs(sweep):
-    axis = variable("x", sweep.table["$x.odd_"])
+    axis = variable("x", sweep.table["$x.odd_"].to_numpy())
     sizes = [len(runs) for _, runs in axis.groups()]
     assert len(sizes) == PARTS and max(sizes) - min(sizes) <= 1
     assert sorted(run for _, runs in axis.groups() for run in runs) == list(range(600))
@@ -110,7 +102,7 @@ def test_a_value_that_always_differs_is_cut_into_parts_of_equally_many_runs(swee
     assert all(high <= low for (_, high), (low, _) in pairwise(ends))
     panel = panel_of(sweep_overview(sweep), "$x.odd_", "force [N]")
     dots = [line for line in panel.lines if line.get_marker() == "."]
-    assert len(dots[0].get_xdata()) == sweep.status_counts["completed"]
+    assert len(dots[0].get_xdata()) == (sweep.table["status"] == "completed").sum()
 
 
 def test_a_map_shows_the_median_of_every_pair(sweep):
@@ -118,19 +110,19 @@ def test_a_map_shows_the_median_of_every_pair(sweep):
     maps = [own for own in figure.axes if own.get_ylabel() == "effects.drag"]
     (mesh,) = maps[0].collections
     assert maps[0].get_xticks().tolist() == MASSES and maps[0].get_yticks().tolist() == DRAGS
-    table = np.array(mesh.get_array()).reshape(4, 3)
+    runs, table = sweep.table, np.array(mesh.get_array()).reshape(4, 3)
     np.testing.assert_allclose(table, np.outer(DRAGS, MASSES), rtol=0.1)
     for i, drag in enumerate(DRAGS):
         for k, mass in enumerate(MASSES):
-            own = sweep.select(["gap"], where={"object.mass": mass, "effects.drag": drag})["gap"]
-            assert table[i, k] == np.median(own[~np.isnan(own)])
+            there = runs[(runs["object.mass"] == mass) & (runs["effects.drag"] == drag)]
+            assert table[i, k] == there["gap"].dropna().median()
     borders = np.array(mesh.get_coordinates())[:, 0, 1]
     assert all(
         low < drag < high for low, drag, high in zip(borders, DRAGS, borders[1:], strict=False)
     )
 
 
-def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sweep, tmp_path):
+def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sweep):
     x = variable("x", np.array([1.0, 2.0, 2.0]))
     y = variable("y", np.array([1.0, 1.0, 3.0]))
     np.testing.assert_array_equal(
@@ -138,19 +130,20 @@ def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sw
     )
     paths = ("$x.odd_", "object.mass")
 
-    def two(k):
-        return replace(grid_row(k), values={path: grid_row(k).values[path] for path in paths})
+    def two(run):
+        values, *numbers = grid_row(run)
+        return {path: values[path] for path in paths}, *numbers
 
-    figure = sweep_overview(sweep_of(tmp_path / "two.h5", 600, two, paths))
+    figure = sweep_overview(sweep_of(600, two))
     (dots,) = next(own for own in figure.axes if own.get_ylabel() == "object.mass").collections
-    assert len(dots.get_offsets()) == sweep.status_counts["completed"]
+    assert len(dots.get_offsets()) == (sweep.table["status"] == "completed").sum()
 
 
 @pytest.mark.slow
 def test_runs_that_did_not_complete_are_seen(sweep):
     panel = panel_of(sweep_overview(sweep), "object.mass", "gap [m]")
     (ticks,) = [line for line in panel.lines if line.get_label() == "did not complete"]
-    failed = sweep.select(["object.mass"], status="failed")["object.mass"]
+    failed = sweep.table.loc[sweep.table["status"] == "failed", "object.mass"]
     assert sorted(ticks.get_xdata()) == sorted(failed)
 
 
@@ -167,7 +160,7 @@ def test_words_are_levels_with_their_names_and_no_formulas(sweep):
 def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
     figure = sweep_overview(sweep)
     panels = [panel for panel in figure.axes if panel.get_xlabel()]
-    assert len(panels) == 2 * (len(PATHS) + 1), "the third quantity has no number"
+    assert len(panels) == 2 * (len(grid_row(1)[0]) + 1), "the third quantity has no number"
     for kind in ("png", "svg", "pdf"):
         figure.savefig(io.BytesIO(), format=kind)
 
@@ -184,30 +177,20 @@ def test_a_legend_below_the_panels_explains_all_marks(sweep):
 
 
 @pytest.mark.slow
-def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
+def test_ten_thousand_runs_make_a_figure_of_bounded_size():
     def scattered(run):
-        rng = np.random.default_rng(run)
-        x, y, z = rng.normal(size=3).tolist()
-        return replace(
-            row_of(1),
-            run=run,
-            values={"a": x, "b": y},
-            quantities={"gap": z, "force": x + y, "never": None},
-        )
+        x, y, z = np.random.default_rng(run).normal(size=3).tolist()
+        return {"a": x, "b": y}, z, x + y, True
 
-    found = sweep_of(tmp_path / "s.h5", 10_000, scattered, ("a", "b"))
-    figure = sweep_overview(found)
+    figure = sweep_overview(sweep_of(10_000, scattered))
     drawn = [len(line.get_xdata()) for panel in figure.axes for line in panel.lines]
     drawn += [len(c.get_offsets()) for panel in figure.axes for c in panel.collections]
     assert max(drawn) <= POINTS
 
 
-def test_what_cannot_be_drawn_is_said(tmp_path):
-    empty = sweep_of(tmp_path / "empty.h5", 0)
+def test_what_cannot_be_drawn_is_said():
     with pytest.raises(SweepError, match="has no run with a number to draw"):
-        sweep_overview(empty)
-    named = sweep_of(
-        tmp_path / "n.h5", 60, lambda k: replace(grid_row(k), values={"name": f"n{k}"}), ("name",)
-    )
+        sweep_overview(sweep_of(0))
+    named = sweep_of(60, lambda run: ({"name": f"n{run}"}, *grid_row(run)[1:]))
     with pytest.raises(SweepError, match="nothing to draw over: name varies as a number"):
         sweep_overview(named)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.sweeps.quantities import KNOWN, Quantity, digest, measure
-from multiarm.sweeps.spec import OwnQuantity
+from multiarm.sweeps.spec import UserQuantity
 
 GOAL, TURN = np.array([0.02, 0.0, 0.53]), [0.0, 0.0, 0.2]
 PATH = [{"time": 0.4, "xyz": GOAL.tolist(), "rpy": TURN}]
@@ -28,7 +28,7 @@ def kept(*names):
 
 
 def own(function, **more):
-    return OwnQuantity(function=function, **more).quantities()
+    return UserQuantity(function=function, **more).quantities()
 
 
 def test_the_final_error_is_that_to_the_path_at_the_end_of_the_run(run):
@@ -88,6 +88,9 @@ def test_the_others_are_what_the_summary_of_the_run_says(run):
         "final_energy": run.energy[-1],
         "work": run.work[-1],
         "largest_joint_torque": max(np.abs(t).max() for t in run.joint_torques.values()),
+        "largest_effort_share": run.limit_use["effort"].max(),
+        "largest_speed_share": run.limit_use["speed"].max(),
+        "largest_range_share": run.limit_use["range"].max(),
         "largest_speed": np.linalg.norm(run.object_twist[:, :3], axis=1).max(),
         "largest_turn_rate": np.linalg.norm(run.object_twist[:, 3:], axis=1).max(),
     }

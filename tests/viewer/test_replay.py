@@ -9,6 +9,7 @@ from replay_pages import POSE, SCENE, SEEK, opened
 from sample_run import earlier_run, rows_of
 
 import multiarm as ma
+from multiarm.assembly.collisions import Surroundings
 from multiarm.errors import ReplayError
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import find_robot, parse_scene
@@ -261,7 +262,7 @@ def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
         ("bad.obj", b"hello", "it has no triangles"),
     ],
 )
-def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
+def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_replays_and_postures(
     tmp_path, trajectory, file, content, fault
 ):
     urdf, text = tmp_path / "arm.urdf", robot_text("textbook_6r")
@@ -273,9 +274,12 @@ def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
         text.replace(link, re.sub(r"<geometry>.*?</geometry>", geometry, link, flags=re.S))
     )
     scene = SCENE.replace("left: {robot: textbook_6r", f"left: {{urdf: '{urdf}'")
-    run = ma.simulate(ma.compile_system(parse_scene(scene, folder=None)), duration=0.02)
+    system = ma.compile_system(parse_scene(scene, folder=None))
+    run = ma.simulate(system, duration=0.02)
     with pytest.warns(UserWarning, match=f"{file} of link 'link_3' .*{fault}"):
         bodies = animate(run, fps=1000, speed=1, meshes=True).bodies
+    with pytest.warns(UserWarning, match=f"without regard to .*{file} of link 'link_3' .*{fault}"):
+        Surroundings(system.scene, system.arms)
     whole = animate(trajectory, fps=1000, speed=1, meshes=True).bodies
     left, healthy = (
         [body.name for body in shown if "arms/left" in body.name] for shown in (bodies, whole)

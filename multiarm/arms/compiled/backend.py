@@ -85,18 +85,20 @@ def compile_arms(
     ModelError
         When a compiled arm does not agree with Pinocchio.
     """
-    found: dict[int, ArmStructure] = {}
+    structures: dict[int, ArmStructure] = {}
     reasons: dict[str, str] = {}
     for place, (name, arm) in enumerate(arms.items()):
         try:
-            found[place] = _structure(arm)
+            structures[place] = _structure(arm)
         except ModelError as reason:
             reasons[name] = str(reason)
-    if not found:
+    if not structures:
         return None, reasons
     first = np.cumsum([0, *(arm.dof for arm in arms.values())])
-    places = tuple(found)
-    tables = make_tables(list(found.values()), places, [int(first[k]) for k in places], gravity)
+    places = tuple(structures)
+    tables = make_tables(
+        list(structures.values()), places, [int(first[k]) for k in places], gravity
+    )
     verify(tables, places, arms)
     return CompiledBackend(tables, places, arms), reasons
 
@@ -147,7 +149,7 @@ class CompiledBackend:
             "arms_size": struct.size,
         }
 
-    def connect_coriolis(self, found: Coriolis) -> None:
+    def connect_coriolis(self, coriolis: Coriolis) -> None:
         """Write the places of the matrices, and the function that updates them with its struct.
 
         Raises
@@ -158,8 +160,12 @@ class CompiledBackend:
         verify(self.tables, self.places, self._arms, CORIOLIS)
         at = self._coriolis.ctypes.data
         for lane in self._lanes:
-            found.places[lane.place] = at + 8 * lane.square, lane.stride
-        found.calls[1:] = address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
+            coriolis.places[lane.place] = at + 8 * lane.square, lane.stride
+        coriolis.calls[1:] = (
+            address_of(update_coriolis),
+            self._struct.ctypes.data,
+            self._struct.size,
+        )
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques too."""
@@ -232,18 +238,18 @@ def verify(
     every = [list(arms.values())[place] for place in places]
     structures = [arm.structure() for arm in every]
     states = [_random_states(structure) for structure in structures]
-    found: list[list[LinkTerms]] = [[] for _ in every]
+    computed: list[list[LinkTerms]] = [[] for _ in every]
     for number in range(STATES):
         for place, (q, v) in zip(places, states, strict=True):
             angles[first[place] : first[place + 1]] = q[number]
             rates[first[place] : first[place + 1]] = v[number]
         copies.update(with_coriolis=CORIOLIS[0] in quantities)
-        for k, own in enumerate(found):
-            own.append(copies.terms(k))
-    for arm, structure, (q, v), own in zip(every, structures, states, found, strict=True):
+        for k, terms in enumerate(computed):
+            terms.append(copies.terms(k))
+    for arm, structure, (q, v), terms in zip(every, structures, states, computed, strict=True):
         expected = _stacked(arm.reference(q, v, tables.gravity))
         floors = _floors(structure, expected, tables.gravity)
-        _compare(arm.name, _stacked(own), expected, {name: floors[name] for name in quantities})
+        _compare(arm.name, _stacked(terms), expected, {name: floors[name] for name in quantities})
 
 
 def _structure(arm: Arm) -> ArmStructure:
@@ -307,12 +313,14 @@ def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[st
     }
 
 
-def _compare(arm: str, found: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]) -> None:
+def _compare(
+    arm: str, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
+) -> None:
     """Raise an error for the first quantity that differs, relative to its largest entry."""
     for name, floor in floors.items():
-        own, other = getattr(found, name), getattr(expected, name)
+        ours, theirs = getattr(computed, name), getattr(expected, name)
         cuts = _PARTS.get(name, ())
-        parts = zip(np.split(own, cuts, axis=-1), np.split(other, cuts, axis=-1), strict=True)
+        parts = zip(np.split(ours, cuts, axis=-1), np.split(theirs, cuts, axis=-1), strict=True)
         for part in parts:
             size = _difference(*part, floor)
             if not size <= 1e-11:
@@ -323,8 +331,8 @@ def _compare(arm: str, found: LinkTerms, expected: LinkTerms, floors: Mapping[st
                 )
 
 
-def _difference(found: np.ndarray, expected: np.ndarray, floor: float) -> float:
+def _difference(computed: np.ndarray, expected: np.ndarray, floor: float) -> float:
     """Largest difference over the largest entry, or over a larger ``floor``."""
-    largest = float(np.max(np.abs(found - expected)))
+    largest = float(np.max(np.abs(computed - expected)))
     scale = max(float(np.max(np.abs(expected))), floor)
     return largest / scale if scale > 0.0 else largest

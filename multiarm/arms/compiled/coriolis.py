@@ -148,14 +148,14 @@ def coriolis_inwards(tables, work, b):
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
         force, couple = times_inertia(mass, moment, second, linear, angular)
         # the transpose of B times the column, a couple
-        own = add_cross((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
+        transposed = add_cross((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
         rate = vector_at(turns, turn), vector_at(turns, turn + 3 * LANES)
         f, c = times_inertia(mass, moment, second, rate[0], rate[1])
         f, c = add_cross(f, angular, h), add(c, rotate(B, angular))
         for k in range(j + 1):
             at, rates = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
-            other = vector_at(links, at), vector_at(links, at + 3 * LANES)
+            axis = vector_at(links, at), vector_at(links, at + 3 * LANES)
             change = vector_at(turns, rates), vector_at(turns, rates + 3 * LANES)
-            below = power(change[0], change[1], force, couple) + dot(other[1], own)
+            below = power(change[0], change[1], force, couple) + dot(axis[1], transposed)
             store_pack(leaves, LANES * (n * k + j), below)
-            store_pack(leaves, LANES * (n * j + k), power(other[0], other[1], f, c))
+            store_pack(leaves, LANES * (n * j + k), power(axis[0], axis[1], f, c))

@@ -150,8 +150,8 @@ def put_link_inertia(links, at, body):
     zero = broadcast(0.0)
     store_pack(links, at, mass)
     put_vector(links, at + LANES, moment)
-    own = (yy + zz, zero - xy, zero - xz, xx + zz, zero - yz, xx + yy)
-    put_symmetric(links, at + 4 * LANES, add_symmetric(inertia, own))
+    shifted = (yy + zz, zero - xy, zero - xz, xx + zz, zero - yz, xx + yy)
+    put_symmetric(links, at + 4 * LANES, add_symmetric(inertia, shifted))
 
 
 @inlined
@@ -245,8 +245,8 @@ def inwards(tables, work, b):
         row = LANES * n * j
         for k in range(j):
             at = LANES * LINK_WIDTH * k
-            other = vector_at(links, at), vector_at(links, at + 3 * LANES)
-            store_pack(leaves, row + LANES * k, power(other[0], other[1], f, c))
+            axis = vector_at(links, at), vector_at(links, at + 3 * LANES)
+            store_pack(leaves, row + LANES * k, power(axis[0], axis[1], f, c))
         drive = load_pack(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
         store_pack(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
         if tables.wanted[WITH_GRAVITY_TORQUE] != 0:

@@ -147,7 +147,7 @@ def make_tables(
     blocks, sources, constants, bases = [], [], [], []
     energies = np.zeros(len(structures), dtype=np.int64)
     first = terms = 0
-    for arms in _blocks([own.masses.size for own in structures]):
+    for arms in _blocks([arm.masses.size for arm in structures]):
         joints = structures[arms[0]].masses.size
         block = _block_columns(joints)
         block[FIRST], block[TERMS] = first, terms
@@ -158,14 +158,14 @@ def make_tables(
         packed = [_packed(structures[arm], joints) for arm in arms]
         constants.append(np.stack(packed, axis=-1))
         bases.append(np.stack([structures[arm].translations[0] for arm in arms], axis=-1).ravel())
-        own = [structures[arm].masses.size for arm in arms]
-        sources.append(_sources(own, [first_joints[arm] for arm in arms]))
+        sizes = [structures[arm].masses.size for arm in arms]
+        sources.append(_sources(sizes, [first_joints[arm] for arm in arms]))
         first, terms = first + joints, terms + LANES * block[WIDTH]
     every = np.concatenate(constants)  # (J, 34, 4)
     return ArmTables(
         blocks=np.array(blocks),
         sources=np.concatenate(sources),
-        joints=np.array([own.masses.size for own in structures]),
+        joints=np.array([arm.masses.size for arm in structures]),
         energies=energies,
         turns=np.ascontiguousarray(every[:, TURNS]).ravel(),
         constants=every.ravel(),
@@ -232,8 +232,8 @@ def _blocks(joints: Sequence[int]) -> list[list[int]]:
 
 def _sources(joints: Sequence[int], first_joints: Sequence[int]) -> np.ndarray:
     """Joints of a block's lanes in the stacked vectors; padding reads an arm's first joint."""
-    own = np.arange(joints[0])[:, None] - (joints[0] - np.array(joints))
-    return (np.maximum(own, 0) + np.array(first_joints)).ravel().astype(np.int64)
+    within_arm = np.arange(joints[0])[:, None] - (joints[0] - np.array(joints))
+    return (np.maximum(within_arm, 0) + np.array(first_joints)).ravel().astype(np.int64)
 
 
 def _packed(arm: ArmStructure, joints: int) -> np.ndarray:

@@ -29,7 +29,7 @@ _OURS: tuple[type[EffectKind], ...] = (
     contacts.FloorSpec,
     contacts.ContactComplianceSpec,
 )
-BUILT_IN = {own.name: own for own in _OURS}
+BUILT_IN = {effect.name: effect for effect in _OURS}
 """Our effects by name."""
 EFFECTS: Registry[Any] = Registry("effect", "effect", "effects", BUILT_IN)
 """User effects; what the class must offer says :class:`multiarm.effects.effect.Effect`."""
@@ -82,11 +82,11 @@ class _Effects(ByName):
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms of the scene."""
-        return [one for at, spec in self._parts() for one in below(at, spec.faults(arms))]
+        return [fault for at, spec in self._parts() for fault in below(at, spec.faults(arms))]
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Warnings about probable mistakes."""
-        return [one for at, spec in self._parts() for one in below(at, spec.warnings(arms))]
+        return [fault for at, spec in self._parts() for fault in below(at, spec.warnings(arms))]
 
     def _names_of(self, chosen: Callable[[EffectKind], bool]) -> tuple[str, ...]:
         names = (str(name) for (name, *_), spec in self._parts() if chosen(spec))
@@ -99,7 +99,7 @@ class _Effects(ByName):
             if issubclass(kind, drives.JointNumbers) and spec is not None:
                 yield (name,), kind.model_construct(values=spec)
             elif isinstance(spec, tuple):
-                yield from (((name, k), one) for k, one in enumerate(spec))
+                yield from (((name, k), part) for k, part in enumerate(spec))
             elif spec is not None:
                 yield (name,), spec
 
@@ -113,5 +113,6 @@ if TYPE_CHECKING:
 
 else:
     EffectsSpec = _Effects.with_keys(
-        "EffectsSpec", {name: (own.entry(), own.meaning()) for name, own in BUILT_IN.items()}
+        "EffectsSpec",
+        {name: (effect.entry(), effect.meaning()) for name, effect in BUILT_IN.items()},
     )

@@ -39,14 +39,14 @@ class SomeContacts(EffectKind):
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms; contacts are checked once they are known."""
         owners = [name.partition("/")[0] for name in self.contacts or ()]
-        found: Faults = [
+        faults: Faults = [
             (("contacts", k), unknown("arm", owner, arms))
             for k, owner in enumerate(owners)
             if owner not in arms
         ]
         if self.contacts == ():
-            found.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
-        return found
+            faults.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
+        return faults
 
 
 class UnilateralContactsSpec(SomeContacts):
@@ -81,7 +81,7 @@ class ContactFrictionSpec(SomeContacts):
     """
 
     name = "contact_friction"
-    reads = shorthand("mu", int, float)
+    reads = shorthand("mu", NonNegative, int, float)
     picture = "rubber fingertips: they grip the object by friction, until it slips"
     example = "effects: {contact_friction: 0.5}  # coefficient of friction"
     usual = 0.3  # Coulomb's coefficient of dry metal
@@ -103,7 +103,7 @@ class ContactComplianceSpec(SomeContacts):
     """
 
     name = "contact_compliance"
-    reads = shorthand("stiffness", int, float)
+    reads = shorthand("stiffness", Positive, int, float)
     picture = "soft fingertips: contacts give way a little, as rubber does"
     example = "effects: {contact_compliance: {stiffness: 1e+5, damping: 100}}  # [N/m], [N s/m]"
 
@@ -163,7 +163,7 @@ class JointLimitsSpec(EffectKind):
     """Joints stop at the ends of their range."""
 
     name = "joint_limits"
-    reads = shorthand("range", str)
+    reads = shorthand("range", Literal["urdf"], str)
     picture = "end stops: a joint that reaches the end of its range stops there, or bounces"
     example = "effects: {joint_limits: urdf}  # ranges as the robot's file says"
     can_open = True
@@ -175,19 +175,19 @@ class JointLimitsSpec(EffectKind):
     """Newton's coefficient, 0 to 1."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        found: Faults = []
+        faults: Faults = []
         for arm, joints in {} if self.range == "urdf" else self.range.items():
             if arm not in arms:
-                found.append((("range", arm), unknown("arm", arm, arms)))
+                faults.append((("range", arm), unknown("arm", arm, arms)))
                 continue
             known = arms[arm].joint_names
             for joint, (lower, upper) in joints.items():
                 place = ("range", arm, joint)
                 if known is not None and joint not in known:
-                    found.append((place, unknown("joint", joint, known)))
+                    faults.append((place, unknown("joint", joint, known)))
                 if not lower < upper:
-                    found.append((place, f"the lower end {lower:g} is not below {upper:g}"))
-        return found
+                    faults.append((place, f"the lower end {lower:g} is not below {upper:g}"))
+        return faults
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         if self.range != "urdf":

@@ -97,7 +97,7 @@ class JointFriction(EffectKind):
     """
 
     name = "joint_friction"
-    reads = or_only("torque", "model", "speed")
+    reads = or_only("torque", UrdfGain, "model", "speed")
     picture = "dry bearings: a joint resists with the same torque at any speed, and may stick"
     example = "effects: {joint_friction: {torque: 2, model: set_valued}}  # [N m]"
     usual = URDF
@@ -123,12 +123,12 @@ class JointFriction(EffectKind):
         return _FRICTION_SPEED if self.speed is None else self.speed
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        found = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
-        return below(("torque",), found)
+        faults = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
+        return below(("torque",), faults)
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        found = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
-        return below(("torque",), found)
+        warnings = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
+        return below(("torque",), warnings)
 
     @property
     def has_events(self) -> bool:
@@ -174,7 +174,7 @@ class ActuatorLag(EffectKind):
     """
 
     name = "actuator_lag"
-    reads = or_only("time_constant", "start")
+    reads = or_only("time_constant", Gain, "start")
     picture = "sluggish drives: the torque follows its command a moment later"
     example = "effects: {actuator_lag: 0.02}  # time constant [s]"
     usual = 0.01  # time constant of a drive [s]

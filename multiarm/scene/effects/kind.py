@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
@@ -24,7 +25,7 @@ class EffectKind(Spec):
     name : str
         Key of the effect in scenes.
     reads : BeforeValidator, optional
-        Lets other values in a scene stand for the table of the parameters.
+        Lets other values, of its ``json_schema_input_type``, stand for the table in a scene.
     picture : str
         What it adds, in a sentence of everyday words.
     example : str
@@ -51,7 +52,10 @@ class EffectKind(Spec):
     @classmethod
     def entry(cls) -> Any:
         """The type of what a scene has below the name."""
-        return cls if cls.reads is None else Annotated[cls, cls.reads]
+        if cls.reads is None:
+            return cls
+        written = cls.reads.json_schema_input_type | cls
+        return Annotated[cls, replace(cls.reads, json_schema_input_type=written)]
 
     @classmethod
     def meaning(cls) -> str:
@@ -80,10 +84,11 @@ class EffectKind(Spec):
         return []
 
 
-def or_only(key: str, *others: str) -> BeforeValidator:
+def or_only(key: str, written: Any, *others: str) -> BeforeValidator:
     """Let the value of one key, which may be a table itself, stand for the whole table.
 
-    A table with one of the ``others`` or with ``key`` is the whole one.
+    A table with one of the ``others`` or with ``key`` is the whole one; ``written`` is the type of
+    the key's value.
     """
 
     def whole(value: Any) -> Any:
@@ -93,4 +98,4 @@ def or_only(key: str, *others: str) -> BeforeValidator:
             return value
         return {key: value}
 
-    return BeforeValidator(whole)
+    return BeforeValidator(whole, json_schema_input_type=written)

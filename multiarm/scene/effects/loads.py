@@ -13,9 +13,9 @@ from pydantic import AfterValidator, model_validator
 from typing_extensions import Self
 
 from multiarm.notation import count_of
+from multiarm.scene.code import UserFunction
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import fault, listed, shown, unknown
-from multiarm.scene.functions import UserFunction
 from multiarm.scene.values import (
     BodyAxes,
     Faults,
@@ -285,14 +285,14 @@ effects:
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms, and faults of the file."""
-        found: Faults = []
+        faults: Faults = []
         target = self._target_fault(arms)
         if target:
-            found.append((("on",), target))
+            faults.append((("on",), target))
         if self.table is not None and self.table.file is not None:
             in_file = read_wrench_table(self.table.file)[1]
-            found += [(("table", "file"), in_file)] if in_file else []
-        return found
+            faults += [(("table", "file"), in_file)] if in_file else []
+        return faults
 
     def _target_fault(self, arms: Mapping[str, KnownArm]) -> str:
         if self.target is None:

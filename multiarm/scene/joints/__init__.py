@@ -23,9 +23,9 @@ _OURS: tuple[type[Joint], ...] = (
     contacts.ContactsJoint,
     wrenches.WrenchesJoint,
 )
-BUILT_IN = {own.kind_name(): own for own in _OURS}
+BUILT_IN = {joint.kind_name(): joint for joint in _OURS}
 """Our kinds by name."""
-JOINTS: Registry[Joint] = Registry("joint", "joint kind", "kinds", BUILT_IN, (UnloadedJoint,))
+JOINTS: Registry[Joint] = Registry("joint", "joint kind", "kinds", BUILT_IN, UnloadedJoint)
 """User kinds of joint."""
 
 
@@ -44,7 +44,7 @@ def register_joint(joint: AnyClass) -> AnyClass:
 
 def pushing_kinds() -> list[str]:
     """Our kinds of joint with contacts that only push."""
-    return sorted(kind for kind, own in BUILT_IN.items() if own.sample().pushes)
+    return sorted(kind for kind, joint in BUILT_IN.items() if joint.sample().pushes)
 
 
 if TYPE_CHECKING:

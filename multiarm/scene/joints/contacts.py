@@ -125,7 +125,7 @@ class ContactsJoint(Joint):
 
     def records(self) -> list[Contact]:
         """One row for each contact, two more for a rolling one; functions are loaded already."""
-        found = []
+        rows = []
         for k, spec in enumerate(self.contacts):
             name = spec.name or f"contact {k + 1}"
             normal = Contact(
@@ -135,8 +135,8 @@ class ContactsJoint(Joint):
                 pushes_only=not spec.bilateral,
                 mu=spec.mu,
             )
-            found.append(normal)
+            rows.append(normal)
             for tangent in (1, 2) if spec.rolling else ():
                 row = f"{name}, no slip {tangent}"
-                found.append(replace(normal, name=row, tangent=tangent, pushes_only=False))
-        return found
+                rows.append(replace(normal, name=row, tangent=tangent, pushes_only=False))
+        return rows

@@ -21,7 +21,7 @@ from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.registry import OwnKind, called
 from multiarm.scene.text import parse_yaml
-from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
+from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range, angle_fault
 
 X, Y, Z = np.eye(3)
 ZERO = np.zeros(3)
@@ -37,7 +37,15 @@ def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
+def _within_a_turn(limits: tuple[float, float]) -> tuple[float, float]:
+    text = next(filter(None, map(angle_fault, limits)), "")
+    if text:
+        raise fault(text)
+    return limits
+
+
 Limits = Annotated[Range, AfterValidator(_around_the_start)]
+TurnLimits = Annotated[Limits, AfterValidator(_within_a_turn)]
 Line = Annotated[
     Direction,
     Field(description="Direction of the line through the joint frame's origin, joint frame."),
@@ -92,6 +100,7 @@ class Joint(OwnKind):
         ``surfaces`` if those of its contacts are surfaces of bodies.
     """
 
+    class_sort = "joint"
     free: ClassVar[tuple[int, ...] | None] = None
     limited: ClassVar[dict[str, int]] = {}
     as_listed: ClassVar[bool] = False
@@ -163,22 +172,23 @@ class Joint(OwnKind):
             When a user class or function cannot be used.
         """
         who = f"joint kind {self.kind!r}: records()"
-        found = called(self.records, who)
-        if not isinstance(found, (list, tuple)) or not all(isinstance(c, Contact) for c in found):
+        contacts = called(self.records, who)
+        listed = isinstance(contacts, (list, tuple))
+        if not listed or not all(isinstance(contact, Contact) for contact in contacts):
             raise ModelError(
-                f"{who} returned {shown(found)}; return a list of multiarm.geometry.Contact"
+                f"{who} returned {shown(contacts)}; return a list of multiarm.geometry.Contact"
             )
-        if not found:
+        if not contacts:
             raise ModelError(f"{who} returned no contact; a joint has at least one")
-        for contact in found:
+        for contact in contacts:
             wrong = contact.fault()
             if wrong:
                 raise ModelError(
                     f"{who} returned contact {shown(contact.name)} with {wrong}; correct it"
                 )
         on_tip = self.at_tip.matrix()
-        own = [moved(contact, on_tip, object_pose) for contact in found]
-        return own if self.mu is None else _with_friction(own, self.mu)
+        placed = [moved(contact, on_tip, object_pose) for contact in contacts]
+        return placed if self.mu is None else _with_friction(placed, self.mu)
 
     def frames(self, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The frames in which its free motions are expressed, z its axis or normal.

@@ -11,7 +11,18 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from multiarm.geometry import Contact, cylinder, plane, point, sphere
-from multiarm.scene.joints.kind import ZERO, Joint, Limits, Line, Spread, X, Y, Z, turned
+from multiarm.scene.joints.kind import (
+    ZERO,
+    Joint,
+    Limits,
+    Line,
+    Spread,
+    TurnLimits,
+    X,
+    Y,
+    Z,
+    turned,
+)
 from multiarm.scene.values import Direction, Positive
 
 _Z = (0.0, 0.0, 1.0)
@@ -68,7 +79,7 @@ class RevoluteJoint(Joint):
     kind: Literal["revolute"] = "revolute"
     axis: Line = _Z
     size: Spread = 0.1
-    limits: Limits | None = None
+    limits: TurnLimits | None = None
     """How far it may turn from the start [rad], such as [-1.5, 0]: drawn and reported, not
     enforced."""
 
@@ -116,7 +127,7 @@ class CylindricalJoint(Joint):
     kind: Literal["cylindrical"] = "cylindrical"
     axis: Line = _Z
     size: Spread = 0.1
-    turn_limits: Limits | None = None
+    turn_limits: TurnLimits | None = None
     """How far it may turn from the start [rad]: drawn and reported, not enforced."""
     slide_limits: Limits | None = None
     """How far it may slide from the start [m]: drawn and reported, not enforced."""

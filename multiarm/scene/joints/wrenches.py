@@ -64,13 +64,13 @@ class WrenchesJoint(Joint):
     def _independent(self) -> Self:
         if not self.wrenches:
             raise fault("'wrenches' is empty; list at least one [fx, fy, fz, mx, my, mz]")
-        found = _dependent_rows(self.wrenches, self.size)
-        if found:
+        dependent = _dependent_rows(self.wrenches, self.size)
+        if dependent:
             texts = [
                 f"wrench {row} is a combination of {_counted(others)}"
                 if others
                 else f"wrench {row} is zero"
-                for row, others in found.items()
+                for row, others in dependent.items()
             ]
             raise fault(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
         return self
@@ -100,21 +100,21 @@ def _dependent_rows(
     """
     scaled = np.array(wrenches, dtype=float) / ([1.0] * 3 + [length] * 3)
     sizes = np.max(np.abs(scaled), axis=1)
-    found: dict[int, tuple[int, ...]] = {}
-    kept: list[int] = []
+    dependent: dict[int, tuple[int, ...]] = {}
+    independent: list[int] = []
     for row, size in enumerate(sizes):
         if size == 0.0:
-            found[row + 1] = ()
+            dependent[row + 1] = ()
             continue
-        own = scaled[row] / size
-        basis = (scaled[kept] / sizes[kept, None]).T  # (6, K)
-        weights = np.linalg.lstsq(basis, own, rcond=None)[0] if kept else np.zeros(0)
-        if np.linalg.norm(own - basis @ weights) > _SPAN_TOLERANCE * np.linalg.norm(own):
-            kept.append(row)
+        wrench = scaled[row] / size
+        basis = (scaled[independent] / sizes[independent, None]).T  # (6, K)
+        weights = np.linalg.lstsq(basis, wrench, rcond=None)[0] if independent else np.zeros(0)
+        if np.linalg.norm(wrench - basis @ weights) > _SPAN_TOLERANCE * np.linalg.norm(wrench):
+            independent.append(row)
             continue
-        parts = [k + 1 for k, w in zip(kept, weights, strict=True) if abs(w) > _NAMED_WEIGHT]
-        found[row + 1] = tuple(parts)
-    return found
+        parts = [k + 1 for k, w in zip(independent, weights, strict=True) if abs(w) > _NAMED_WEIGHT]
+        dependent[row + 1] = tuple(parts)
+    return dependent
 
 
 def _counted(rows: tuple[int, ...]) -> str:
@@ -140,9 +140,9 @@ def _centre_and_axis(wrenches: np.ndarray, size: float) -> tuple[np.ndarray, np.
     for v, w in zip((free[:3] @ mixes[:turns].T).T, (free[3:] @ mixes[:turns].T).T, strict=True):
         equations.append(across @ np.cross(w / size, np.eye(3)).T)  # v + w x centre is a slide
         right.append(-across @ v)
-    found = np.linalg.lstsq(np.vstack(equations), np.concatenate(right), rcond=tolerance)[0]
+    solution = np.linalg.lstsq(np.vstack(equations), np.concatenate(right), rcond=tolerance)[0]
     way = ways[:, 0] * np.sign(ways[np.argmax(np.abs(ways[:, 0])), 0])
-    return np.where(np.abs(found) > 1e-12 * size, found, 0.0), way if turns == 1 else None
+    return np.where(np.abs(solution) > 1e-12 * size, solution, 0.0), way if turns == 1 else None
 
 
 def _nearest_to_axis(p: np.ndarray, e: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -27,13 +27,11 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
-from multiarm.events.evaluation import evaluate_data, mode_at
-from multiarm.events.modes import Mode
 from multiarm.notation import count_of
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
-from multiarm.simulation.inspection import EffectFacts, active_effects
+from multiarm.simulation.inspection import active_effects
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.effect_costs.entries import (
     CANDIDATE,
@@ -52,7 +50,7 @@ from multiarm.studies.effect_costs.entries import (
     paired_difference,
 )
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
-from multiarm.studies.timing import Burst, clocked_run, measure, one_thread, slope_burst
+from multiarm.studies.timing import clocked_run, one_thread
 from multiarm.terminal.progress import Progress, Report, displayed
 
 STABILIZATION, CERTIFICATE = "stabilization", "certificate"
@@ -383,85 +381,4 @@ def _about(run: Trajectory, times: np.ndarray) -> dict[str, Any]:
         "milliseconds": 1e3 * float(np.median(times)),
         "certificate": "" if certificate is None else certificate["text"],
         "repeats": int(times.size),
-    }
-
-
-# --- one evaluation -------------------------------------------------------------------------------
-
-
-TURNS = 40
-"""Bursts of about a millisecond, of every system."""
-OUTSIDE_EVALUATIONS = {"pinocchio_energy", "coriolis"}
-"""Functions in Python that samples or one method call, evaluations never."""
-
-
-def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, EffectFacts]:
-    """Measure what each effect of a system adds to an evaluation at its start.
-
-    Parameters
-    ----------
-    system : System
-    turns : int
-        Bursts of each, at most.
-
-    Returns
-    -------
-    dict of str to EffectFacts
-        By effect, gravity among them; empty for a scene that has none.
-    """
-    others: dict[str, System] = {}
-    found: dict[str, EffectFacts] = {}
-    bursts: dict[str, Burst] = {}
-    variants = left_out(system.scene)
-    for variant in variants:
-        try:
-            other = compile_system(variant.scene())
-            bursts[variant.name] = _burst_at_start(other)
-            others[variant.name] = other
-        except Exception as error:  # one that fails must not hide the others
-            found[variant.name] = EffectFacts(trouble=f"not without it: {error_text(error)}")
-    if not others:
-        return found
-    bursts[""] = _burst_at_start(system)
-    with one_thread():
-        times = measure(bursts, turns)
-    own = _sizes(system)
-    for effect, other in others.items():
-        turns_of_both = min(len(times[""]), len(times[effect]))
-        cost = paired_difference(times[""][:turns_of_both], times[effect][:turns_of_both])
-        less = _sizes(other)
-        found[effect] = EffectFacts(
-            microseconds=1e6 * cost.value,
-            uncertainty_microseconds=1e6 * cost.uncertainty,
-            **{name: size - less[name] for name, size in own.items()},
-        )
-    return {variant.name: found[variant.name] for variant in variants}
-
-
-def _burst_at_start(system: System) -> Burst:
-    """Evaluations at the start; with unilateral contacts, in the contact mode of the start."""
-    data, start = system.model.data(), system.initial_state()
-    evaluate_data(data, 0.0, start)
-    if system.model.unilateral is None:
-        return slope_burst(data)
-    mode = mode_at(data, 0.0, start)
-    return partial(_in_mode, mode, slope_burst(mode.data))
-
-
-def _in_mode(_mode: Mode, burst: Burst, count: int) -> None:
-    """Call a burst; the mode is here to stay alive, since kernels reach it by its address."""
-    burst(count)
-
-
-def _sizes(system: System) -> dict[str, Any]:
-    """What a system has of what effects may add."""
-    data = system.model.data()
-    holders = (system.model.constants, data.arrays, data.work, data.coupled, *data.effects)
-    arrays = [a for holder in holders for a in holder if isinstance(a, np.ndarray)]
-    return {
-        # some arrays have two names
-        "bytes": sum({id(array): array.nbytes for array in arrays}.values()),
-        "states": system.model.effects.states,
-        "rows": system.model.layout.contacts,
-        "callbacks": len(data.callbacks.keys() - OUTSIDE_EVALUATIONS),
     }

@@ -1,7 +1,7 @@
-"""User functions in a scene, and the one place that decides whether one may be loaded.
+"""Python code that a scene names: functions and classes, and the one place that loads them.
 
-A scene must be written to a file and read again, also where the function's module is absent.  So a
-function is *named* in a scene, and looked up only when a system is compiled or a quantity measured:
+A scene must be written to a file and read again, also where the code is absent.  So a function or a
+class is *named* in a scene, in one of two forms:
 
 * ``bowls.py:paraboloid``, a file (a relative path starts at the scene's folder);
 * ``my_package.bowls:paraboloid``, a module that Python can import.
@@ -10,25 +10,20 @@ A callable given in Python is written as the second form, or as the first if it 
 script that runs.  One without a name, such as a lambda, is written with its name in angle brackets:
 the text says what it was, but it cannot be looked up again.
 
-A function is loaded only
-
-* from a ``.py`` file, which for a scene or sweep file must lie in its folder or below, or from a
-  module that is installed, but not from Python's standard library;
-* by a plain name, and not if the standard library defines it: ``tools.py:system`` after
-  ``from os import system`` is refused as ``os:system`` is.
-
-These rules keep a file without code from reaching functions that delete or start something.  Loaded
-code can do anything: inspecting a file from an unknown author loads none.
+Reading a scene loads nothing.  Code is loaded when a system is compiled from a scene that may load
+it, and when a quantity is measured; what only looks at a scene or a result never loads any.  Loaded
+code can do anything.
 """
 
 from __future__ import annotations
 
-import functools
+import hashlib
 import importlib
 import importlib.util
-import itertools
+import os
 import re
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -41,8 +36,8 @@ from multiarm.errors import USER_FAULTS, ModelError
 from multiarm.scene.faults import Parts, fault, shown
 
 
-class FunctionReference(str):
-    """The text that names a function, as it is in a file; the function is not loaded."""
+class CodeReference(str):
+    """The text that names a function or a class, as it is in a file; nothing is loaded."""
 
     __slots__ = ()
 
@@ -61,11 +56,17 @@ class FunctionReference(str):
         """Its file; None where it is in a module."""
         return Path(self.home) if self.home.endswith(".py") else None
 
+    def located(self, folder: Path) -> CodeReference:
+        """The reference with an absolute path, which starts at ``folder`` where it is relative."""
+        if self.file is None:
+            return self
+        return CodeReference(f"{(folder / self.file.expanduser()).resolve()}:{self.name}")
+
 
 class LoadedFunction:
     """A function that was loaded, and the reference by which a file names it."""
 
-    def __init__(self, reference: FunctionReference, function: Callable) -> None:
+    def __init__(self, reference: CodeReference, function: Callable) -> None:
         self.reference, self.function = reference, function
         self.__qualname__ = str(reference)  # its name in messages
 
@@ -98,8 +99,8 @@ _REFERENCE = r"[^:\s][^\n]*:[^:\s][^:\n]*"
 def _function(value: Any) -> Any:
     if callable(value):
         return value
-    if isinstance(value, str) and re.fullmatch(_REFERENCE, value):
-        return FunctionReference(value)
+    if isinstance(value, str) and is_reference(value):
+        return CodeReference(value)
     raise fault(
         "must be a Python function, or name one as 'file.py:name' or 'package.module:name', got "
         f"{shown(value)}"
@@ -124,9 +125,9 @@ def nodes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Any]]:
         yield from nodes(item, (*parts, key))
 
 
-def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, FunctionReference]]:
+def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, CodeReference]]:
     """The functions that are named, and not loaded, in a part of a scene, with their places."""
-    return ((at, one) for at, one in nodes(value, parts) if isinstance(one, FunctionReference))
+    return ((at, leaf) for at, leaf in nodes(value, parts) if isinstance(leaf, CodeReference))
 
 
 def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -> Any:
@@ -134,13 +135,13 @@ def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -
     parts_of: dict[Any, Any] = dict(_items(value))
     if not parts_of:
         return change(value, parts)
-    made = {key: mapped(item, change, (*parts, key)) for key, item in parts_of.items()}
-    changes = {key: item for key, item in made.items() if item is not parts_of[key]}
+    items = {key: mapped(item, change, (*parts, key)) for key, item in parts_of.items()}
+    changes = {key: item for key, item in items.items() if item is not parts_of[key]}
     if not changes:
         return value
-    if isinstance(value, BaseModel):
-        return value.model_copy(update=changes)
-    return made if isinstance(value, Mapping) else tuple(made.values())
+    if isinstance(value, BaseModel):  # each change is of the sort that was validated
+        return BaseModel.model_copy(value, update=changes)
+    return items if isinstance(value, Mapping) else tuple(items.values())
 
 
 def located(value: Any, folder: Path) -> Any:
@@ -149,9 +150,7 @@ def located(value: Any, folder: Path) -> Any:
     def absolute(leaf: Any, _parts: Parts) -> Any:
         if isinstance(leaf, Path):
             return (folder / leaf.expanduser()).resolve()
-        if isinstance(leaf, FunctionReference) and leaf.file is not None:
-            return FunctionReference(f"{absolute(leaf.file, ())}:{leaf.name}")
-        return leaf
+        return leaf.located(folder) if isinstance(leaf, CodeReference) else leaf
 
     return mapped(value, absolute)
 
@@ -169,17 +168,26 @@ def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
 # --- loading -------------------------------------------------------------------------------------
 
 
-def reference_fault(reference: FunctionReference, folder: Path | None = None) -> str:
-    """Why a function may not be loaded by this reference; empty where it may.
+def is_reference(text: str) -> bool:
+    """Whether a text is written as a reference is."""
+    return re.fullmatch(_REFERENCE, text) is not None
+
+
+def reference_fault(
+    reference: CodeReference, folder: Path | None = None, noun: str = "function"
+) -> str:
+    """Why code may not be loaded by this reference; empty where it may.
 
     Parameters
     ----------
-    reference : FunctionReference
+    reference : CodeReference
         With an absolute path, if it names a file.
     folder : Path, optional
-        That of the file in which it is written: a function's file lies there or below.
+        That of the file in which it is written: a ``.py`` file lies there or below.
+    noun : str
+        What it is, in messages: a function or a class.
     """
-    cannot = f"cannot load the function '{reference}': "
+    cannot = f"cannot load the {noun} '{reference}': "
     if reference.name.startswith("<"):
         return (
             f"the function '{reference}' has no name by which it can be found again; give the "
@@ -187,17 +195,14 @@ def reference_fault(reference: FunctionReference, folder: Path | None = None) ->
         )
     if not reference.name.isidentifier():
         return (
-            f"{cannot}{reference.name!r} is not a plain name; name a function that stands in "
+            f"{cannot}{reference.name!r} is not a plain name; name a {noun} that stands in "
             f"{reference.home} itself"
         )
-    if reference.file is None:
-        if _is_standard(reference.home):
-            return (
-                f"{cannot}{reference.home!r} belongs to Python's standard library; name a function "
-                "in a .py file next to the scene or in an installed package"
-            )
-        return ""
-    if folder is not None and not reference.file.resolve().is_relative_to(folder.resolve()):
+    if (
+        folder is not None
+        and reference.file is not None
+        and not reference.file.resolve().is_relative_to(folder.resolve())
+    ):
         return (
             f"{cannot}its file is not in the folder {folder} or below; put it there, or name an "
             "installed module as 'package.module:name'"
@@ -205,58 +210,50 @@ def reference_fault(reference: FunctionReference, folder: Path | None = None) ->
     return ""
 
 
-def load_function(given: Callable | FunctionReference) -> Callable:
-    """The function to which a reference leads; a function is returned as it is.
+def load_code(reference: CodeReference, noun: str = "function") -> Callable:
+    """The function or the class to which a reference leads; a file is run each time.
 
     Raises
     ------
     ModelError
         When it may not be loaded; when there is no such file, module or name; when loading fails.
     """
-    if not isinstance(given, FunctionReference):
-        return given
-    reason = reference_fault(given)
+    reason = reference_fault(reference, noun=noun)
     if reason:
         raise ModelError(reason)
-    home, name, file = given.home, given.name, given.file
+    home, name, file = reference.home, reference.name, reference.file
     if file is not None and not file.is_file():
         raise ModelError(
-            f"cannot load the function '{given}': there is no file {file}; correct the path, "
+            f"cannot load the {noun} '{reference}': there is no file {file}; correct the path, "
             "which starts at the scene's folder"
         )
     try:
         module = importlib.import_module(home) if file is None else _file_module(file)
     except USER_FAULTS as error:
         raise ModelError(
-            f"cannot load the function '{given}': {type(error).__name__}: {error}; correct the "
-            "module (functions are named 'file.py:name' or 'package.module:name')"
+            f"cannot load the {noun} '{reference}': {type(error).__name__}: {error}; correct the "
+            "module (code is named 'file.py:name' or 'package.module:name')"
         ) from error
-    if not hasattr(module, name):
-        raise ModelError(f"there is no {name!r} in {home}; {_functions_in(module)}")
-    found = getattr(module, name)
-    if not callable(found):
-        raise ModelError(f"{name!r} in {home} is not a function; {_functions_in(module)}")
-    if _is_standard(_home_of(found)):
-        raise ModelError(
-            f"cannot load the function '{given}': it is one of {_home_of(found)!r}, of Python's "
-            "standard library; name a function that is defined outside of it"
-        )
-    return found
+    code = getattr(module, name, None)
+    if code is None:
+        raise ModelError(f"there is no {name!r} in {home}; {_callables_in(module)}")
+    if not callable(code):
+        raise ModelError(f"{name!r} in {home} is not a {noun}; {_callables_in(module)}")
+    return code
 
 
-def _is_standard(module: str) -> bool:
-    root = module.partition(".")[0]
-    return root in sys.stdlib_module_names or root in sys.builtin_module_names
+def load_function(function: Callable | CodeReference) -> Callable:
+    """The function to which a reference leads; a function is returned as it is.
+
+    Raises
+    ------
+    ModelError
+        See :func:`load_code`.
+    """
+    return load_code(function) if isinstance(function, CodeReference) else function
 
 
-def _home_of(function: Callable) -> str:
-    """The module that defines a function, or what a partial one calls, or the type of an object."""
-    while isinstance(function, functools.partial):
-        function = function.func
-    return str(getattr(function, "__module__", None) or type(function).__module__)
-
-
-_COUNT = itertools.count()
+_LOADING = threading.RLock()
 
 
 class _Source(SourceFileLoader):
@@ -268,20 +265,25 @@ class _Source(SourceFileLoader):
 
 
 def _file_module(path: Path) -> ModuleType:
-    """Run a file as a module each time; it is not left among the imported ones."""
-    name = f"functions_of_{path.stem}_{next(_COUNT)}"
+    """Run a file as a module, which takes the place of an earlier one of this file."""
+    name = f"code_of_{path.stem}_{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
     spec = importlib.util.spec_from_file_location(name, path, loader=_Source(name, str(path)))
     assert spec is not None and spec.loader is not None, "the loader is given"
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # data classes look for their module while it is run
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.modules.pop(name, None)
+    with _LOADING:
+        # data classes, and models with postponed annotations, look for their module
+        before, sys.modules[name] = sys.modules.get(name), module
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            sys.modules.pop(name)
+            if before is not None:
+                sys.modules[name] = before
+            raise
     return module
 
 
-def _functions_in(module: ModuleType) -> str:
+def _callables_in(module: ModuleType) -> str:
     names = [n for n, value in vars(module).items() if callable(value) and not n.startswith("_")]
     return (
         f"its functions are {', '.join(map(repr, names[:8]))}" if names else "it has no functions"

@@ -1,0 +1,208 @@
+"""One run of a sweep, as any worker carries it out.
+
+A run is a pure function of the scene and its values.  Every worker compiles the scene of the sweep
+once and makes the system of each run from it, never from the system of the previous run, so that a
+run gives the same numbers on every worker and in every order.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.system import System
+from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
+from multiarm.results.files import printable
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene import REGISTRIES, Scene, parse_scene
+from multiarm.scene.code import is_reference
+from multiarm.simulation.certified import INTERRUPTED
+from multiarm.simulation.simulate import simulate
+from multiarm.sweeps.plan import SweepPlan, program_version
+from multiarm.sweeps.quantities import Quantity, measure
+
+__all__ = ["Context", "lost_run", "prepare", "run", "simulate_run"]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What all runs of a sweep share; it is sent to the workers."""
+
+    scene: str  # as YAML text
+    quantities: tuple[Quantity, ...]
+    certificate: bool  # check runs of some accuracy
+    version: str  # of multiarm: another one may give other numbers
+    # user classes that were registered in the process that began the sweep, and where
+    classes: tuple[tuple[str, type], ...] = ()
+    folder: str | None = None  # where relative paths of the scene, and of values in it, start
+    # unique to each call of `multiarm.sweep`: files that the scene names may have changed since an
+    # earlier call, whose compiled scene a worker may still hold
+    session: str = ""
+
+    @classmethod
+    def of(cls, plan: SweepPlan, session: str = "") -> Context:
+        """The context of a plan."""
+        return cls(
+            scene=plan.scene_text,
+            quantities=plan.quantities,
+            certificate=plan.spec.certificate,
+            version=program_version(),
+            classes=tuple(
+                (registry.group, kind)
+                for registry in REGISTRIES
+                for name, kind in registry.registered.items()
+                if name in plan.words and not is_reference(name)  # files are read by each worker
+            ),
+            folder=str(plan.scene.folder),
+            session=session,
+        )
+
+
+def run(context: Context, number: int, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Carry out one run and return its row.
+
+    Returns
+    -------
+    dict
+        ``run``; ``status``, "completed" or "failed", the latter also if a user-defined quantity
+        raised an error; ``message``; every quantity by name, None if the run failed, or where it is
+        not defined; ``wall_time`` [s]; ``worker``, computer and process.
+
+    Raises
+    ------
+    SweepError
+        When this worker has another version of multiarm.
+    KeyboardInterrupt
+        When Ctrl-C was pressed: a part of a run is no result.
+    """
+    here = program_version()
+    if context.version != here:
+        raise SweepError(
+            f"worker {_worker()} has multiarm {here}, the sweep was begun by "
+            f"{context.version}; install the same version everywhere: others may give other numbers"
+        )
+    prepare(context)  # loads the libraries whose threads are limited below
+    began = time.perf_counter()
+    numbers: dict[str, float | None] = {}
+    try:
+        with threadpool_limits(1):  # workers share the processors already
+            trajectory = _simulated(context, values)
+        status, message = trajectory.status, trajectory.message
+        if status == "completed":
+            numbers, fault = measure(context.quantities, trajectory)
+            status, message = ("failed", fault) if fault else (status, message)
+    except MultiarmError as error:
+        status, message = "failed", f"the run could not begin: {error}"
+    except USER_FAULTS as error:  # user-defined functions and effects may raise anything
+        status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
+    wall_time = time.perf_counter() - began
+    return _row(context, number, status, message, numbers, wall_time, _worker())
+
+
+def lost_run(context: Context, number: int, deaths: int) -> dict[str, Any]:
+    """The row of a run whose workers died every time."""
+    message = (
+        f"its worker died {deaths} times: the process was ended, by lack of memory perhaps, or "
+        "broke down in compiled code"
+    )
+    return _row(context, number, "failed", message, {}, 0.0, "")
+
+
+def _row(
+    context: Context, number: int, status: str, message: str,
+    numbers: Mapping[str, float | None], wall_time: float, worker: str,
+) -> dict[str, Any]:  # fmt: skip
+    quantities = {quantity.name: numbers.get(quantity.name) for quantity in context.quantities}
+    return {
+        "run": number, "status": status, "message": printable(message), **quantities,
+        "wall_time": wall_time, "worker": worker,
+    }  # fmt: skip
+
+
+def simulate_run(plan: SweepPlan, number: int) -> Trajectory:
+    """Simulate one run of a plan as a worker does; returns all samples.
+
+    Raises
+    ------
+    MultiarmError
+        When it cannot begin.
+    """
+    # not cached: files that it names may have changed
+    system = compile_system(plan.scene_of(number))
+    with threadpool_limits(1):
+        return simulate(system, certificate=plan.spec.certificate)
+
+
+def prepare(context: Context) -> None:
+    """Compile the scene of a sweep in this process and load the libraries of a run.
+
+    Raises
+    ------
+    SceneError
+        When the scene cannot be read here.
+    """
+    _base(context)
+
+
+def _simulated(context: Context, values: Mapping[str, Any]) -> Trajectory:
+    base = _base(context)
+    system = compile_system(base.scene.replace(values), like=base.system)
+    trajectory = simulate(system, certificate=context.certificate)
+    _raise_interrupt(trajectory)
+    by_accuracy = system.scene.run.accuracy is not None
+    if context.certificate and by_accuracy and trajectory.status == "completed":
+        certificate = trajectory.certificate
+        if certificate is None or certificate.get("reason") == INTERRUPTED:
+            raise KeyboardInterrupt  # Ctrl-C ended the check of the run
+    return trajectory
+
+
+def _raise_interrupt(trajectory: Trajectory) -> None:
+    """Raise if Ctrl-C ended the run: then there is no result."""
+    if trajectory.status == INTERRUPTED:
+        raise KeyboardInterrupt
+
+
+@dataclass(frozen=True)
+class _Base:
+    """The scene of a sweep and its system; None if it compiles only with a run's values."""
+
+    scene: Scene
+    system: System | None
+
+
+# The scene that a worker compiled last.  Clusters run several threads in a process, and the arrays
+# of a system serve one thread.
+_memory = threading.local()
+
+
+def _base(context: Context) -> _Base:
+    """The compiled scene; a short run compiles or loads whatever the first use of it needs."""
+    key = context.scene, context.session, context.classes
+    if getattr(_memory, "key", None) == key:
+        return _memory.base
+    registries = {registry.group: registry for registry in REGISTRIES}
+    for group, kind in context.classes:
+        registries[group].add(kind)
+    scene = parse_scene(context.scene, context.folder)
+    system: System | None = None
+    try:
+        system = compile_system(scene)
+        short = min(scene.run.duration, scene.run.output_step)
+        _raise_interrupt(simulate(system, short, certificate=False))
+    except USER_FAULTS:
+        pass  # every run that has this fault reports it
+    _memory.key, _memory.base = key, _Base(scene, system)
+    return _memory.base
+
+
+def _worker() -> str:
+    return f"{platform.node()}:{os.getpid()}"
