@@ -6,6 +6,7 @@ Bodies are written on the command line as ``box:1.2,0.8,0.6``, ``prism:6,0.3,0.8
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Iterator
 from enum import Enum
 from pathlib import Path
@@ -64,6 +65,7 @@ class Objective(str, Enum):
 
 @grasp_app.command("design")
 def design(
+    context: typer.Context,
     body: Annotated[
         str,
         typer.Argument(
@@ -139,7 +141,7 @@ def design(
     The contacts have no friction, and hold the body fully. The scene has hands of rigid fingers on
     real arms, postures, a path, and a control that squeezes: run it with multiarm run.
 
-        multiarm grasp design box:1.2,0.8,0.6 --arms panda panda > block.yaml
+        multiarm grasp design box:1.2,0.8,0.6 --mass 1 > block.yaml
     """
     check_targets({"--out": out, "--plot": plot})
     from multiarm.scene import dump_scene
@@ -157,7 +159,7 @@ def design(
         name=f"{_who(arms)} hold {body} by two corners",
         progress=True,
     )
-    comments = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *grasp.notes))
+    comments = "".join(f"# {line}\n" for line in (_command_line(context, body), *grasp.notes))
     text = comments + dump_scene(scene)
     rows = design_facts(grasp)
     if scene.object.pose.matrix()[2, 2] < UPRIGHT:
@@ -223,6 +225,24 @@ def check(
     if plot is not None:
         _draw(scene_grasp.as_grasp(), plot)
         print_written("picture", plot)
+
+
+def _command_line(context: typer.Context, body: str) -> str:
+    """The command that designs this grasp again: the options that were used, but for files."""
+    words = ["multiarm", "grasp", "design", body]
+    for name, value in context.params.items():
+        source = context.get_parameter_source(name)
+        if name in ("body", "out", "plot") or source is None or source.name != "COMMANDLINE":
+            continue
+        parts = value if isinstance(value, tuple) else (value,)
+        words += [f"--{name.replace('_', '-')}", *(_word(part) for part in parts)]
+    return shlex.join(words)
+
+
+def _word(value: object) -> str:
+    if isinstance(value, Enum):
+        return str(value.value)
+    return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
 def _first_in_reach(

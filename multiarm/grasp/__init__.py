@@ -3,7 +3,7 @@
 >>> import multiarm as ma
 >>> grasp = ma.grasp.design_block_grasp([1.2, 0.8, 0.6])
 >>> grasp.closure.margin, grasp.closure.coefficients
->>> scene = grasp.to_scene(arms=["panda", "panda"])
+>>> scene = grasp.to_scene(arms=["panda", "panda"], mass=1.0)
 
 See chapter 2 and the appendices A to C of the thesis.  Points are in metres,
 in the body's frame; a contact's normal is a unit vector *into* the body.

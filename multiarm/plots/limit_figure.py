@@ -61,6 +61,7 @@ def _draw(axes: Axes, quantity: str, uses: list[JointUse]) -> None:
     axes.set_xlim(0.0, 1.05 * max(100.0, values.max()))
     axes.set_xlabel("share of the limit [%]")
     axes.tick_params(axis="y", length=0)
+    axes.set_axisbelow(True)
     axes.grid(False, axis="y")
     axes.grid(True, axis="x", color=GRID)
     for row, share in enumerate(shares):

@@ -189,7 +189,7 @@ def _object_lines(shape: Solid, height: float, rise: float) -> list[tuple[str, s
         ("object:", "the body that all arms hold; its frame is at its centre of mass"),
         ("  shape:", "what it looks like; its inertia follows, or write 'inertia:'"),
         (f"    {shape.written}", shape.words),
-        ("  mass: 5.0", "kg"),
+        ("  mass: 2.0", "kg"),
         (f"  pose: {{xyz: [0, 0, {height:g}]}}", "where it is at the start [m]"),
         *([] if rise else [push]),
         ("", ""),

@@ -76,7 +76,8 @@ def test_a_scene_goes_to_standard_output_and_nothing_else_does(designed):
     result = grasp("design", "box:0.9,0.7,0.5", "--mass", "4", "--duration", "4")
     assert result.exit_code == 0, result.output
     assert parse_scene(result.stdout) == ma.load_scene(path)
-    assert result.stdout.startswith("# multiarm")
+    command = "multiarm grasp design box:0.9,0.7,0.5 --mass 4 --duration 4"
+    assert result.stdout.startswith(f"# {command}\n")
 
 
 @pytest.mark.slow
@@ -119,6 +120,8 @@ def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):
     judged = judge_grasp(ma.compile_system(ma.load_scene(scene)))
     assert judged.margin == pytest.approx(value, abs=2e-4)  # four digits are told
     assert picture.read_bytes().startswith(b"\x89PNG")
+    command = "multiarm grasp design box:0.9,0.7,0.5 --optimise margin --gripper-size 0.2 --gap 0.1"
+    assert scene.read_text(encoding="utf-8").startswith(f"# {command}\n")
 
 
 @pytest.mark.slow
