@@ -34,12 +34,11 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
+from multiarm.programs import linear_program
 from multiarm.results.limit_use import ROUNDING
 
 SIDES = 16
 """Of the polygon in a cone of friction."""
-INFEASIBLE = 2
-"""Status of SciPy's `linprog`."""
 
 
 @dataclass(frozen=True)
@@ -178,26 +177,30 @@ def _least_torques(
     ``torques - by_internal @ y`` hold the object for any y with ``bounded + bounded_by_internal @ y
     <= 0``.
     """
-    from scipy.optimize import linprog
-
     known = np.isfinite(efforts)
     shares = torques[known] / efforts[known]
     slopes = by_internal[known] / efforts[known, None]
     column = np.ones((len(shares), 1))
     unknowns = by_internal.shape[1]
-    best = linprog(
-        np.append(np.zeros(unknowns), 1.0),
-        A_ub=np.block(
-            [[-slopes, -column], [slopes, -column], [bounded_by_internal, 0.0 * bounded[:, None]]]
+    best = linear_program(
+        np.append(1.0, np.zeros(unknowns)),
+        at_most=(
+            np.block(
+                [
+                    [-column, -slopes],
+                    [-column, slopes],
+                    [0.0 * bounded[:, None], bounded_by_internal],
+                ]
+            ),
+            np.concatenate([-shares, shares, -bounded]),
         ),
-        b_ub=np.concatenate([-shares, shares, -bounded]),
-        bounds=[(None, None)] * unknowns + [(0.0, None)],
+        signed=unknowns,
     )
-    if best.status == INFEASIBLE:
+    if best.infeasible:
         return None
-    if best.status != 0:
+    if best.x is None:
         raise SolverError(f"the torques that hold the start were not found: {best.message}")
-    return torques - by_internal @ best.x[:-1]
+    return torques - by_internal @ best.x[1:]
 
 
 def _effort_shares(system: System, torques: np.ndarray) -> EffortShares | None:

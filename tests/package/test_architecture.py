@@ -81,7 +81,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "linear.linearisation",
         "problems",
         "scene.object",
-        "simulation.holding",
         "sweeps.axes",
         "sweeps.plan",
         "studies.timing",
