@@ -212,7 +212,7 @@ def _largest(trajectory: Samples, channel: str, bounds: np.ndarray) -> list[Shar
     columns = np.flatnonzero(known).tolist()
     best: dict[int, Share] = {}
     for time, values in trajectory.blocks("time", channel):
-        with np.errstate(over="ignore"):  # stored numbers may be as large as any
+        with np.errstate(over="ignore"):  # stored ranges may be as narrow as any
             shares = np.abs(values[:, known] - (lower / 2 + upper / 2)) / (upper / 2 - lower / 2)
         shares = np.minimum(shares, np.finfo(float).max)
         for column, of_joint in zip(columns, shares.T, strict=True):

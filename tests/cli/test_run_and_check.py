@@ -551,7 +551,7 @@ def test_settings_that_check_resolves_are_those_of_the_run(settings, tmp_path):
 
 
 def test_warnings_of_a_scene_are_shown(tmp_path):
-    path = one_arm(tmp_path, "weld", arms__left__posture__wrist_2_joint=7.0)
+    path = one_arm(tmp_path, "weld", arms__left__posture__elbow_joint=3.5)
     result = multiarm("check", path)
     assert "warning: " in result.stderr and "outside its limits" in result.stderr
 

@@ -13,6 +13,7 @@ from sample_run import JOINTS, SCENE, numbered_block, record
 
 import multiarm as ma
 from multiarm.errors import TrajectoryError
+from multiarm.results.channels import LARGEST
 from multiarm.results.limit_use import (
     QUANTITIES,
     joint_uses,
@@ -127,8 +128,9 @@ def test_limits_that_cannot_be_read_are_named(limits):
 
 def test_positions_as_large_as_numbers_get_have_finite_shares():
     block = numbered_block(0, 3)
-    block["arms/left/joint_position"][:] = 1e308
-    table = recorded(blocks=[block]).limit_use
+    block["arms/left/joint_position"][:] = LARGEST
+    narrow = {"left": {"range": [[-1e-300, 1e-300]] * LEFT}}
+    table = recorded(narrow, blocks=[block]).limit_use
     assert np.isfinite(table[table["joint"] == "left/shoulder_pan_joint"]["range"].to_numpy()).all()
 
 
