@@ -13,6 +13,7 @@ need not be there: it is imported when a plant is built.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -67,7 +68,13 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 def _steps(text: str) -> tuple[float, ...]:
-    return tuple(float(part) for part in text.split(","))
+    try:
+        steps = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        steps = ()
+    if not steps or min(steps) <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: write positive steps [s], as 2e-3,1e-3")
+    return steps
 
 
 def motions(system: System, steps: Sequence[float], rounds: int) -> list[dict[str, float]]:
@@ -167,9 +174,9 @@ class DrakePeer(Peer):
                     system.model.constants.object_inertia,
                 ),
             )
-            for joint in system.scene.joints:
-                name = joint.arm
-                first = system.model.layout.dofs[system.model.layout.names.index(name)]
+            joints = {joint.arm: joint for joint in system.scene.joints}
+            for name, first in zip(system.arm_names, system.model.layout.dofs, strict=False):
+                joint = joints[name]
                 tip = self._add_arm(plant, name, self.damping[first:])
                 _constrain(plant, self._object, system.frames[name].on_object, *tip, joint)
             plant.Finalize()

@@ -31,12 +31,13 @@ DISTURBED = 0.05
 
 
 def options(description: str | None, name: str, rounds: int = 7) -> argparse.ArgumentParser:
-    """The options that all benchmarks have; the CSV is ``results/NAME.csv`` unless named."""
+    """The options that all benchmarks have; the CSV is ``NAME.csv`` unless named."""
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
     parser.add_argument("--rounds", type=_at_least_one, default=rounds,
                         help=f"repetitions of every measurement (default {rounds})")  # fmt: skip
-    parser.add_argument("--csv", type=Path, default=RESULTS / f"{name}.csv", metavar="FILE",
-                        help="the table (default %(default)s)")  # fmt: skip
+    parser.add_argument("--csv", type=Path, default=Path(f"{name}.csv"), metavar="FILE",
+                        help="the table (default %(default)s); the documentation shows "
+                        f"benchmarks/results/{name}.csv")  # fmt: skip
     parser.add_argument("--figure", type=Path, metavar="FILE", help="the figure, png, svg or pdf")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all numbers")
     return parser
@@ -115,7 +116,7 @@ def read(name: str) -> tuple[pandas.DataFrame, str]:
     path = RESULTS / f"{name}.csv"
     with open(path, encoding="utf-8") as lines:
         about = next(lines).strip("# \n")
-    return pandas.read_csv(path, comment="#"), about
+    return pandas.read_csv(path, skiprows=1), about
 
 
 def panels(count: int) -> tuple[Figure, list[Axes]]:

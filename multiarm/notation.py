@@ -7,6 +7,7 @@ looks the same everywhere.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -41,7 +42,8 @@ def numbers(
     Those below ``rounding`` times the largest, or below ``LEAST``, are written as 0.
     """
     values = [float(value) for value in values]
-    zero = max(rounding * max(map(abs, values), default=0.0), LEAST)
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    zero = max(rounding * largest, LEAST)
     shown = [0.0 if abs(value) < zero else value for value in values]
     return f"{', '.join(number(value, digits=digits) for value in shown)} {unit}".rstrip()
 

@@ -184,7 +184,29 @@ def turn_between(a, b):
         z += b[1, k] * a[0, k] - b[0, k] * a[1, k]
         trace += b[0, k] * a[0, k] + b[1, k] * a[1, k] + b[2, k] * a[2, k]
     sine = math.sqrt(x * x + y * y + z * z)
+    if sine == 0.0 and trace < 0.0:
+        return half_turn_between(a, b)
     factor = 0.5 if sine == 0.0 else math.atan2(sine, trace - 1.0) / sine
+    return factor * x, factor * y, factor * z
+
+
+@inlined
+def half_turn_between(a, b):
+    """The same of orientations half a turn apart: R + 1 is twice the square of its axis."""
+    i, most = 0, -1.0
+    for j in range(3):
+        diagonal = b[j, 0] * a[j, 0] + b[j, 1] * a[j, 1] + b[j, 2] * a[j, 2]
+        if diagonal > most:
+            i, most = j, diagonal
+    x = y = z = 0.0
+    for k in range(3):
+        x += b[0, k] * a[i, k]
+        y += b[1, k] * a[i, k]
+        z += b[2, k] * a[i, k]
+    x += 1.0 if i == 0 else 0.0
+    y += 1.0 if i == 1 else 0.0
+    z += 1.0 if i == 2 else 0.0
+    factor = math.pi / math.sqrt(x * x + y * y + z * z)
     return factor * x, factor * y, factor * z
 
 

@@ -204,6 +204,7 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
     hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
     solids: list[Solid] = []
     lost: dict[str, None] = {}  # each file once
+    unreadable: list[str] = []
     for item in geometry.geometryObjects.tolist():
         shape, link = item.geometry, arm.model.frames[item.parentFrame].name
         name = f"link {link!r} of arm {arm.name!r}"
@@ -214,10 +215,12 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
                 shape = _hull_of_mesh(path, stamp, tuple(item.meshScale))
             except ValueError as error:
                 lost[f"{item.meshPath} of link '{link}' ({error})"] = None
-                geometry.removeGeometryObject(item.name)
+                unreadable.append(item.name)
                 continue
         shape.computeLocalAABB()
         solids.append(Solid(name, shape, item.parentJoint, item.parentJoint in hand))
+    for shape_name in unreadable:  # not while the objects, which are no copies, are gone through
+        geometry.removeGeometryObject(shape_name)
     if lost:
         warnings.warn(
             f"{arm.files.urdf.name}: postures are found without regard to {counted([*lost], 3)}",

@@ -1,7 +1,7 @@
 """Named systems with known properties, shared by tests, examples and benchmarks.
 
 :data:`HARD_CASES` are the systems on which solvers break, each with the criteria of a good run;
-:func:`ring_of_arms` is the family of the scaling benchmark, :func:`random_scene` draws a scene.
+:func:`ring_of_arms` is the family of the benchmarks, :func:`random_scene` draws a scene.
 """
 
 from __future__ import annotations

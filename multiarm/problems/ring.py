@@ -23,7 +23,7 @@ def ring_of_arms(
     accuracy: float = 1e-6,
     frequency: float = 4.0,
 ) -> Scene:
-    """``arms`` UR5 arms around a disc: the scene of the scaling benchmark.
+    """``arms`` UR5 arms around a disc: the scene of the benchmarks.
 
     The bases stand on a circle of radius ``max(0.8, 0.25 / sin(pi / n))`` m and face inward; the
     disc is 0.05 m thick, weighs 2.5 kg an arm, its centre of mass is 25 mm below the grips.  The

@@ -141,13 +141,19 @@ def find_robot(name: str) -> RobotEntry:
     raise SceneError(f"{message}; or give the path of a file with 'urdf:'")
 
 
+MISSPELT = 0.9
+"""Similarity of two names from which on one is the other with a typing error."""
+
+
 def _unknown(name: str, described: tuple[str, ...]) -> str:
     """That there is no such robot, with near names: of arms, else of any robot."""
     robots = available_robots()
     arms = [robot for robot, entry in robots.items() if _is_arm(entry)]
     arms += [robot for robot in described if robot not in robots]
-    near_arm = get_close_matches(name, arms, 1)
-    return unknown("robot", name, arms if near_arm else dict.fromkeys([*arms, *robots]))
+    others = [robot for robot in robots if robot not in arms]
+    misspelt = get_close_matches(name, others, 1, MISSPELT)  # no arm, but hardly anything else
+    near_arm = not misspelt and get_close_matches(name, arms, 1)
+    return unknown("robot", name, arms if near_arm else [*arms, *others])
 
 
 def _is_arm(entry: RobotEntry) -> bool:

@@ -16,7 +16,7 @@ from multiarm.scene.run import DEFAULT_ACCURACY
 def machine() -> dict[str, Any]:
     """Processor, platform and versions, as far as they are known."""
     about = {key: value for key, value in provenance("").items() if key != "scene"}
-    for name in ("scipy", "mujoco", "drake"):
+    for name in ("scipy", "mujoco"):
         with suppress(importlib.metadata.PackageNotFoundError):
             about["dependencies"][name] = importlib.metadata.version(name)
     return {"processor": _processor(), **about}

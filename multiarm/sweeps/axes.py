@@ -176,7 +176,7 @@ VALUES: dict[str, Callable[[Any], list[Any]]] = {
 """Kinds of axes whose values come one after the other: all of them, as given."""
 QUANTILES: dict[str, Callable[[Any, float], Any]] = {
     "uniform": lambda v, u: v[0] + u * (v[1] - v[0]),
-    "loguniform": lambda v, u: v[0] * (v[1] / v[0]) ** u,
+    "loguniform": lambda v, u: v[0] * math.exp(u * (math.log(v[1]) - math.log(v[0]))),
     "normal": lambda v, u: v.mean + v.deviation * _standard_normal(u),
     "lognormal": lambda v, u: v.median * math.exp(v.deviation * _standard_normal(u)),
     "integers": lambda v, u: v[0] + int(u * (v[1] + 1 - v[0])),

@@ -37,8 +37,6 @@ __all__ = ["connected", "run_here", "run_in_processes", "run_on_cluster"]
 Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
 Row = dict[str, Any]
-ATTEMPTS = 3
-"""A run is given up when its workers have died so many times."""
 CHUNK_TIME = 0.5
 """[s] that a chunk takes."""
 MOST_JOBS = 256
@@ -66,7 +64,7 @@ def run_in_processes(context: Context, jobs: Sequence[Job], workers: int) -> Ite
         while suspects := (yield from _until_a_worker_dies(context, singles, workers, workers)):
             for job in suspects:
                 if (yield from _until_a_worker_dies(context, iter([[job]]), workers, 1)):
-                    yield [lost_run(context, job[0], ATTEMPTS)]
+                    yield [lost_run(context, job[0])]
 
 
 def _until_a_worker_dies(
@@ -86,8 +84,9 @@ def _until_a_worker_dies(
     parallel = Parallel(
         max(2, workers), return_as="generator_unordered", batch_size=1, pre_dispatch=at_once
     )
-    ended = parallel(tasks())
+    ended: Iterator[list[Row]] = iter(())
     try:
+        ended = parallel(tasks())
         for rows in ended:
             for row in rows:
                 del under_way[row["run"]]
@@ -99,9 +98,10 @@ def _until_a_worker_dies(
     except Exception as error:
         raise _explained(error) from error
     finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about runs that are given up
-            ended.close()
+        if isinstance(ended, Generator):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # about runs that are given up
+                ended.close()
     return []
 
 
@@ -140,15 +140,21 @@ def run_on_cluster(context: Context, jobs: Sequence[Job], client: Client) -> Ite
                 rows = task.result()
                 chunks.learn(rows)
                 yield rows
-                for chunk in islice(chunks, 1):
-                    send(chunk)
             elif isinstance(error, KilledWorker) and len(chunk) > 1:
                 for job in chunk:
                     send([job])
+                continue
             elif isinstance(error, KilledWorker):
-                yield [lost_run(context, chunk[0][0], error.allowed_failures + 1)]
+                yield [lost_run(context, chunk[0][0])]
+            elif error is not None:
+                raise _explained(error)
             else:
-                raise _explained(error or RuntimeError("the connection with the cluster was lost"))
+                raise SweepError(
+                    "dask: the connection with the cluster was lost; what is done is kept: resume "
+                    "the sweep when the cluster is back"
+                )
+            for following in islice(chunks, 1):
+                send(following)
     finally:
         client.cancel(list(sent), force=True)
 

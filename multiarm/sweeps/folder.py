@@ -18,8 +18,9 @@ import json
 import os
 import secrets
 import shutil
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -37,6 +38,8 @@ from multiarm.sweeps.plan import SweepPlan
 
 __all__ = ["About", "Column", "PartWriter", "create", "is_sweep", "read_about", "read_rows"]
 
+ABANDONED = 3600.0
+"""[s] An unfinished part that is older was left by a writer that was killed."""
 PART_ROWS = 1024
 """Rows of a part, at least, before its writer begins the next one."""
 
@@ -130,7 +133,7 @@ def columns_of(plan: SweepPlan) -> tuple[Column, ...]:
 
 def is_sweep(path: Path) -> bool:
     """Whether a path is the folder of a sweep, of any version."""
-    return (path / "about.json").is_file()
+    return (path / "about.json").is_file() and (path / "parts").is_dir()
 
 
 def create(path: Path, plan: SweepPlan) -> About:
@@ -293,9 +296,11 @@ def without_mixed_types(table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what writers that were killed have left of parts."""
+    """Remove what killed writers have left of parts; live ones write theirs in a moment."""
     for partial in (folder / "parts").glob(".*.part"):
-        partial.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            if partial.stat().st_mtime < time.time() - ABANDONED:
+                partial.unlink()
 
 
 _NULLABLE = {
@@ -322,10 +327,13 @@ def _arrow_type(values: Iterable[Any]) -> pa.DataType:
     values = list(values)
     try:
         array = pa.array(values)
-        exact = array.to_pylist() == values and not pa.types.is_null(array.type)
     except (pa.ArrowException, OverflowError):
-        exact = False
-    return array.type if exact else pa.string()
+        return pa.string()
+    kind = array.type
+    while pa.types.is_list(kind):
+        kind = kind.value_type
+    exact = pa.types.is_primitive(kind) or pa.types.is_string(kind)
+    return array.type if exact and array.to_pylist() == values else pa.string()
 
 
 def _write_whole(path: Path, table: pa.Table) -> None:

@@ -85,11 +85,10 @@ class SweepPlan:
         """
         digests: dict[str, str] = {}
         for text in self.words:
-            name = CodeReference(text).file or Path(text)
-            if name.suffix.lower() not in _SUFFIXES:
-                continue
-            path = (self.scene.folder / name.expanduser()).resolve()
-            if str(path) not in digests and path.is_file():
+            name = os.path.expanduser(CodeReference(text).file or text)
+            place = os.path.join(self.scene.folder, name)
+            if os.path.isfile(place):
+                path = Path(place).resolve()
                 digests[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
         return dict(sorted(digests.items()))
 
@@ -254,7 +253,3 @@ def _path_of(scene: Any) -> Any:
         f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system has "
         "its scene as `system.scene`)"
     )
-
-
-# Of strings that may name a file.
-_SUFFIXES = (".urdf", ".xml", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")

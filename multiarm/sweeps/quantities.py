@@ -94,7 +94,7 @@ def _measured(
     except USER_FAULTS as error:
         raise _Fault(f"quantity {name!r} raised {type(error).__name__}: {error}") from error
     if key is None:
-        return {members[0].name: _number(output, name)}
+        return {member.name: _number(output, member.name) for member in members}
     if not isinstance(output, Mapping):
         raise _Fault(f"quantity {name!r} must give a table of numbers, it gave {output!r:.60}")
     keys = {member.key for member in members}

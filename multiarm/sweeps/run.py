@@ -107,11 +107,11 @@ def run(context: Context, number: int, values: Mapping[str, Any]) -> dict[str, A
     return _row(context, number, status, message, numbers, wall_time, _worker())
 
 
-def lost_run(context: Context, number: int, deaths: int) -> dict[str, Any]:
+def lost_run(context: Context, number: int) -> dict[str, Any]:
     """The row of a run whose workers died every time."""
     message = (
-        f"its worker died {deaths} times: the process was ended, by lack of memory perhaps, or "
-        "broke down in compiled code"
+        "its worker died every time: the process was ended, by lack of memory perhaps, or broke "
+        "down in compiled code"
     )
     return _row(context, number, "failed", message, {}, 0.0, "")
 

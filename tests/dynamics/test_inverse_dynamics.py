@@ -255,7 +255,7 @@ def test_wishes_of_the_wrong_form_are_named(block_system, change, message):
 
 
 def test_internal_forces_of_the_wrong_number_are_named(block_system):
-    with pytest.raises(GraspError, match="1 internal coordinates"):
+    with pytest.raises(GraspError, match="1 internal coordinate"):
         ma.inverse_dynamics(
             block_system, block_system.initial_state(), np.zeros(6), None, [1.0, 2.0]
         )

@@ -490,4 +490,4 @@ def test_controllers_quantities_and_effects_that_are_built_end_no_program(folder
     (folder / "s.yaml").write_text(SWEEP)
     found = ma.sweep(scene, folder / "s.yaml", out=folder / "s.sweep", workers=1)
     assert found.status_counts == {"failed": 2}
-    assert "quantity 'number' raised SystemExit" in found.row(1).message
+    assert "quantity 'number' raised SystemExit" in found.table["message"][0]

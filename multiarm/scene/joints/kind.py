@@ -21,7 +21,7 @@ from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.registry import OwnKind, called
 from multiarm.scene.text import parse_yaml
-from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range, angle_fault
+from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
 
 X, Y, Z = np.eye(3)
 ZERO = np.zeros(3)
@@ -37,15 +37,7 @@ def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-def _within_a_turn(limits: tuple[float, float]) -> tuple[float, float]:
-    text = next(filter(None, map(angle_fault, limits)), "")
-    if text:
-        raise fault(text)
-    return limits
-
-
 Limits = Annotated[Range, AfterValidator(_around_the_start)]
-TurnLimits = Annotated[Limits, AfterValidator(_within_a_turn)]
 Line = Annotated[
     Direction,
     Field(description="Direction of the line through the joint frame's origin, joint frame."),

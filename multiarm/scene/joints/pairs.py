@@ -17,7 +17,6 @@ from multiarm.scene.joints.kind import (
     Limits,
     Line,
     Spread,
-    TurnLimits,
     X,
     Y,
     Z,
@@ -79,7 +78,7 @@ class RevoluteJoint(Joint):
     kind: Literal["revolute"] = "revolute"
     axis: Line = _Z
     size: Spread = 0.1
-    limits: TurnLimits | None = None
+    limits: Limits | None = None
     """How far it may turn from the start [rad], such as [-1.5, 0]: drawn and reported, not
     enforced."""
 
@@ -127,7 +126,7 @@ class CylindricalJoint(Joint):
     kind: Literal["cylindrical"] = "cylindrical"
     axis: Line = _Z
     size: Spread = 0.1
-    turn_limits: TurnLimits | None = None
+    turn_limits: Limits | None = None
     """How far it may turn from the start [rad]: drawn and reported, not enforced."""
     slide_limits: Limits | None = None
     """How far it may slide from the start [m]: drawn and reported, not enforced."""
