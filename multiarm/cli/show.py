@@ -165,7 +165,7 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     from multiarm.scene import named_code
     from multiarm.sweeps.result import load_sweep
 
-    sweep = load_sweep(result, code)
+    sweep = load_sweep(result)
     if run is None:
         raise MultiarmError(
             f"'{result}' is a sweep of {count_of(sweep.count, 'run')}; choose the one to show: "
@@ -184,4 +184,4 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
             "result names; if you trust its author, allow it with --code"
         )
     print_loaded(named)
-    return sweep.trajectory(run)
+    return load_sweep(result, code).trajectory(run)

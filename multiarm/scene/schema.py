@@ -152,7 +152,8 @@ class Scene(Spec):
         """
         if changes is not None and not isinstance(changes, Mapping):
             raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
-        return self._changed({**(changes or {}), **parts}, self._code)
+        code = Code.NOW if self.may_load_code else Code.NEVER
+        return self._changed({**(changes or {}), **parts}, code)
 
     def _changed(self, changes: Mapping[str, Any], code: Code) -> Self:
         data, faults = with_changes(self, changes)

@@ -52,7 +52,7 @@ from multiarm.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
 
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
-BLOCK_NUMBERS = 200_000
+BLOCK_NUMBERS = 320_000
 
 
 @dataclass(frozen=True)
