@@ -93,6 +93,8 @@ def in_ratio(value: list[Any]) -> list[Any]:
     """The list, whose first two numbers are bounds of values with equal ratios."""
     if not (value[0] > 0.0 and value[1] > 0.0):
         raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
+    if not 0.0 < value[1] / value[0] < math.inf:
+        raise fault(f"spans more than floats have room for, got {shown(value)}")
     return value
 
 
@@ -176,7 +178,7 @@ VALUES: dict[str, Callable[[Any], list[Any]]] = {
 """Kinds of axes whose values come one after the other: all of them, as given."""
 QUANTILES: dict[str, Callable[[Any, float], Any]] = {
     "uniform": lambda v, u: v[0] + u * (v[1] - v[0]),
-    "loguniform": lambda v, u: v[0] * math.exp(u * (math.log(v[1]) - math.log(v[0]))),
+    "loguniform": lambda v, u: v[0] * (v[1] / v[0]) ** u,
     "normal": lambda v, u: v.mean + v.deviation * _standard_normal(u),
     "lognormal": lambda v, u: v.median * math.exp(v.deviation * _standard_normal(u)),
     "integers": lambda v, u: v[0] + int(u * (v[1] + 1 - v[0])),
