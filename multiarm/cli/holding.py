@@ -48,8 +48,8 @@ def _weight(carrying: Carrying) -> str:
     if carrying.verdict == "wrench":
         return (
             f"cannot be carried: {number(carrying.force_residual, 'N')} and "
-            f"{number(carrying.moment_residual, 'N m')} stay unbalanced; the object will fall or "
-            "turn although the control holds it"
+            f"{number(carrying.moment_residual, 'N m')} stay unbalanced, whatever the contact "
+            "forces: the object falls or turns; add contacts, or an arm, that take them"
         )
     if carrying.verdict == "pushing":
         return "cannot be carried by contacts that only push; add contacts, or friction"
