@@ -189,7 +189,7 @@ def _least_torques(
                 [
                     [-column, -slopes],
                     [-column, slopes],
-                    [0.0 * bounded[:, None], bounded_by_internal],
+                    [np.zeros((len(bounded), 1)), bounded_by_internal],
                 ]
             ),
             np.concatenate([-shares, shares, -bounded]),

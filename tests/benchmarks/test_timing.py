@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 import pytest
+import timing
 from timing import fastest, fitted_slope, fitted_slopes, measure, median, upper_half
-
-from multiarm.studies import timing
 
 
 def test_everyone_is_measured_in_turn_and_rare_ones_rarely(monkeypatch):

@@ -14,10 +14,10 @@ from mechanics import (
     data_of,
 )
 from repository import ROOT, SCENES
+from timing import slope_burst
 
 import multiarm as ma
 from multiarm.dynamics.arrays import OWN_ARRAYS
-from multiarm.studies.timing import slope_burst
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
 BARE = RING.replace(gravity=None, control={"kind": "none"})
