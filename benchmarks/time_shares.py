@@ -41,8 +41,10 @@ from timing import (
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.loop_closure import projection_tolerance
 from multiarm.dynamics.arrays import OK, open_data
+from multiarm.dynamics.coordinates import load_chart, write_chart_slope
 from multiarm.dynamics.equations import finite
 from multiarm.dynamics.evaluation import evaluate
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
@@ -52,11 +54,9 @@ from multiarm.integration.step import (
     begin_chart,
     combine,
     error_estimate,
-    load,
     make_method,
     make_step,
     open_step,
-    write_slope,
 )
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc
@@ -285,7 +285,7 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     """The loops over the parts, all at the state in the data."""
     work = data.work
     state = data.get_state()
-    slopes = make_step(RK4, data.model.layout.joints)
+    slopes = make_step(RK4, data.model.layout)
     begin_chart(data.struct, slopes.base, slopes.z)
     pushed = slopes.z.copy()
     pushed[:3] += OPEN
@@ -305,17 +305,17 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
         "reload and solve": loop_burst(data, _solve_often, L, Y, work.L, work.Y),
         "state": loop_burst(data, _pass_often, slopes.z, slopes.base, slopes.slope),
         "sample": loop_burst(data, _sample_often, sample),
-        "arithmetic": _arithmetic_burst(data.model.layout.joints, integrator),
+        "arithmetic": _arithmetic_burst(data.model.layout, integrator),
         # last: it moves the state in the data, which the next turn's evaluations load again
         "projection": loop_burst(data, _project_often, pushed, slopes.base, closed),
     }
 
 
-def _arithmetic_burst(joints: int, integrator: str) -> Burst:
+def _arithmetic_burst(layout: Layout, integrator: str) -> Burst:
     """Sums over the stages of made-up slopes."""
     tableau = METHODS[integrator]
-    method, step = make_method(tableau), make_step(tableau, joints)
-    step.k[:] = np.random.default_rng(joints).normal(size=step.k.shape)
+    method, step = make_method(tableau), make_step(tableau, layout)
+    step.k[:] = np.random.default_rng(layout.joints).normal(size=step.k.shape)
     arrays = struct_of(method, step)
 
     def burst(count: int) -> None:
@@ -359,8 +359,8 @@ def _pass_often(struct, z, base, slope, count):
     good = True
     for _ in range(count):
         good = finite(z) and good
-        load(z, base, data)
-        write_slope(z, data, slope)
+        load_chart(z, base, data)
+        write_chart_slope(z, data, slope)
     return OK if good else 1
 
 
@@ -391,7 +391,7 @@ def _project_often(struct, z, base, closed, count):
     data = open_data(struct)
     status = OK
     for _ in range(count):
-        load(z, base, data)
+        load_chart(z, base, data)
         status = project(struct, closed)
     return status
 

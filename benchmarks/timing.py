@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step
@@ -95,10 +96,11 @@ def calls_a_burst(burst: Burst) -> int:
 
 def slope_burst(data: Data) -> Burst:
     """Evaluations as the time loop performs them, at the state in the data."""
-    joints, effects, struct = data.model.layout.joints, data.model.effects, data.struct
-    step = make_step(RK4, joints, effects.states, 1 + len(effects.works))
+    effects, struct = data.model.effects, data.struct
+    step = make_step(RK4, data.model.layout, effects.states, 1 + len(effects.works))
     begin_chart(struct, step.base, step.z)
-    step.z[12 + 2 * joints :][: effects.states] = data.effect_states()
+    places = chart_places(data.arrays)
+    step.z[places.states : places.works] = data.effect_states()
     return loop_burst(data, _evaluate_often, step.z, step.base, step.slope)
 
 

@@ -40,10 +40,11 @@ from multiarm.dynamics.equations import (
     write_general_row,
 )
 from multiarm.dynamics.held_control import with_held_control
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data, Model, with_effects, with_rows
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver_monitor import compare_solution, record_solution
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System, require_control
 from multiarm.effects.building import (
     BuildContext,

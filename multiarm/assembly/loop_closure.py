@@ -42,11 +42,11 @@ import numpy as np
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.coordinates import difference, retracted
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.errors import MultiarmError, SolverError
-from multiarm.spatial import difference, retract
 
 CLOSED, STUCK, FAR = "closed", "stuck", "far"
 
@@ -146,8 +146,7 @@ def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
 class Posture:
     """A posture of the system, with its gaps."""
 
-    position: np.ndarray  # (7,), the object's pose
-    angles: np.ndarray  # (n,)
+    configuration: np.ndarray  # (7 + n,)
     gaps: np.ndarray  # (N,) [m], of the rows of the linkage
     rows: np.ndarray  # (N, k) [m], their derivative J with respect to ``u``
     factor: np.ndarray  # (k, k), lower triangular factor of the inertia in the units of ``u``
@@ -207,7 +206,7 @@ class Linkage:
         every_row: bool = False,
         size: float | None = None,
     ) -> None:
-        work = data.work
+        work, self._layout = data.work, data.model.layout
         self._data, self._arms, self.with_object = data, arms, with_object
         self._limits = limits
         self.size = scene_size(data) if size is None else size
@@ -221,7 +220,10 @@ class Linkage:
         self.rows = np.concatenate(
             [work.rows[i] + held for i, held in zip(arms, self._held_rows, strict=True)]
         )
-        self._first = 6 if with_object else 0
+        frames = np.arange(self._layout.of_frames.stop)
+        self._first = len(frames) if with_object else 0
+        # places of what may move in displacements of the whole system
+        self._moving = np.concatenate([frames[: self._first], len(frames) + self.joints])
         self.blocks = self._blocks()
 
     def _blocks(self) -> list[tuple[slice, slice]]:
@@ -239,15 +241,14 @@ class Linkage:
         J = np.zeros((self.rows.size, self.unit.size))
         L = np.zeros((self.unit.size, self.unit.size))
         if self.with_object:
-            J[:, :6] = b.Wo[self.rows]
-            L[:6, :6] = np.linalg.cholesky(b.inertia)
+            frames = self._layout.of_frames
+            J[:, frames] = b.Wo[self.rows]
+            L[frames, frames] = np.linalg.cholesky(b.inertia)
         for i, held, (r, c) in zip(self._arms, self._held_rows, self.blocks, strict=True):
             J[r, c] = work.Y[i, : c.stop - c.start, held]
             L[c, c] = self._factor(i, c.stop - c.start)
         gaps = b.contacts[self.rows, GAP].copy()
-        return Posture(
-            b.position.copy(), b.angles.copy(), gaps, J * self.unit, self.unit[:, None] * L
-        )
+        return Posture(b.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)
 
     def _factor(self, i: int, n: int) -> np.ndarray:
         data = self._data
@@ -263,14 +264,12 @@ class Linkage:
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""
         b = self._data.arrays
-        b.position[:], b.angles[:] = posture.position, posture.angles
+        b.configuration[:] = posture.configuration
         if u is not None:
-            move = self.unit * u
-            b.angles[self.joints] += move[self._first :]
+            displacement = np.zeros(self._layout.nv)
+            displacement[self._moving] = self.unit * u
+            b.configuration[:] = retracted(self._layout, posture.configuration, displacement)
             self._snap(b.angles)
-            if self.with_object:
-                b.position[:3] += move[:3]
-                b.position[3:7] = retract(posture.position[3:7], move[3:6])
         if update_kinematics(self._data.struct) != OK:
             self._data.reraise()
 
@@ -295,19 +294,16 @@ class Linkage:
         """Lowest and highest ``u`` that keep the joints within their limits."""
         limits = self._limits
         low, high = np.full(self.unit.size, -np.inf), np.full(self.unit.size, np.inf)
-        angles, unit = posture.angles[self.joints], self.unit[self._first :]
+        angles = self._layout.joint_positions(posture.configuration)[self.joints]
+        unit = self.unit[self._first :]
         low[self._first :] = np.minimum((limits[self.joints, 0] - angles) / unit, 0.0)
         high[self._first :] = np.maximum((limits[self.joints, 1] - angles) / unit, 0.0)
         return low, high
 
     def changes(self, begin: Posture, end: Posture) -> np.ndarray:
         """Magnitude of the displacement between two postures, in the units of ``u`` (k,)."""
-        moved = (end.angles - begin.angles)[self.joints]
-        if self.with_object:
-            shift = end.position[:3] - begin.position[:3]
-            turn = difference(begin.position[3:7], end.position[3:7])
-            moved = np.concatenate([shift, turn, moved])
-        return np.abs(moved) / self.unit
+        moved = difference(self._layout, begin.configuration, end.configuration)
+        return np.abs(moved[self._moving]) / self.unit
 
     def branches(self, posture: Posture) -> list[int]:
         """Rank of every arm's rows, whose directions distinguish its branches."""

@@ -154,13 +154,13 @@ def follow_object(
     for fraction in law:
         # an arm's free motions depend little on the number of these smaller steps
         for part in np.linspace(before, fraction, 4)[1:]:
-            state.position[:3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
-            state.position[3:7] = retract(base, part * turn)
+            state.object_position[:] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
+            state.object_quaternion_xyzw[:] = retract(base, part * turn)
             if not _arms_close(data, heavy, state, tolerance):
                 raise _cannot_follow(data, segment, part)
             state = data.get_state()
         before = fraction
-        angles.append(state.position[7:].copy())
+        angles.append(data.model.layout.joint_positions(state.position).copy())
     return np.array(angles), state
 
 

@@ -51,7 +51,6 @@ from multiarm.integration.projection import project_velocities
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.values import SURROUNDINGS
-from multiarm.spatial import difference
 
 # Gaps below this part of the scene's size count as touching.
 TOUCHING = 1e-9
@@ -86,8 +85,10 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     _check_way_round(data, scene, name)
     energy_lost = _close_rates(data, size)
     start = data.get_state()
-    moved = np.abs(start.position[7:] - written.position[7:])
+    displacement = np.abs(written.displacement_to(start))
+    moved, shift = layout.joint_rates(displacement), layout.twists(displacement)[0]
     faster = np.abs(start.velocity - written.velocity)
+    of_object = layout.twists(faster)[0]
     return start, StartReport(
         gaps=gaps,
         gap_rates=rates,
@@ -97,14 +98,14 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
             arm: float(np.max(change)) for arm, change in layout.split_joints(moved).items()
         },
         object_held=held,
-        object_shift=float(np.linalg.norm(start.position[:3] - written.position[:3])),
-        object_turn=float(np.linalg.norm(difference(written.position[3:7], start.position[3:7]))),
+        object_shift=float(np.linalg.norm(shift[:3])),
+        object_turn=float(np.linalg.norm(shift[3:])),
         at_limit=joints_at_limit(data),
         outside_limits=outside,
         velocity_change=float(np.max(faster)),
-        object_velocity_change=float(np.linalg.norm(faster[:3])),
-        object_spin_change=float(np.linalg.norm(faster[3:6])),
-        joint_velocity_change=float(np.max(faster[6:])),
+        object_velocity_change=float(np.linalg.norm(of_object[:3])),
+        object_spin_change=float(np.linalg.norm(of_object[3:])),
+        joint_velocity_change=float(np.max(layout.joint_rates(faster))),
         energy_lost=energy_lost,
     )
 
@@ -281,7 +282,7 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
 def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
     """Limits (n, 2) of all joints, and the names of joints outside theirs, which get no limits."""
     limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
-    angles = written.position[7:]
+    angles = data.model.layout.joint_positions(written.position)
     out = (angles < limits[:, 0]) | (angles > limits[:, 1])
     limits[out] = -np.inf, np.inf
     return limits, tuple(np.array(joint_names(data.model))[out])
@@ -296,7 +297,7 @@ def _close_rates(data: Data, size: float) -> float:
     free = np.full((joints, 2), [-np.inf, np.inf])
     linkage = Linkage(data, list(range(len(data.model.arm_names))), True, free, True, size)
     place, lost = linkage.here(), 0.0
-    v = np.concatenate([b.twist, b.v]) / linkage.unit
+    v = b.velocity / linkage.unit
     # 100 roundings of the terms that cancel in a rate
     terms = float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))
     closed = 100 * np.finfo(float).eps * terms
@@ -309,7 +310,7 @@ def _close_rates(data: Data, size: float) -> float:
         taken = Vt @ (place.factor.T @ v)
         v -= np.linalg.solve(place.factor.T, Vt.T @ taken)
         lost += 0.5 * float(taken @ taken)
-        b.twist[:], b.v[:] = np.split(linkage.unit * v, [6])
+        b.velocity[:] = linkage.unit * v
         _update_kinematics(data)
     return lost
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.equation_derivatives import differentiate_holding, equation_work
 from multiarm.dynamics.model import Data
 
@@ -32,8 +33,8 @@ ILL_CONDITIONED = 1e10
 def torque_derivatives(data: Data, *, feedback: bool, carries: bool) -> np.ndarray | None:
     """Derivatives of the torques, shape (n, 12 + 2 n), right after an evaluation of the data.
 
-    By displacements of the object's pose, its twist, joint positions and velocities.  None where
-    there is no closed form, as contacts cannot carry any wrench.
+    By the columns of the state, see :mod:`multiarm.dynamics.layout`.  None where there is no closed
+    form, as contacts cannot carry any wrench.
 
     Parameters
     ----------
@@ -43,13 +44,13 @@ def torque_derivatives(data: Data, *, feedback: bool, carries: bool) -> np.ndarr
     carries : bool
         There is gravity compensation.
     """
-    n = data.model.layout.joints
-    by_state = np.zeros((n, 12 + 2 * n))
+    layout, columns = data.model.layout, data.model.layout.columns
+    n = layout.joints
+    by_state = np.zeros((n, 2 * layout.nv))
     if feedback:
-        joints = np.arange(n)
         stiffness, damping = data.model.constants.parameters[: 2 * n].reshape(2, n)
-        by_state[joints, 12 + joints] = -stiffness
-        by_state[joints, 12 + n + joints] = -damping
+        by_state[:, columns["joint_positions"]] = -np.diag(stiffness)
+        by_state[:, columns["joint_velocities"]] = -np.diag(damping)
     if not carries:
         return by_state
     holding = _holding_derivatives(data)
@@ -58,7 +59,7 @@ def torque_derivatives(data: Data, *, feedback: bool, carries: bool) -> np.ndarr
 
 def _holding_derivatives(data: Data) -> np.ndarray | None:
     layout, b = data.model.layout, data.arrays
-    n, W_o = layout.joints, b.Wo
+    n, W_o, pose = layout.joints, b.Wo, layout.columns["object_pose"]
     scale = np.ones(6)
     scale[3:] = 1.0 / max(np.linalg.norm(W_o[:, 3:], axis=1).max(initial=0.0), 1e-6)
     A = (scale[:, None] * W_o.T) @ (W_o * scale)
@@ -66,15 +67,18 @@ def _holding_derivatives(data: Data) -> np.ndarray | None:
     if not eigenvalues[0] * ILL_CONDITIONED > eigenvalues[-1]:
         return None
     twist = scale * np.linalg.solve(A, scale * b.weight)
-    work, differentiation = equation_work(data, 12 + 3 * n)
+    work, differentiation = equation_work(data, 2 * layout.nv + n)
     differentiate_holding(data, differentiation, twist)
-    torques, rates = np.zeros((n, 12 + 2 * n)), np.zeros((len(W_o), 12 + 2 * n))
+    torques, rates = np.zeros((n, 2 * layout.nv)), np.zeros((len(W_o), 2 * layout.nv))
     for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
         rows, by_state = slice(*layout.rows[i : i + 2]), work.dF[i, : d1 - d0]
-        rates[rows, :6], torques[d0:d1, :6] = work.rates[rows, :6], by_state[:, :6]
-        rates[rows, 12 + d0 : 12 + d1] = work.rates[rows, 12 : 12 + d1 - d0]
-        torques[d0:d1, 12 + d0 : 12 + d1] = by_state[:, 12 : 12 + d1 - d0]
-    of_wrench = -work.dF_o[:, : 12 + 2 * n]
+        columns = arm_columns(d1 - d0, False)
+        of_arm = slice(columns.positions, columns.velocities)
+        of_all = layout.columns["joint_positions"].start + np.arange(d0, d1)
+        rates[rows, pose], torques[d0:d1, pose] = work.rates[rows, pose], by_state[:, pose]
+        rates[rows, of_all] = work.rates[rows, of_arm]
+        torques[d0:d1, of_all] = by_state[:, of_arm]
+    of_wrench = -work.dF_o[:, : 2 * layout.nv]
     of_twist = -scale[:, None] * np.linalg.solve(A, scale[:, None] * (of_wrench + W_o.T @ rates))
     forces = rates + W_o @ of_twist
     for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):

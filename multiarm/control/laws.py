@@ -162,7 +162,7 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     reach, derivative = OPEN_LOOP, None
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
-        values = table.stacked(names, context.start.position[7:])
+        values = table.stacked(names, start_angles(context))
         gains = _gains(control, context)
         carrying = _carrying(context)
         laws, reach = (recorded_position, *carrying), CARRYING if carrying else LOCAL
@@ -181,7 +181,7 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
 
 @program_of.register
 def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
-    path = JointPath(np.array([0.0, 1.0]), context.start.position[None, 7:, None])
+    path = JointPath(np.array([0.0, 1.0]), start_angles(context)[None, :, None])
     if control.path is not None:
         path = context.joint_path(control.path)
     numbers = np.concatenate([_gains(control, context), pack_path(path.bounds, path.coefficients)])
@@ -210,6 +210,11 @@ def _derivative(context: ControlContext, feedback: bool) -> Callable[[Data], np.
     """That of joint PD, of gravity compensation, or of both."""
     carries = needs_gravity_torque(context.scene)
     return partial(torque_derivatives, feedback=feedback, carries=carries)
+
+
+def start_angles(context: ControlContext) -> np.ndarray:
+    """Joint positions at the start, shape (n,)."""
+    return context.start.layout.joint_positions(context.start.position)
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:

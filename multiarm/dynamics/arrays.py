@@ -13,6 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
 from multiarm.jit.kernels import inlined
@@ -161,13 +162,17 @@ class Variables(NamedTuple):
     pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
     link_poses: Ints1  # addresses of the poses of links on which effects act
     modes: ModeStructs
-    # the state: object position and quaternion (xyzw) (7,), joints (joints,), object twist (6,)
+    # the state, see multiarm.dynamics.layout, and parts of the same memory: poses of the frames
+    # (F, 7), of the object (7,), joint positions (joints,); twist of the object (6,), joint
+    # velocities (joints,)
+    configuration: Floats1
+    poses: Floats2
     position: Floats1
     angles: Floats1
+    velocity: Floats1
     twist: Floats1
-    # configuration for Pinocchio, and joint velocities (joints,)
-    q: Floats1
     v: Floats1
+    q: Floats1  # configuration for Pinocchio
     # (n, 24), (24,), (15,): motion of the links that carry the tips, and of the object; scratch for
     # their relative motion
     arms: Floats2
@@ -182,12 +187,16 @@ class Variables(NamedTuple):
     located: Floats2
     Wo: Floats2  # (N, 6) rows ``[e; (P - x_o) x e]``
     wrench: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
-    # the object's inertia (6, 6); right-hand sides (6,), (joints,), (N,)
-    inertia: Floats2
+    inertia: Floats2  # (6, 6) of the object
+    # right-hand sides: generalised forces, and parts of the same memory, on the object (6,) and on
+    # the joints (joints,); of the constraints (N,)
+    generalised_forces: Floats1
     h_o: Floats1
     h: Floats1
     c: Floats1
-    # accelerations of object and joints; contact forces (N,), positive = pushing
+    # accelerations, and parts of the same memory, of the object and of the joints; contact forces
+    # (N,), positive = pushing
+    acceleration: Floats1
     q_o: Floats1
     qdd: Floats1
     force: Floats1
@@ -213,8 +222,10 @@ class Variables(NamedTuple):
     events: Floats2
     event_count: Ints1
     residual: Floats1  # (joints,) scratch
-    kept: Floats1  # (13 + 2 joints,) scratch: a state
-    mixed: Floats1  # (6 + joints,) scratch: accelerations
+    # scratch of an interpolation: a state, and accelerations
+    kept_configuration: Floats1
+    kept_velocity: Floats1
+    mixed: Floats1
     lost: Ints1  # (n + 1,) directions that each arm has lost at the end of the last step; the rank
     signs: Floats1  # (n,) sign of the determinant of each arm (0: unknown)
     passed: Ints1  # (n,) whether it has changed
@@ -224,24 +235,25 @@ def make_variables(
     constants: Constants,
     pointers: np.ndarray,
     *,
-    rows: int,
-    configuration: int,
+    layout: Layout,
+    pinocchio_size: int,
     works: int = 0,
     states: int = 0,
 ) -> Variables:
-    """Allocate for numbers of rows of W, of entries of Pinocchio's configuration, of effects that
-    do work, and of states of effects.
+    """Allocate for a layout, the size of Pinocchio's configuration, numbers of effects that do
+    work, and of states of effects.
     """
-    arms, joints = len(pointers), constants.q_slots.size
+    arms, joints = len(pointers), layout.joints
     monitors = len(constants.monitors)
     shapes = {
-        "position": 7, "angles": joints, "twist": 6, "q": configuration, "v": joints,
+        "q": pinocchio_size,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
-        "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6), "h_o": 6, "h": joints, "q_o": 6,
-        "qdd": joints, "torque": joints, "held": (2, joints), "gravity_torque": joints,
+        "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6),
+        "torque": joints, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
-        "residual": joints, "kept": 13 + 2 * joints, "mixed": 6 + joints, "signs": arms,
+        "residual": joints, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
+        "mixed": layout.nv, "signs": arms,
         # between two calls of the time loop; further events are only counted
         "events": (512 if monitors else 0, 3),
     }  # fmt: skip
@@ -259,8 +271,24 @@ def make_variables(
         lost=np.zeros(arms + 1, dtype=np.int64),
         passed=np.zeros(arms, dtype=np.int64),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
-        **row_variables(constants, rows),
+        **_stacked_vectors(layout),
+        **row_variables(constants, layout.contacts),
     )
+
+
+def _stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
+    """Configuration, velocity, accelerations and generalised forces, with views of their parts."""
+    q, v, a, h = (np.zeros(size) for size in (layout.nq, *[layout.nv] * 3))
+    (position,), (twist,), (q_o,), (h_o,) = (
+        layout.poses(q), layout.twists(v), layout.twists(a), layout.twists(h),
+    )  # fmt: skip
+    return {
+        "configuration": q, "poses": layout.poses(q), "position": position,
+        "angles": layout.joint_positions(q),
+        "velocity": v, "twist": twist, "v": layout.joint_rates(v),
+        "acceleration": a, "q_o": q_o, "qdd": layout.joint_rates(a),
+        "generalised_forces": h, "h_o": h_o, "h": layout.joint_rates(h),
+    }  # fmt: skip
 
 
 def row_variables(constants: Constants, rows: int) -> dict[str, np.ndarray]:

@@ -21,9 +21,10 @@ import numpy as np
 
 from multiarm.dynamics.arrays import Variables, open_data
 from multiarm.dynamics.kinematics import read_inertia
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import NodeWork
-from multiarm.dynamics.state import Layout, State, fill_by_arm
+from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.errors import USER_FAULTS, ControlError, MultiarmError, SolverError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import PythonCallback, address_of, call_python
@@ -101,8 +102,7 @@ class UserCallback(PythonCallback):
     def _write(self) -> None:
         b = self._variables
         t = b.time.now
-        position, velocity = np.concatenate([b.position, b.angles]), np.concatenate([b.twist, b.v])
-        state = State(position, velocity, self._layout)
+        state = State(b.configuration.copy(), b.velocity.copy(), self._layout)
         self._count += 1
         record = self._count & (self._count - 1) == 0  # a power of two
         before = state.copy() if record else None  # the function may write into its own

@@ -33,6 +33,7 @@ A displacement of the pose is a twist :math:`u = (\delta, \theta)`: the origin m
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from multiarm.arms.derivatives import (
     ANGULAR,
@@ -87,6 +88,28 @@ RATE_BY_POSE, SLOPES_WIDTH = MOTION_WIDTH, MOTION_WIDTH + 6
 OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
 
 
+class ArmColumns(NamedTuple):
+    """First columns of the coordinates by which an arm's equations are differentiated.
+
+    They are pose and twist of the object (6 each, world axes), positions and velocities of the
+    arm's joints, and, where they are wanted, a displacement of the contacts against the link (6),
+    in its axes.
+    """
+
+    twist: int
+    positions: int
+    velocities: int
+    placement: int
+    end: int  # number of coordinates, C
+
+
+@plain
+def arm_columns(joints, placed):
+    """The columns of an arm with this number of joints; ``placed``: with those of placements."""
+    placement = 12 + 2 * joints
+    return ArmColumns(6, 12, 12 + joints, placement, placement + (6 if placed else 0))
+
+
 @plain
 def difference_weight(offset):
     """Weight of the value at an offset in a difference of order four [1/m, 1/rad]."""
@@ -94,12 +117,10 @@ def difference_weight(offset):
 
 
 @kernel
-def differentiate_joint(model, data, first, last, n, coordinates, gaps, work):
+def differentiate_joint(model, data, first, last, columns, gaps, work):
     """Write what the equations of an arm take from its joint, rows ``first`` to ``last``.
 
-    The C ``coordinates`` are pose and twist of the object (6 each, world axes), then positions and
-    velocities of the arm's ``n`` joints, and last, if there are more, six of a displacement of the
-    contacts against the link, in its axes.  Written: ``gaps`` (N_i, C), the derivatives of the
+    By the C coordinates of :class:`ArmColumns`.  Written: ``gaps`` (N_i, C), the derivatives of the
     second derivatives of the joint's gaps by time, and in ``work``
     (:class:`multiarm.dynamics.equation_derivatives.EquationWork`) ``rates``, those of the first
     ones, ``on_object`` and ``on_link``.
@@ -112,16 +133,16 @@ def differentiate_joint(model, data, first, last, n, coordinates, gaps, work):
     else:
         differentiate_rows(model, data, first, last, work)
     of_body, of_link, by = scratch[OF_BODY], scratch[OF_LINK], scratch[OF_SEEN]
-    for c in range(coordinates):
+    for c in range(columns.end):
         clear(of_body)
         clear(of_link)
-        if c < 12:
+        if c < columns.positions:
             of_body[c] = 1.0
-        elif c < 12 + 2 * n:
+        elif c < columns.placement:
             for j in range(MOTION_WIDTH):
-                of_link[j] = work.moved[c - 12, j]
+                of_link[j] = work.moved[c - columns.positions, j]
         else:
-            displace_contacts(link, c - 12 - 2 * n, of_link)
+            displace_contacts(link, c - columns.placement, of_link)
         write_seen_displacement(body, link, seen, of_body, of_link, by)
         for k in range(first, last):
             total = rate = 0.0
@@ -131,13 +152,13 @@ def differentiate_joint(model, data, first, last, n, coordinates, gaps, work):
                 rate += slopes[k, RATE_BY_POSE + j] * by[j]
                 rate += slopes[k, LINEAR_RATE + j] * by[LINEAR + j]
             gaps[k - first, c], work.rates[k, c] = total, rate
-        moves = 1.0 if c < 12 + 2 * n else 0.0
+        moves = 1.0 if c < columns.placement else 0.0
         displace_wrenches(
             body, scratch[SEEN], wrench, vec(of_body, TURN), by, moves, work.on_object[c],
             work.on_link[c],
         )  # fmt: skip
     write_wrenches(
-        body, scratch[SEEN], wrench[6], work.on_object[coordinates], work.on_link[coordinates]
+        body, scratch[SEEN], wrench[6], work.on_object[columns.end], work.on_link[columns.end]
     )
 
 

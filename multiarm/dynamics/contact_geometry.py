@@ -169,16 +169,15 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
     coordinates by the square root of their inertia, contacts to unit length.
     """
     b, work = data.arrays, data.work
-    matrix = np.zeros((6 + data.model.layout.joints, data.model.layout.contacts))
-    scale = np.empty(6 + data.model.layout.joints)
-    matrix[:6] = b.Wo.T
-    scale[:6] = np.sqrt(np.diag(b.inertia))
+    layout = data.model.layout
+    matrix, scale = np.zeros((layout.nv, layout.contacts)), np.empty(layout.nv)
+    matrix[layout.of_frames] = b.Wo.T
+    scale[layout.of_frames] = np.sqrt(np.diag(b.inertia))
     for i in range(len(data.model.arm_names)):
-        d = slice(work.dofs[i], work.dofs[i + 1])
-        r = slice(work.rows[i], work.rows[i + 1])
+        d, r = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
-        matrix[6 + d.start : 6 + d.stop, r] = work.Y[i, :n, : r.stop - r.start]
-        scale[6 + d.start : 6 + d.stop] = np.sqrt(np.diag(work.L[i])[:n])
+        matrix[d, r] = work.Y[i, :n, : r.stop - r.start]
+        scale[d] = np.sqrt(np.diag(work.L[i])[:n])
     matrix /= scale[:, None]
     return matrix / np.linalg.norm(matrix, axis=0)
 

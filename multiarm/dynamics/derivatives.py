@@ -43,6 +43,7 @@ import numpy as np
 
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.equation_derivatives import (
     differentiate_equations,
     equation_work,
@@ -50,10 +51,10 @@ from multiarm.dynamics.equation_derivatives import (
 )
 from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.force_derivatives import applied_derivatives
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
-from multiarm.dynamics.state import Layout
 from multiarm.errors import SolverError
 
 # Derivatives of F_o by a wrench on the object.
@@ -87,11 +88,11 @@ def differentiate(
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
     if applied is not None:
         of_state = np.r_[: columns["torques"].start, columns["effect_states"]]
-        matrix[rows["effect_state_rates"], of_state] = applied[6 + layout.joints :]
+        matrix[rows["effect_state_rates"], of_state] = applied[layout.nv :]
         if admissible is not None:
             applied[:, : len(admissible)] = applied[:, : len(admissible)] @ admissible
         by_force = np.hstack([solved[:, equations.wrench], solved[:, columns["torques"]]])
-        solved[:, of_state] += by_force @ applied[: 6 + layout.joints]
+        solved[:, of_state] += by_force @ applied[: layout.nv]
     if not independent:
         unique = np.concatenate(list(found.contact_forces_unique.values()))
         matrix[rows["contact_forces"]][~unique] = np.nan
@@ -147,7 +148,7 @@ class _Equations:
         SolverError
             When the rank of the constraints changes with these displacements.
         """
-        layout, size = self._data.model.layout, 6 + self._data.model.layout.joints
+        layout, size = self._data.model.layout, self._data.model.layout.nv
         K, dF = self._stacked()
         states = self._columns["torques"].start
         if admissible is not None:
@@ -200,21 +201,25 @@ class _Equations:
     def _stacked(self) -> tuple[np.ndarray, np.ndarray]:
         """The matrix and the derivatives of all equations."""
         layout, b, work = self._data.model.layout, self._data.arrays, self._work
-        n, size = layout.joints, 6 + layout.joints
+        size, frames, by = layout.nv, layout.of_frames, self._columns
         whole = size + layout.contacts
         K, dF = np.zeros((whole, whole)), np.zeros((whole, work.dF_o.shape[1]))
-        K[:6, :6], dF[:6] = b.inertia, work.dF_o
-        K[:6, size:], K[size:, :6] = -b.Wo.T, b.Wo
+        K[frames, frames], dF[frames] = b.inertia, work.dF_o
+        K[frames, size:], K[size:, frames] = -b.Wo.T, b.Wo
         for i in range(len(layout.dofs) - 1):
             joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
             d, m = joints.stop - joints.start, rows.stop - rows.start
-            at = np.r_[6 + joints.start : 6 + joints.stop, size + rows.start : size + rows.stop]
+            at = np.r_[layout.of_arm(i), size + rows.start : size + rows.stop]
             K[np.ix_(at, at)] = work.K[i, : d + m, : d + m]
-            columns = np.r_[:12, 12 + np.r_[joints], 12 + n + np.r_[joints]]
+            positions, velocities, torques = (
+                by[name].start + np.r_[joints]
+                for name in ("joint_positions", "joint_velocities", "torques")
+            )
+            columns = np.r_[by["object_pose"], by["object_twist"], positions, velocities]
             if self._parameters and i < len(layout.names):
-                first = self._columns["placements"].start + 6 * i
+                first = by["placements"].start + 6 * i
                 columns = np.r_[columns, first : first + 6]
-            columns = np.r_[columns, 12 + 2 * n + np.r_[joints]]
+            columns = np.r_[columns, torques]
             dF[np.ix_(at, columns)] = work.dF[i, : d + m, : len(columns)]
         return K, dF
 
@@ -229,16 +234,18 @@ def _motions(
     W_o: np.ndarray,
     of_rates: np.ndarray,
 ) -> Motions:
-    size = 6 + layout.joints
+    size, frames = layout.nv, layout.of_frames
     inertia, (rates, by_position) = np.zeros((size, size)), np.zeros((2, layout.contacts, size))
-    inertia[:6, :6], rates[:, :6], by_position[:, :6] = inertia_o, W_o, of_rates[:, :6]
+    inertia[frames, frames], rates[:, frames], by_position[:, frames] = (
+        inertia_o, W_o, of_rates[:, frames],
+    )  # fmt: skip
     for i in range(len(layout.dofs) - 1):
         joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
         n, m = joints.stop - joints.start, rows.stop - rows.start
-        at = slice(6 + joints.start, 6 + joints.stop)
+        at, first = layout.of_arm(i), arm_columns(n, False).positions
         inertia[at, at] = M[i, :n, :n]
-        rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, 12 : 12 + n]
-    return Motions(inertia, closed, rates, by_position, independent)
+        rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, first : first + n]
+    return Motions(layout, inertia, closed, rates, by_position, independent)
 
 
 def _range(bounds: tuple[int, ...], i: int) -> slice:

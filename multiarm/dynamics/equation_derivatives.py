@@ -36,9 +36,11 @@ from multiarm.dynamics.contact_derivatives import (
     SCRATCH_ROWS,
     SLOPES_WIDTH,
     STILL,
+    arm_columns,
     differentiate_joint,
     unit,
 )
+from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.jit.kernels import INTS, NUMBERS, TABLE, TRUTH, clear, copy, inlined, kernel
@@ -53,8 +55,8 @@ class EquationWork(NamedTuple):
     """Results and scratch for ``n`` arms; ``d`` joints and ``m`` contacts of the largest.
 
     An arm's own columns are C coordinates, see
-    :func:`multiarm.dynamics.contact_derivatives.differentiate_joint`, the torques of its joints and
-    the object's acceleration.
+    :class:`multiarm.dynamics.contact_derivatives.ArmColumns`, the torques of its joints and the
+    object's acceleration.
     """
 
     placements: Int  # first of their columns among all; -1 without
@@ -96,7 +98,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.parts
     n, N = len(layout.dofs) - 1, layout.contacts
     d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
-    C = 12 + 2 * d + (6 if placements >= 0 else 0)
+    C = arm_columns(d, placements >= 0).end
     work = EquationWork(
         placements=placements,
         v=np.zeros(layout.joints),
@@ -228,7 +230,8 @@ def differentiate_arm(i, model, data, system, links, work):
     d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
     first, last = system.rows[i], system.rows[i + 1]
     is_arm, dF, link = i < links.first.size - 1, work.dF[i], work.link
-    C = coordinates_of(i, n, links, work)
+    columns = columns_of_arm(i, n, links, work)
+    C = columns.end
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
@@ -236,33 +239,34 @@ def differentiate_arm(i, model, data, system, links, work):
     else:  # the surroundings are at rest
         clear(link)
         link[0] = link[4] = link[8] = 1.0
-    differentiate_joint(model, data, first, last, n, C, dF[n:], work)
+    differentiate_joint(model, data, first, last, columns, dF[n:], work)
     if is_arm:
         write_inverse_dynamics(links, i, work.on_link[C], work.links, work.by_q, work.by_v)
     for j in range(n):
         for k in range(n):
-            dF[j, 12 + k], dF[j, 12 + n + k] = work.by_q[j, k], work.by_v[j, k]
+            dF[j, columns.positions + k] = work.by_q[j, k]
+            dF[j, columns.velocities + k] = work.by_v[j, k]
         dF[j, C + j] = -1.0
     for k in range(first, last):
         for l in range(6):  # noqa: E741
             dF[n + k - first, C + n + l] = data.Wo[k, l]
     for c in range(C):
-        if 6 <= c < 12 or 12 + n <= c < 12 + 2 * n:
+        if columns.twist <= c < columns.positions or columns.velocities <= c < columns.placement:
             continue  # wrenches of contacts do not depend on velocities
         if is_arm:
             subtract_torques(n, work.on_link[c], work.links, dF, c)
-        at = c if c < 12 else c + d0
-        if c >= 12 + 2 * n:
-            at = work.placements + 6 * i + c - 12 - 2 * n
+        at = c if c < columns.positions else c + d0
+        if c >= columns.placement:
+            at = work.placements + 6 * i + c - columns.placement
         for l in range(6):  # noqa: E741
             work.dF_o[l, at] -= work.on_object[c, l]
     write_matrix_of_arm(i, first, last - first, n, data, system, work)
 
 
 @inlined
-def coordinates_of(i, n, links, work):
-    """Number of the first columns of an arm: its state, and the placement of its contacts."""
-    return 12 + 2 * n + (6 if i < links.first.size - 1 and work.placements >= 0 else 0)
+def columns_of_arm(i, n, links, work):
+    """The first columns of an arm; the surroundings have no placement."""
+    return arm_columns(n, i < links.first.size - 1 and work.placements >= 0)
 
 
 @inlined
@@ -288,7 +292,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     """
     _, data, system = open_system(struct)
     links, work = _open_links(own), _open_work(own)
-    S, joints = work.S, data.angles.size
+    S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
     for l in range(6):  # noqa: E741
         copy(data.inertia[l], S[l])
         row, dF_o = matrix[l], work.dF_o[l]
@@ -300,11 +304,14 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
         if not factor_lu(work.K[i], n + last - first, work.pivots) > 0.0:
             return SINGULAR
         solve_rows(work.K[i], n + last - first, work.pivots, X)
-        C = coordinates_of(i, n, links, work)
+        columns = columns_of_arm(i, n, links, work)
+        C = columns.end
         for k in range(first, last):
             forces = X[n + k - first]
             for l in range(6):  # noqa: E741
-                subtract_own(data.Wo[k, l], forces, i, d0, n, C, joints, work, matrix[l])
+                subtract_own(
+                    data.Wo[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
+                )
                 for c in range(6):
                     S[l, c] += data.Wo[k, l] * forces[C + n + c]
     if not factor_lu(S, 6, work.pivots) > 0.0:
@@ -312,28 +319,32 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     solve_rows(S, 6, work.pivots, matrix)
     for i in range(system.dofs.size - 1):
         d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
-        m, C = system.rows[i + 1] - system.rows[i], coordinates_of(i, n, links, work)
+        columns = columns_of_arm(i, n, links, work)
+        m, C = system.rows[i + 1] - system.rows[i], columns.end
         for k in range(n + m):
             X = work.dF[i, k]
-            row = matrix[6 + d0 + k if k < n else 6 + joints + system.rows[i] + k - n]
+            row = matrix[
+                places.joints + d0 + k if k < n else places.velocity + system.rows[i] + k - n
+            ]
             clear(row)
             for l in range(6):  # noqa: E741
                 weight, of_object = X[C + n + l], matrix[l]
                 for c in range(row.size):
                     row[c] -= weight * of_object[c]
-            subtract_own(1.0, X, i, d0, n, C, joints, work, row)
+            subtract_own(1.0, X, i, d0, n, columns, columns_of_state, work, row)
     return OK
 
 
 @inlined
-def subtract_own(weight, values, i, d0, n, C, joints, work, row):
+def subtract_own(weight, values, i, d0, n, columns, columns_of_state, work, row):
     """Subtract an arm's own columns, times a weight, from a row of all columns."""
-    for c in range(12):
+    for c in range(columns.positions):
         row[c] -= weight * values[c]
-    positions, velocities, torques = 12 + d0, 12 + joints + d0, 12 + 2 * joints + d0
+    positions, velocities = columns_of_state.positions + d0, columns_of_state.rates + d0
+    torques = columns_of_state.end + d0
     for k in range(n):
-        row[positions + k] -= weight * values[12 + k]
-        row[velocities + k] -= weight * values[12 + n + k]
-        row[torques + k] -= weight * values[C + k]
-    for k in range(C - 12 - 2 * n):
-        row[work.placements + 6 * i + k] -= weight * values[12 + 2 * n + k]
+        row[positions + k] -= weight * values[columns.positions + k]
+        row[velocities + k] -= weight * values[columns.velocities + k]
+        row[torques + k] -= weight * values[columns.end + k]
+    for k in range(columns.end - columns.placement):
+        row[work.placements + 6 * i + k] -= weight * values[columns.placement + k]

@@ -37,12 +37,13 @@ from multiarm.dynamics.diagnosis import (
     lost_motions,
 )
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import PART_TOLERANCE, CoupledWork, loose_rows
 from multiarm.dynamics.solver_monitor import evaluate_and_check
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.state import State
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
 from multiarm.notation import numbers

@@ -13,6 +13,7 @@ import numpy as np
 from multiarm.arms.terms import BIAS_AT
 from multiarm.dynamics.arrays import OK, OPEN_LOOP, open_data, open_system
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
+from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import INTS, TABLE, TRUTH, clear, kernel
 from multiarm.jit.pointers import call_cfunc
@@ -23,24 +24,23 @@ from multiarm.spatial import retract_into
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     """Derivatives of what control and effects add to the forces, at the state in the data.
 
-    Of wrench on the object (6), forces on the joints (n) and rates of effects' states (e), by
-    displacements of the object's pose, its twist, joint positions, joint velocities and effects'
-    states, shape (6 + n + e, 12 + 2 n + e); None where nothing depends on these.  Without
-    ``closed_loop`` the control's torques are held.
+    Of generalised forces and rates of effects' states (e), by the columns of the state
+    (:mod:`multiarm.dynamics.layout`) and effects' states, shape (6 + n + e, 12 + 2 n + e); None
+    where nothing depends on these.  Without ``closed_loop`` the control's torques are held.
     """
-    model, n, e = data.model, data.model.layout.joints, data.arrays.inner.size
+    model, layout, e = data.model, data.model.layout, data.arrays.inner.size
     follows = len(model.constants.control) > 0 and model.constants.control_reach > OPEN_LOOP
     by_law = _law_derivatives(data) if closed_loop and follows else None
     by_differences = closed_loop and follows and by_law is None
-    found = np.zeros((12 + 2 * n + e, 6 + n + e))
+    by_state = np.zeros((2 * layout.nv + e, layout.nv + e))
     if by_differences or model.effects.kernels:
-        if differentiate_forces(data.struct, by_differences, found) != OK:
+        if differentiate_forces(data.struct, by_differences, by_state) != OK:
             data.reraise()
     elif by_law is None:
         return None
     if by_law is not None:
-        found[: 12 + 2 * n, 6 : 6 + n] += by_law.T
-    return found.T
+        by_state[: 2 * layout.nv, layout.of_joints] += by_law.T
+    return by_state.T
 
 
 def _law_derivatives(data: Data) -> np.ndarray | None:
@@ -52,46 +52,67 @@ def _law_derivatives(data: Data) -> np.ndarray | None:
 
 
 @kernel
-def differentiate_forces(struct: INTS, closed_loop: TRUTH, found: TABLE):
+def differentiate_forces(struct: INTS, closed_loop: TRUTH, by_state: TABLE):
     """Write what :func:`applied_derivatives` describes, transposed; returns a status.
 
     At the end the data are as they were.
     """
     data = open_data(struct)
-    x, y, z, w = data.position[3], data.position[4], data.position[5], data.position[6]
-    for column in range(found.shape[0]):
-        clear(found[column])
-        values, place = state_entry(data, column)
-        before = values[place]
-        for offset in OFFSETS:
-            if 3 <= column < 6:
-                h = offset * STEP
-                about_x, about_y = h if column == 3 else 0.0, h if column == 4 else 0.0
-                turn = (about_x, about_y, h - about_x - about_y)
-                retract_into((x, y, z, w), turn, data.position[3:7])
-            else:
-                values[place] = before + offset * STEP
-            status = add_forces(struct, difference_weight(offset), closed_loop, found[column])
-            if status != OK:
-                return status
-        values[place] = before
-        data.position[3], data.position[4], data.position[5], data.position[6] = x, y, z, w
-    return add_forces(struct, 0.0, closed_loop, found[0])
+    for column in range(by_state.shape[0]):
+        row = by_state[column]
+        clear(row)
+        status = differentiate_by_entry(struct, data, column, closed_loop, row)
+        if status != OK:
+            return status
+    return add_forces(struct, 0.0, closed_loop, by_state[0])
 
 
 @kernel
-def state_entry(data, column):
-    """The array and the place in it of a coordinate of the state; of a turn, any place."""
-    n = data.angles.size
-    if column < 6:
-        return data.position, min(column, 2)
-    if column < 12:
-        return data.twist, column - 6
-    if column < 12 + n:
-        return data.angles, column - 12
-    if column < 12 + 2 * n:
-        return data.v, column - 12 - n
-    return data.inner, column - 12 - 2 * n
+def differentiate_by_entry(struct, data, column, closed_loop, row):
+    """Add the derivatives by one column of the state; returns a status."""
+    at = state_columns(data)
+    if column < at.twists:
+        return differentiate_by_pose(struct, data, column // 6, column % 6, closed_loop, row)
+    if column < at.positions:
+        values, place = data.velocity, column - at.twists
+    elif column < at.rates:
+        values, place = data.angles, column - at.positions
+    elif column < at.end:
+        values, place = data.v, column - at.rates
+    else:
+        values, place = data.inner, column - at.end
+    return differentiate_by_number(struct, values, place, closed_loop, row)
+
+
+@kernel
+def differentiate_by_number(struct, values, place, closed_loop, row):
+    """Add the derivatives by one number in the data; returns a status."""
+    before = values[place]
+    for offset in OFFSETS:
+        values[place] = before + offset * STEP
+        status = add_forces(struct, difference_weight(offset), closed_loop, row)
+        if status != OK:
+            return status
+    values[place] = before
+    return OK
+
+
+@kernel
+def differentiate_by_pose(struct, data, frame, axis, closed_loop, row):
+    """Add the derivatives by a displacement of one frame along or about an axis of the world."""
+    if axis < 3:
+        return differentiate_by_number(struct, data.poses[frame], axis, closed_loop, row)
+    quaternion = data.poses[frame, 3:7]
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    for offset in OFFSETS:
+        h = offset * STEP
+        about_x, about_y = h if axis == 3 else 0.0, h if axis == 4 else 0.0
+        retract_into((x, y, z, w), (about_x, about_y, h - about_x - about_y), quaternion)
+        status = add_forces(struct, difference_weight(offset), closed_loop, row)
+        if status != OK:
+            return status
+    quaternion[0], quaternion[1], quaternion[2], quaternion[3] = x, y, z, w
+    return OK
 
 
 @kernel
@@ -101,22 +122,22 @@ def add_forces(struct, weight, closed_loop, row):
     status = call_cfunc(data.functions.kinematics, struct, 0.0, 0.0)
     if status != OK:
         return status
-    for k in range(6):  # weight and gyroscopic moment
-        row[k] -= weight * data.h_o[k]
+    places = chart_places(data)
+    for k in range(places.joints):  # weight and gyroscopic moment
+        row[k] -= weight * data.generalised_forces[k]
     status = call_cfunc(data.functions.forces, struct, 0.0, 0.0)
     if status != OK:
         return status
-    n = data.angles.size
-    for k in range(6):
-        row[k] += weight * data.h_o[k]
+    for k in range(data.generalised_forces.size):
+        row[k] += weight * data.generalised_forces[k]
     for i in range(work.dofs.size - 1):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         bias = floats_at(data.pointers[i, BIAS_AT], d)
         for j in range(d):
-            row[6 + d0 + j] += weight * (data.h[d0 + j] + bias[j])
+            row[places.joints + d0 + j] += weight * bias[j]
     if not closed_loop:
-        for k in range(n):
-            row[6 + k] -= weight * data.torque[k]
+        for k in range(data.torque.size):
+            row[places.joints + k] -= weight * data.torque[k]
     for k in range(data.inner_rate.size):
-        row[6 + n + k] += weight * data.inner_rate[k]
+        row[places.velocity + k] += weight * data.inner_rate[k]
     return OK

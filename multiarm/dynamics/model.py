@@ -57,9 +57,10 @@ from multiarm.dynamics.arrays import (
 from multiarm.dynamics.callbacks import NO_CONTROL, PythonControl, UserCallback, dense_solver
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.held_control import Sampling, with_held_control
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
-from multiarm.dynamics.state import Layout, State, require_same_joints
+from multiarm.dynamics.state import State, require_same_joints
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
@@ -334,8 +335,8 @@ class Data:
         arrays = make_variables(
             model.constants,
             self._pointers(),
-            rows=model.layout.contacts,
-            configuration=self._backends.configuration,
+            layout=model.layout,
+            pinocchio_size=self._backends.configuration,
             works=len(model.effects.works),
             states=model.effects.states,
         )
@@ -486,8 +487,7 @@ class Data:
     def move_to(self, state: State) -> None:
         """Write positions and velocities; memory of the previous state is kept."""
         b = self.arrays
-        b.position[:], b.angles[:] = state.position[:7], state.position[7:]
-        b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
+        b.configuration[:], b.velocity[:] = state.position, state.velocity
 
     def hold(self, torques: np.ndarray | None) -> None:
         """Hold torques (n,) from now on, in a model whose control can be held.
@@ -505,11 +505,7 @@ class Data:
     def get_state(self) -> State:
         """A copy of the state."""
         b = self.arrays
-        return State(
-            np.concatenate([b.position, b.angles]),
-            np.concatenate([b.twist, b.v]),
-            self.model.layout,
-        )
+        return State(b.configuration.copy(), b.velocity.copy(), self.model.layout)
 
     def effect_states(self) -> np.ndarray:
         """States of the effects at the start of a run, which has just been evaluated."""

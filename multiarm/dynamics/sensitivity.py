@@ -14,12 +14,11 @@ from typing import NamedTuple, NoReturn, TypeVar
 import numpy as np
 
 from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.layout import STATE, Layout, in_sequence
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.state import Layout
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
 
-STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
 INPUTS = ("torques", "effect_states")
 PARAMETERS = ("object_wrench", "object_mass", "object_inertia", "placements")
 
@@ -29,31 +28,23 @@ def columns_of(layout: Layout, states: int, parameters: bool) -> dict[str, slice
 
     ``states``: number of states of effects.
     """
-    n, arms = layout.joints, len(layout.names)
-    sizes = dict(zip((*STATE, *INPUTS), (6, 6, n, n, n, states), strict=True))
+    sizes = {name: part.stop - part.start for name, part in layout.columns.items()}
+    sizes |= dict(zip(INPUTS, (layout.joints, states), strict=True))
     if parameters:
-        sizes |= dict(zip(PARAMETERS, (6, 1, 6, 6 * arms), strict=True))
-    return _in_sequence(sizes)
+        sizes |= dict(zip(PARAMETERS, (6, 1, 6, 6 * len(layout.names)), strict=True))
+    return in_sequence(sizes)
 
 
 def rows_of(layout: Layout, states: int) -> dict[str, slice]:
     """Where the quantities are that are differentiated."""
-    return _in_sequence(
+    return in_sequence(
         {
-            "object_acceleration": 6,
+            "object_acceleration": 6 * layout.frames,
             "joint_accelerations": layout.joints,
             "contact_forces": layout.contacts,
             "effect_state_rates": states,
         }
     )
-
-
-def _in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
-    found, end = {}, 0
-    for name, size in sizes.items():
-        found[name] = slice(end, end + size)
-        end += size
-    return found
 
 
 Derivative = TypeVar("Derivative", float, np.ndarray)
@@ -159,6 +150,7 @@ class Motions(NamedTuple):
 
     Attributes
     ----------
+    layout : Layout
     inertia : ndarray, shape (6 + n, 6 + n)
         Kinetic energy is half its square form of the velocities.
     closed : bool ndarray, shape (N,)
@@ -171,6 +163,7 @@ class Motions(NamedTuple):
         Whether no row repeats others.
     """
 
+    layout: Layout
     inertia: np.ndarray
     closed: np.ndarray
     rates: np.ndarray
@@ -188,12 +181,12 @@ class Motions(NamedTuple):
 
         In the order of the columns of :class:`Derivatives`.
         """
-        gaps, n = self.gaps, self.inertia.shape[0] - 6
-        found, K = np.zeros((len(gaps) + len(self.rates), 12 + 2 * n)), len(gaps)
-        for columns, own in ((slice(6), slice(6)), (slice(12, 12 + n), slice(6, None))):
-            found[:K, columns], found[K:, columns] = gaps[:, own], self.rates_by_position[:, own]
-        found[K:, 6:12], found[K:, 12 + n :] = self.rates[:, :6], self.rates[:, 6:]
-        return found
+        gaps, layout = self.gaps, self.layout
+        matrix, K = np.zeros((len(gaps) + len(self.rates), 2 * layout.nv)), len(gaps)
+        matrix[:K, layout.displacement_columns] = gaps
+        matrix[K:, layout.displacement_columns] = self.rates_by_position
+        matrix[K:, layout.velocity_columns] = self.rates
+        return matrix
 
     def admissible(self) -> np.ndarray:
         """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.

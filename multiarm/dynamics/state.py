@@ -9,62 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.dynamics.layout import Layout
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import shown
-
-NAMED_ARMS = 4
-"""More arms are counted where an object shows itself in a line."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where each arm's joints (``dofs``) and contacts (``rows``) are in stacked vectors.
-
-    Contacts of the object with its surroundings come last, as those of an arm without joints and
-    name.
-    """
-
-    names: tuple[str, ...]
-    dofs: tuple[int, ...]
-    rows: tuple[int, ...]
-
-    def __str__(self) -> str:
-        count = len(self.names)
-        arms = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
-        return f"{arms}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
-
-    @property
-    def joints(self) -> int:
-        """Number of joints of all arms."""
-        return self.dofs[-1]
-
-    @property
-    def contacts(self) -> int:
-        """Number of contacts of all arms, and of the surroundings."""
-        return self.rows[-1]
-
-    @property
-    def surroundings(self) -> slice:
-        """Contacts of the object with its surroundings."""
-        return slice(self.rows[len(self.names)], self.rows[-1])
-
-    def same_joints(self, other: Layout) -> bool:
-        """Whether the joints are the same; the contacts may differ."""
-        return (self.names, self.dofs) == (other.names, other.dofs)
-
-    def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
-        """Views ``arm -> vector[..., its joints]``."""
-        return self._split(vector, self.dofs)
-
-    def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
-        """Views ``arm -> vector[..., its contacts]``."""
-        return self._split(vector, self.rows)
-
-    def _split(self, vector: np.ndarray, bounds: tuple[int, ...]) -> dict[str, np.ndarray]:
-        pairs = zip(self.names, bounds[:-1], bounds[1:], strict=False)
-        return {name: vector[..., a:b] for name, a, b in pairs}
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,11 +23,13 @@ class State:
     Attributes
     ----------
     position : ndarray, shape (7 + n,)
-        Object's centre of mass [m], its quaternion (xyzw), joint positions [rad or m].
+        The configuration: object's centre of mass [m], its quaternion (xyzw), joint positions
+        [rad or m].
     velocity : ndarray, shape (6 + n,)
         Object's twist (world axes: velocity of the centre of mass, angular velocity), joint
         velocities.
     layout : Layout
+        Where these are in the two vectors.
 
     The named attributes are views into these two arrays.
     """
@@ -96,27 +47,29 @@ class State:
     @property
     def object_position(self) -> np.ndarray:
         """Centre of mass in world axes, shape (3,) [m]."""
-        return self.position[:3]
+        return self._pose[:3]
 
     @property
     def object_quaternion_xyzw(self) -> np.ndarray:
         """Orientation of the object, scalar last, shape (4,)."""
-        return self.position[3:7]
+        return self._pose[3:]
 
     @property
     def object_twist(self) -> np.ndarray:
         """Velocity of the centre of mass and angular velocity, world axes, shape (6,)."""
-        return self.velocity[:6]
+        return self.layout.twists(self.velocity)[0]
 
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:
         """Arm name -> joint positions, one number a joint, shape (n_i,)."""
-        return MappingProxyType(self.layout.split_joints(self.position[7:]))
+        return MappingProxyType(
+            self.layout.split_joints(self.layout.joint_positions(self.position))
+        )
 
     @property
     def joint_velocities(self) -> Mapping[str, np.ndarray]:
         """Arm name -> joint velocities, shape (n_i,)."""
-        return MappingProxyType(self.layout.split_joints(self.velocity[6:]))
+        return MappingProxyType(self.layout.split_joints(self.layout.joint_rates(self.velocity)))
 
     def copy(self) -> State:
         """An independent copy."""
@@ -127,21 +80,20 @@ class State:
 
         World axes; the velocities stay as they are.
         """
-        from multiarm.spatial import retract  # with Numba, which registering does without
+        from multiarm.dynamics.coordinates import retracted  # with Numba, which takes long
 
-        moved = self.copy()
-        moved.position[:3] += displacement[:3]
-        moved.position[3:7] = retract(self.position[3:7], displacement[3:6])
-        moved.position[7:] += displacement[6:]
-        return moved
+        position = retracted(self.layout, self.position, displacement)
+        return State(position, self.velocity.copy(), self.layout)
 
     def displacement_to(self, other: State) -> np.ndarray:
         """The displacement, as of :meth:`displaced`, that leads to another state, (6 + n,)."""
-        from multiarm.spatial import difference  # with Numba, as above
+        from multiarm.dynamics.coordinates import difference  # as above
 
-        shift = other.position - self.position
-        turn = difference(self.position[3:7], other.position[3:7])
-        return np.concatenate([shift[:3], turn, shift[7:]])
+        return difference(self.layout, self.position, other.position)
+
+    @property
+    def _pose(self) -> np.ndarray:
+        return self.layout.poses(self.position)[0]
 
 
 def require_same_joints(state: State, layout: Layout) -> None:

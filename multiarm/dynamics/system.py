@@ -284,7 +284,7 @@ class System:
         """
         state = self.initial_state()
         if object_position is not None:
-            state.position[:3] = checked_vector("object_position", object_position, 3)
+            state.object_position[:] = checked_vector("object_position", object_position, 3)
         if object_quaternion_xyzw is not None:
             quaternion = checked_vector("object_quaternion_xyzw", object_quaternion_xyzw, 4)
             if np.abs(quaternion).max() > 1e100:  # its square would overflow
@@ -292,9 +292,9 @@ class System:
             norm = np.linalg.norm(quaternion)
             if not norm > 1e-12:
                 raise ModelError("object_quaternion_xyzw has length zero")
-            state.position[3:7] = quaternion / norm
+            state.object_quaternion_xyzw[:] = quaternion / norm
         if object_twist is not None:
-            state.velocity[:6] = checked_vector("object_twist", object_twist, 6)
+            state.object_twist[:] = checked_vector("object_twist", object_twist, 6)
         fill_by_arm("joint_positions", state.joint_positions, joint_positions or {})
         fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
         return state

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from multiarm.arms.arm import Arm
 from multiarm.arms.terms import TipKinematics
-from multiarm.dynamics.state import NAMED_ARMS, State
+from multiarm.dynamics.layout import NAMED_ARMS
+from multiarm.dynamics.state import State
 from multiarm.errors import ModelError
 from multiarm.public import public_names
 from multiarm.scene.faults import counted

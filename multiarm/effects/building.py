@@ -13,8 +13,8 @@ from multiarm.arms.arm import Arm
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.callbacks import UserCallback
 from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel, EffectProgram
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.state import Layout
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
@@ -111,12 +111,9 @@ def add_loads(address, size, at, _t):
     if data.status.failed:
         return 0  # another function failed
     call_python(function[0])
-    for k in range(6):
-        data.h_o[k] += loads[k]
-        power += loads[k] * data.twist[k]
-    for j in range(data.h.size):
-        data.h[j] += loads[6 + j]
-        power += loads[6 + j] * data.v[j]
+    for k in range(loads.size):
+        data.generalised_forces[k] += loads[k]
+        power += loads[k] * data.velocity[k]
     data.power[slots[POWER]] = power
     return 0
 
@@ -129,7 +126,7 @@ def forces_kernel(
     ``make`` returns the function; it is called once for every Data.  ``read`` returns the result of
     the function as wrench and joint torques, shape (6 + n,).
     """
-    address, loads = np.zeros(1, dtype=np.int64), np.zeros(6 + layout.joints)
+    address, loads = np.zeros(1, dtype=np.int64), np.zeros(layout.nv)
 
     def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
         own_address, own_loads = arrays

@@ -32,7 +32,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multiarm.dynamics.state import Layout, State, checked_vector, fill_by_arm
+from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.state import State, checked_vector, fill_by_arm
 from multiarm.errors import ControlError
 from multiarm.scene.registry import OwnSpec
 
@@ -122,8 +123,10 @@ def _stacked(name: str, layout: Layout, found: object) -> np.ndarray:
     who = f"the effect {name!r}"
     if not isinstance(found, Loads):
         raise ControlError(f"{who} returned {type(found).__name__}; return multiarm.Loads(...)")
-    loads = np.zeros(6 + layout.joints)
-    loads[:6] = checked_vector(f"{who}: object_wrench", found.object_wrench, 6, ControlError)
-    views = layout.split_joints(loads[6:])
+    loads = np.zeros(layout.nv)
+    loads[layout.of_frames] = checked_vector(
+        f"{who}: object_wrench", found.object_wrench, 6, ControlError
+    )
+    views = layout.split_joints(layout.joint_rates(loads))
     fill_by_arm(f"{who}: joint_torques", views, found.joint_torques, ControlError)
     return loads

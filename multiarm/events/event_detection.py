@@ -21,12 +21,13 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.arrays import OK, open_system
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
+from multiarm.dynamics.coordinates import load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.events.kernels import QUIET, spring_length, write_guards
 from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
-from multiarm.integration.step import interpolate, load, open_step
+from multiarm.integration.step import interpolate, open_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import address_of, call_cfunc
 
@@ -127,7 +128,7 @@ def evaluate_in_step(struct, arrays, guards, t, h, theta):
     method, step = open_step(arrays)
     _, data, _ = open_system(struct)
     interpolate(method, step, theta, step.z_stage)
-    load(step.z_stage, step.base_old, data)
+    load_chart(step.z_stage, step.base_old, data)
     data.time.now = min(t + theta * h, data.time.latest)
     status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:

@@ -13,6 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
 from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.coordinates import retracted
 from multiarm.dynamics.equations import (
     evaluate_state,
     solve_constrained,
@@ -23,7 +24,6 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
 from multiarm.events.modes import Modes
-from multiarm.spatial import retract
 
 # Rows whose scaled response has smaller eigenvalues are dependent.
 DEPENDENT = 1e-7
@@ -49,18 +49,18 @@ class RowDynamics:
     def rest_rate(self) -> float:
         """Rates below this are rest [m/s, rad/s]."""
         arrays = self.full.arrays
-        fastest = max(np.max(np.abs(arrays.twist)), np.max(np.abs(arrays.v), initial=0.0))
+        fastest = np.max(np.abs(arrays.velocity))
         return 1e-9 * (1.0 + float(fastest))
 
     def jacobian(self, rows: list[int]) -> np.ndarray:
         """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
         full = self.full
-        layout, matrix = full.model.layout, np.zeros((len(rows), 6 + full.model.layout.joints))
+        layout, matrix = full.model.layout, np.zeros((len(rows), full.model.layout.nv))
         for k, row in enumerate(rows):
             i = int(np.searchsorted(layout.rows, row, side="right")) - 1
             matrix[k, :6] = full.arrays.Wo[row]
-            d0, d1 = layout.dofs[i], layout.dofs[i + 1]
-            matrix[k, 6 + d0 : 6 + d1] = full.work.Y[i, : d1 - d0, row - layout.rows[i]]
+            joints = layout.of_arm(i)
+            matrix[k, joints] = full.work.Y[i, : joints.stop - joints.start, row - layout.rows[i]]
         return matrix
 
     def response(self, jacobian: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
@@ -96,18 +96,15 @@ class RowDynamics:
         There is no force on the other rows.
         """
         b = data.arrays
-        kept = b.time.now, b.position.copy(), b.angles.copy()
+        now, here = b.time.now, b.configuration.copy()
         if ahead > 0.0:
             b.time.now += ahead
-            b.position[:3] += ahead * b.twist[:3]
-            b.position[3:] = retract(b.position[3:], ahead * b.twist[3:])
-            b.angles[:] += ahead * b.v
+            b.configuration[:] = retracted(data.model.layout, here, ahead * b.velocity)
         _require(evaluate_state(data.struct, 0.0, 0.0), data)
-        motion = np.concatenate([b.q_o, b.qdd])
         update_rows(self.full.struct)
-        free = self.jacobian(rows) @ motion + self.full.arrays.contacts[rows, GAP_BIAS]
+        free = self.jacobian(rows) @ b.acceleration + self.full.arrays.contacts[rows, GAP_BIAS]
         if ahead > 0.0:
-            b.time.now, b.position[:], b.angles[:] = kept
+            b.time.now, b.configuration[:] = now, here
             self.update()
         return free
 
@@ -137,9 +134,9 @@ def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
     """Accelerations (velocities) of object and joints due to forces (impulses), (6 + n,)."""
     b = data.arrays
     _require(update_kinematics(data.struct), data)
-    b.h_o[:], b.h[:], b.c[:] = force[:6], force[6:], 0.0
+    b.generalised_forces[:], b.c[:] = force, 0.0
     _require(solve_constrained(data.struct), data)
-    return np.concatenate([b.q_o, b.qdd])
+    return b.acceleration.copy()
 
 
 def _require(status: int, data: Data) -> None:

@@ -29,15 +29,16 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.sensitivity import Derivatives
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.motion import Motion
 from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
-from multiarm.gradients.variation import Parameter, Variation, state_columns, variation
+from multiarm.gradients.variation import Parameter, Variation, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
@@ -190,7 +191,7 @@ class Along:
     @property
     def size(self) -> int:
         """Number of components of a displacement."""
-        return 12 + 2 * self.layout.joints
+        return 2 * self.layout.nv
 
     @property
     def paths(self) -> list[str]:
@@ -222,8 +223,8 @@ class Along:
     @cached_property
     def _accelerations(self) -> np.ndarray:
         """Which components of a displacement's rate are accelerations, (D,)."""
-        at, which = state_columns(self.layout), np.zeros(self.size, bool)
-        which[at["object_twist"]] = which[at["joint_velocities"]] = True
+        which = np.zeros(self.size, bool)
+        which[self.layout.velocity_columns] = True
         return which
 
     @cached_property
@@ -291,7 +292,7 @@ class Along:
         """Choose segments over which the velocities of the run are series of low degree."""
         self._segments = []
         for panel in self._motion.panels:
-            series, first = self._motion.series(panel.begin), 7 + self.layout.joints
+            series, first = self._motion.series(panel.begin), self.layout.nq
             self._segments += _planned(panel, series, first, self.tolerance / ROUGHER)
 
     def _resolve(self) -> None:

@@ -39,7 +39,7 @@ from multiarm.gradients.segments import (
     Piece,
     Segment,
 )
-from multiarm.gradients.variation import TINY, displaced, state_columns
+from multiarm.gradients.variation import TINY, displaced
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.faults import shown, unknown
@@ -246,7 +246,7 @@ def gradient(
         solution, quality = along.to_accuracy(walk, show)
     return Gradient(
         value=solution.value,
-        start=Sensitivity(solution.start, along.layout, state_columns(along.layout)),
+        start=Sensitivity(solution.start, along.layout, along.layout.columns),
         parameters=ByPath(zip(along.paths, solution.by_parameters.tolist(), strict=True)),
         trajectory=along.trajectory,
         **quality._asdict(),
@@ -406,7 +406,7 @@ def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
 
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:
     """The value of a user's function and its derivatives by a displacement, shape (D,)."""
-    size = 12 + 2 * state.layout.joints
+    size = 2 * state.layout.nv
     result = _scalar(function, t, state.copy())
     if isinstance(result, tuple):
         value, slope = result

@@ -158,8 +158,8 @@ class Motion:
         return run, dict(zip(np.unique(times).tolist(), numbers, strict=True))
 
     def _state(self, numbers: np.ndarray) -> State:
-        velocities = 7 + self._layout.joints
-        return State(numbers[:velocities], numbers[velocities:], self._layout)
+        nq = self._layout.nq
+        return State(numbers[:nq], numbers[nq:], self._layout)
 
 
 def _refuse_events(run: Trajectory) -> None:

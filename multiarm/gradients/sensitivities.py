@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.sensitivity import Sensitivity
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SceneError
 from multiarm.gradients.along import Along, Course, Done, Parameters
@@ -30,7 +31,7 @@ from multiarm.gradients.segments import (
     Halving,
     Piece,
 )
-from multiarm.gradients.variation import TINY, state_columns
+from multiarm.gradients.variation import TINY
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -183,7 +184,7 @@ def sensitivities(
         solution, quality = along.to_accuracy(
             lambda course, report: _Forward(along, course).walk(report), show
         )
-    rows, columns = state_columns(along.layout), state_columns(along.layout)
+    rows, columns = along.layout.columns, along.layout.columns
     for path in along.paths:
         columns[path] = slice(end := max(part.stop for part in columns.values()), end + 1)
     return Sensitivities(

@@ -38,9 +38,9 @@ from multiarm.assembly.start import project_start
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.sensitivity import STATE, Derivatives, Motions, columns_of
+from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
@@ -104,20 +104,15 @@ class Variation(NamedTuple):
         return sum(part.size for part in arrays if isinstance(part, np.ndarray))
 
 
-def state_columns(layout: Layout) -> dict[str, slice]:
-    """Where the parts of a displacement are: first among the columns of derivatives."""
-    columns = columns_of(layout, 0, False)
-    return {name: columns[name] for name in STATE}
-
-
 def variation(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``B`` from the derivatives of the accelerations."""
     layout, rows, columns = derivatives.layout, derivatives.rows, derivatives.columns
-    at, size = state_columns(layout), 12 + 2 * layout.joints
+    at, size = layout.columns, 2 * layout.nv
     A, B = np.zeros((size, size)), np.zeros((size, layout.joints))
-    A[at["object_pose"], at["object_twist"]] = np.eye(6)
-    A[3:6, 3:6] = skew(derivatives.evaluation.state.object_twist[3:])
-    A[at["joint_positions"], at["joint_velocities"]] = np.eye(layout.joints)
+    A[layout.displacement_columns, layout.velocity_columns] = 1.0
+    for f, twist in enumerate(layout.twists(derivatives.evaluation.state.velocity)):
+        turn = slice(6 * f + 3, 6 * f + 6)
+        A[turn, turn] = skew(twist[3:])
     for velocity, acceleration in (
         ("object_twist", "object_acceleration"),
         ("joint_velocities", "joint_accelerations"),
@@ -129,15 +124,17 @@ def variation(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
 
 def displacement(start: State, end: State) -> np.ndarray:
     """The displacement from one state to another nearby, shape (D,)."""
-    moved, faster = start.displacement_to(end), end.velocity - start.velocity
-    return np.concatenate([moved[:6], faster[:6], moved[6:], faster[6:]])
+    layout = start.layout
+    delta = np.empty(2 * layout.nv)
+    delta[layout.displacement_columns] = start.displacement_to(end)
+    delta[layout.velocity_columns] = end.velocity - start.velocity
+    return delta
 
 
 def displaced(state: State, delta: np.ndarray) -> State:
     """A state with a displacement, shape (D,)."""
-    n = state.layout.joints
-    moved = state.displaced(np.r_[delta[:6], delta[12 : 12 + n]])
-    moved.velocity[:] += np.r_[delta[6:12], delta[12 + n :]]
+    moved = state.displaced(delta[state.layout.displacement_columns])
+    moved.velocity[:] += delta[state.layout.velocity_columns]
     return moved
 
 
@@ -237,7 +234,7 @@ class Parameter:
             When the parameter moves contacts that can open.
         """
         weights, systems = np.array(list(self._systems)), list(self._systems.values())
-        moves = np.zeros((len(systems), 12 + 2 * state.layout.joints))
+        moves = np.zeros((len(systems), 2 * state.layout.nv))
         evaluated = [self._evaluated(system, t, state) for system in systems]
         gaps = np.array([residuals for _, residuals in evaluated])
         if np.ptp(gaps, axis=0).max(initial=0.0) > self._closed(state):
@@ -251,9 +248,9 @@ class Parameter:
                     for system, move in zip(systems, moves, strict=True)
                 ]
                 gaps = np.array([residuals for _, residuals in evaluated])
-        rate = weights @ [accelerations for accelerations, _ in evaluated]
-        still = np.zeros(6), np.zeros(state.layout.joints)
-        return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), weights @ moves
+        rate = np.zeros(2 * state.layout.nv)
+        rate[state.layout.velocity_columns] = weights @ [changes for changes, _ in evaluated]
+        return rate, weights @ moves
 
     def _closed(self, state: State) -> float:
         """Changes of gaps [m] and gap rates [m/s] that are roundings, at a state."""

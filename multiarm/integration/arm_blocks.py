@@ -66,6 +66,7 @@ from multiarm.dynamics.arrays import (
     open_data,
     open_system,
 )
+from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import (
     drift_terms,
     load_gravity_torque,
@@ -76,7 +77,7 @@ from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.integration.projection import greatest
-from multiarm.integration.step import Step, load
+from multiarm.integration.step import Step
 from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import (
@@ -190,7 +191,7 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
         states=states,
         powers=np.array(powers, dtype=np.int64),
         power=np.zeros((n + 1, works)),
-        before=np.zeros(6 + layout.joints),
+        before=np.zeros(layout.nv),
         products=np.zeros((n, rows + 12)),
         products_o=np.zeros(6 + works),
         base=np.zeros((n, rows + 12)),
@@ -303,12 +304,12 @@ def differentiate_by_state(step, struct, blocks, t):
     Returns a status.
     """
     _, data, work = open_system(struct)
-    n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    places, d, own = chart_places(data), blocks.d, 2 * blocks.d + blocks.e
     status = differentiate_by_share(step, struct, blocks, t)
     if status != OK:
         return status
-    fast = CHANGE * max(1.0, greatest(step.z[6 + n : 12 + 2 * n]))
-    strong = CHANGE * max(1.0, greatest(step.z[12 + 2 * n : step.tolerance.size]))
+    fast = CHANGE * max(1.0, greatest(step.z[places.velocity : places.states]))
+    strong = CHANGE * max(1.0, greatest(step.z[places.states : places.works]))
     central = step.implicit.beta != 0.0
     copy(step.z, step.z_stage)
     for k in range(TIME + own):
@@ -322,12 +323,12 @@ def differentiate_by_state(step, struct, blocks, t):
         sides = 2 if central and of_position else 1
         for side in range(sides):
             offset = change if side == 0 else -change
-            displace(step, blocks, work, n, column, offset)
+            displace(step, blocks, work, places, column, offset)
             status = write_residuals(step, struct, blocks, t, step.z_stage, of_arms, of_position)
             if status != OK:
                 return status
             add_difference(blocks, 1.0 / (sides * offset), column)
-        displace(step, blocks, work, n, column, 0.0)
+        displace(step, blocks, work, places, column, 0.0)
     return OK
 
 
@@ -348,22 +349,24 @@ def differentiate_by_share(step, struct, blocks, t):
 
 
 @inlined
-def displace(step, blocks, work, n, column, change):
+def displace(step, blocks, work, places, column, change):
     """Displace the entry of the state that a column belongs to, of every arm that has it."""
     d, z, own = blocks.d, step.z_stage, 2 * blocks.d + blocks.e
     if column >= own:
-        at = column - own if column < own + TWIST else n + column - own
+        at = column - own
+        if at >= TWIST:
+            at += places.velocity - TWIST
         z[at] = step.z[at] + change
         return
     for i in range(blocks.counts.size):
         first, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         at = -1
         if column < d and column < joints:
-            at = 6 + first + column
+            at = places.joints + first + column
         elif d <= column < d + joints:
-            at = 12 + n + first + column - d
+            at = places.rates + first + column - d
         elif 2 * d <= column < 2 * d + blocks.counts[i]:
-            at = 12 + 2 * n + blocks.states[i, column - 2 * d]
+            at = places.states + blocks.states[i, column - 2 * d]
         if at >= 0:
             z[at] = step.z[at] + change
 
@@ -377,7 +380,7 @@ def write_residuals(step, struct, blocks, t, z, arms_move, positions_move):
     """
     model, data, work = open_system(struct)
     found, found_o = blocks.found, blocks.found_o
-    load(z, step.base, data)
+    load_chart(z, step.base, data)
     data.time.now = min(t, data.time.latest)
     if arms_move:
         step.implicit.evaluations += 1
@@ -539,19 +542,17 @@ def carry(blocks, data, work):
 def call_local_effects(struct, model, data, work, blocks, first, end):
     """Call the effects of one phase, and add the powers of their forces by arm."""
     arms, total, before = blocks.counts.size, blocks.power.shape[1] - 1, blocks.before
+    first_joint = chart_places(data).joints
     for k in range(first, end):
         power = blocks.powers[k]
-        for l in range(6):  # noqa: E741
-            before[l] = data.h_o[l]
-        for j in range(data.h.size):
-            before[6 + j] = data.h[j]
+        copy(data.generalised_forces, before)
         call_cfunc(model.effects[k, 0], struct, float(model.effects[k, 1]), data.time.now)
         if power < 0:
             continue
         for i in range(arms):
             s = 0.0
             for j in range(work.dofs[i], work.dofs[i + 1]):
-                s += (data.h[j] - before[6 + j]) * data.v[j]
+                s += (data.h[j] - before[first_joint + j]) * data.v[j]
             blocks.power[i, power] += s
             blocks.power[i, total] += s
         s = 0.0
@@ -636,22 +637,21 @@ def solve_arms(blocks, work):
 def write_time_slope(blocks, struct, slope):
     """Write the derivative of the whole slope with respect to time."""
     _, data, work = open_system(struct)
-    n, time = data.angles.size, 2 * blocks.d + blocks.e + TIME
+    places, time = chart_places(data), 2 * blocks.d + blocks.e + TIME
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
-    works = slope.size - blocks.power.shape[1]
     clear(slope)
     for l in range(6):  # noqa: E741
-        slope[6 + n + l] = blocks.by_object[l, TIME]
+        slope[places.velocity + l] = blocks.by_object[l, TIME]
     for k in range(blocks.power.shape[1]):
-        slope[works + k] = blocks.by_object[blocks.shared + k, TIME]
+        slope[places.works + k] = blocks.by_object[blocks.shared + k, TIME]
     for i in range(blocks.counts.size):
-        A, first = blocks.derivatives[i], 12 + n + work.dofs[i]
+        A, first = blocks.derivatives[i], places.rates + work.dofs[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             s = A[j, time]
             for l in range(blocks.shared):  # noqa: E741
                 s += A[j, time + 1 + l] * blocks.by_object[l, TIME]
             slope[first + j] = s
         for k in range(blocks.counts[i]):
-            slope[12 + 2 * n + blocks.states[i, k]] = A[rates + k, time]
+            slope[places.states + blocks.states[i, k]] = A[rates + k, time]
         for k in range(blocks.power.shape[1]):
-            slope[works + k] += A[powers + k, time]
+            slope[places.works + k] += A[powers + k, time]

@@ -31,6 +31,7 @@ The rates of the works follow, as powers do not act on the state.
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.integration.arm_blocks import POSE, SHARED, TWIST
 from multiarm.jit.kernels import clear, inlined, kernel
@@ -109,10 +110,10 @@ def turn(a, half, omega, vector, out):
 def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
     """Solve a stage's system for the right-hand side ``right``."""
     _, data, work = open_system(struct)
-    n, d, own = data.angles.size, blocks.d, 2 * blocks.d + blocks.e
+    places, d, own = chart_places(data), blocks.d, 2 * blocks.d + blocks.e
     alpha, k_o = blocks.alpha, blocks.rates
     clear(alpha)
-    write_object_rates(gamma, h, omega, n, right, alpha, k_o)
+    write_object_rates(gamma, h, omega, places, right, alpha, k_o)
     for l in range(blocks.shared):  # noqa: E741
         s = 0.0
         for c in range(12):
@@ -128,43 +129,44 @@ def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
             for c in range(12):
                 s += row[own + c] * k_o[c]
             for c in range(joints):
-                s += gamma * row[c] * right[6 + d0 + c]
-            k_i[r] = right[unknown_place(blocks, i, n, d0, joints, r)] + h * s
+                s += gamma * row[c] * right[places.joints + d0 + c]
+            k_i[r] = right[unknown_place(blocks, i, places, d0, joints, r)] + h * s
         solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
         for l in range(blocks.shared):  # noqa: E741
             s = 0.0
             for c in range(joints):
-                s += gamma * B[l, c] * right[6 + d0 + c]
+                s += gamma * B[l, c] * right[places.joints + d0 + c]
             for c in range(size):
                 s += D[l, c] * k_i[c]
             alpha[l] += s
     solve_lu(blocks.node, blocks.shared, blocks.node_pivots, alpha)
-    write_object_rates(gamma, h, omega, n, right, alpha, k_o)
+    write_object_rates(gamma, h, omega, places, right, alpha, k_o)
     for l in range(6):  # noqa: E741
-        out[l], out[6 + n + l] = k_o[l], k_o[6 + l]
+        out[l], out[places.velocity + l] = k_o[l], k_o[6 + l]
     for i in range(blocks.counts.size):
         d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         for r in range(joints + blocks.counts[i]):
             s = blocks.unknowns[i, r]
             for l in range(blocks.shared):  # noqa: E741
                 s += blocks.V[i, r, l] * alpha[l]
-            out[unknown_place(blocks, i, n, d0, joints, r)] = s
+            out[unknown_place(blocks, i, places, d0, joints, r)] = s
             if r < joints:
-                out[6 + d0 + r] = gamma * (right[6 + d0 + r] + h * s)
-    add_powers(gamma, blocks, work, n, h, right, out)
+                position = places.joints + d0 + r
+                out[position] = gamma * (right[position] + h * s)
+    add_powers(gamma, blocks, work, places, h, right, out)
 
 
 @inlined
-def unknown_place(blocks, i, n, d0, joints, r):
+def unknown_place(blocks, i, places, d0, joints, r):
     """Place in the state of an unknown of an arm: a joint's velocity or an effect's state."""
-    return 12 + n + d0 + r if r < joints else 12 + 2 * n + blocks.states[i, r - joints]
+    return places.rates + d0 + r if r < joints else places.states + blocks.states[i, r - joints]
 
 
 @inlined
-def write_object_rates(gamma, h, omega, n, right, alpha, rates):
+def write_object_rates(gamma, h, omega, places, right, alpha, rates):
     """Rates of the object's pose and twist for the derivative ``alpha`` of its acceleration."""
     for l in range(6):  # noqa: E741
-        rates[6 + l] = gamma * (right[6 + n + l] + h * alpha[l])
+        rates[6 + l] = gamma * (right[places.velocity + l] + h * alpha[l])
         rates[l] = right[l] + h * rates[6 + l]
     for l in range(3):  # noqa: E741
         rates[l] *= gamma
@@ -172,10 +174,10 @@ def write_object_rates(gamma, h, omega, n, right, alpha, rates):
 
 
 @inlined
-def add_powers(gamma, blocks, work, n, h, right, out):
+def add_powers(gamma, blocks, work, places, h, right, out):
     """Rates of the works along the rates of the state, which are known."""
     d, count = blocks.d, blocks.power.shape[1]
-    works, first = right.size - count, blocks.d + blocks.m + blocks.e
+    first = blocks.d + blocks.m + blocks.e
     for k in range(count):
         total, row = 0.0, blocks.by_object[blocks.shared + k]
         for c in range(12):
@@ -188,7 +190,9 @@ def add_powers(gamma, blocks, work, n, h, right, out):
             for l in range(6, blocks.shared):  # noqa: E741
                 total += row[own + SHARED + l] * blocks.alpha[l]
             for j in range(joints):
-                total += row[j] * out[6 + d0 + j] + row[d + j] * out[12 + n + d0 + j]
+                total += row[j] * out[places.joints + d0 + j]
+                total += row[d + j] * out[places.rates + d0 + j]
             for j in range(blocks.counts[i]):
-                total += row[2 * d + j] * out[12 + 2 * n + blocks.states[i, j]]
-        out[works + k] = gamma * (right[works + k] + h * total)
+                total += row[2 * d + j] * out[places.states + blocks.states[i, j]]
+        work_at = places.works + k
+        out[work_at] = gamma * (right[work_at] + h * total)

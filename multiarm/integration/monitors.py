@@ -20,8 +20,8 @@ from multiarm.contacts.joint import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL, depth_in_patch
 from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.state import Layout
 from multiarm.geometry.records import SURFACE_ON_OBJECT, Contact, Patch
 from multiarm.jit.kernels import kernel
 from multiarm.jit.structs import floats1

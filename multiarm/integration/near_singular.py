@@ -23,13 +23,13 @@ from __future__ import annotations
 import math
 
 from multiarm.dynamics.arrays import OK, open_coupled, open_system
+from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.solver_monitor import believable, constraint_residual
 from multiarm.integration.projection import greatest, project
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
-from multiarm.spatial import retract_into
 
 # Singular value of the constraints below which accelerations are interpolated.
 ZONE = 2e-2
@@ -61,13 +61,13 @@ def evaluate_near_singular(address, size, alpha, beta):
     unknown = data.lost[data.lost.size - 1] == 0 and excess(coupled) > 0
     if not (coupled.status.margin < ZONE or unknown) or model.calls_user:
         return OK
-    rate = max(greatest(data.twist), greatest(data.v))
+    rate = greatest(data.velocity)
     if rate < 1e-8:  # [rad/s, m/s]: at rest
         return OK
     position_change, velocity_change = data.status.position_change, data.status.velocity_change
-    save_state(data, data.kept)
+    save_state(data)
     interpolated = interpolate_accelerations(struct, alpha, beta, OFFSET / rate)
-    restore_state(data.kept, data)
+    restore_state(data)
     data.status.position_change, data.status.velocity_change = position_change, velocity_change
     # everything but the accelerations belongs to the state itself
     status = evaluate_state(struct, alpha, beta)
@@ -93,14 +93,15 @@ def interpolate_accelerations(struct, alpha, beta, delay):
     """
     _, data, _ = open_system(struct)
     coupled = open_coupled(struct)
-    n, mixed = data.angles.size, data.mixed
+    mixed = data.mixed
     here, there = coupled.status.margin, 0.0
     redundant = fewest = excess(coupled)
     clear(mixed)
     for side in range(6):
         k = 1 + side // 2
-        restore_state(data.kept, data)
-        displace_state(data, (k if side % 2 == 0 else -k) * delay)
+        restore_state(data)
+        ahead, frames = (k if side % 2 == 0 else -k) * delay, data.poses.shape[0]
+        retract(frames, data.kept_configuration, ahead, data.velocity, data.configuration)
         if (
             project(struct, data.status.branch_gap) != OK
             or evaluate_state(struct, alpha, beta) != OK
@@ -111,52 +112,28 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         if side == 1 and fewest == redundant and not (here < ZONE and there >= 2.0 * here):
             return False
         weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)
-        for j in range(6):
-            mixed[j] += weight * data.q_o[j]
-        for j in range(n):
-            mixed[6 + j] += weight * data.qdd[j]
+        for j in range(mixed.size):
+            mixed[j] += weight * data.acceleration[j]
     return True
 
 
 @kernel
 def exchange_solution(data):
     """Exchange the accelerations with those in ``data.mixed``."""
-    mixed = data.mixed
+    mixed, acceleration = data.mixed, data.acceleration
     for j in range(mixed.size):
-        other = mixed[j]
-        if j < 6:
-            mixed[j], data.q_o[j] = data.q_o[j], other
-        else:
-            mixed[j], data.qdd[j - 6] = data.qdd[j - 6], other
+        mixed[j], acceleration[j] = acceleration[j], mixed[j]
 
 
 @kernel
-def save_state(data, kept):
-    """Write the state in ``data`` to ``kept``."""
-    n = data.angles.size
-    copy(data.position, kept[:7])
-    copy(data.twist, kept[7:13])
-    copy(data.angles, kept[13 : 13 + n])
-    copy(data.v, kept[13 + n :])
+def save_state(data):
+    """Keep the state in ``data``."""
+    copy(data.configuration, data.kept_configuration)
+    copy(data.velocity, data.kept_velocity)
 
 
 @kernel
-def restore_state(kept, data):
-    """Write a saved state into the data."""
-    n = data.angles.size
-    copy(kept[:7], data.position)
-    copy(kept[7:13], data.twist)
-    copy(kept[13 : 13 + n], data.angles)
-    copy(kept[13 + n :], data.v)
-
-
-@kernel
-def displace_state(data, delay):
-    """Displace the state in ``data`` along its velocity, for the time ``delay``."""
-    turn = data.q_o  # scratch: an evaluation follows
-    for k in range(3):
-        data.position[k] += delay * data.twist[k]
-        turn[k] = delay * data.twist[3 + k]
-    retract_into(data.position[3:7], turn[:3], data.position[3:7])
-    for j in range(data.angles.size):
-        data.angles[j] += delay * data.v[j]
+def restore_state(data):
+    """Return to the kept state."""
+    copy(data.kept_configuration, data.configuration)
+    copy(data.kept_velocity, data.velocity)

@@ -24,9 +24,9 @@ import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import OK, PROJECTION_FAILED, open_coupled, open_system
+from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import largest, solve_constrained, update_kinematics
-from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, inlined, kernel
-from multiarm.spatial import retract_into
+from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, kernel
 
 # alpha = beta = FEEDBACK_RATIO / step
 FEEDBACK_RATIO = 0.1
@@ -48,7 +48,7 @@ def project(struct, tolerance):
 def project_positions(
     struct: INTS, tolerance: NUMBER, hold_object: TRUTH, longest: NUMBER, iterations: INT
 ):
-    """Newton's method for ``phi = 0`` in the inertia metric; moves ``position`` and ``angles``.
+    """Newton's method for ``phi = 0`` in the inertia metric; moves the configuration.
 
     Parameters
     ----------
@@ -86,8 +86,7 @@ def project_positions(
         if worst > 0.5 * before and worst <= 1e4 * tolerance and lacks_rank(struct):
             return OK  # small gaps that no motion closes to first order
         before = worst
-        clear(data.h_o)
-        clear(data.h)
+        clear(data.generalised_forces)
         for k in range(data.c.size):
             data.c[k] = -data.contacts[k, GAP]
         status = solve_constrained(struct)
@@ -98,10 +97,12 @@ def project_positions(
         if not hold_object:
             reach = max(reach, greatest(data.q_o))
         data.status.position_change += scale * reach
-        for j in range(data.qdd.size):
-            data.angles[j] += scale * data.qdd[j]
-        if not hold_object:
-            move_object(data, scale)
+        if hold_object:
+            for j in range(data.qdd.size):
+                data.angles[j] += scale * data.qdd[j]
+        else:
+            start, frames = data.configuration, data.poses.shape[0]
+            retract(frames, start, scale, data.acceleration, data.configuration)
     return PROJECTION_FAILED
 
 
@@ -128,34 +129,20 @@ def greatest(vector):
     return size
 
 
-@inlined
-def move_object(data, scale):
-    """Apply ``scale * q_o`` as a displacement and a rotation vector to the object's pose."""
-    q_o, position = data.q_o, data.position
-    for k in range(6):
-        q_o[k] *= scale
-    for k in range(3):
-        position[k] += q_o[k]
-    retract_into(position[3:7], q_o[3:6], position[3:7])
-
-
 @kernel
 def project_velocities(struct):
-    """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in ``data``.
+    """Project ``velocity`` on ``W^T v = 0``; needs the state's kinematics in ``data``.
 
     The largest change of a velocity is in ``data.status.velocity_change``.
     """
     _, data, _ = open_system(struct)
-    clear(data.h_o)
-    clear(data.h)
+    clear(data.generalised_forces)
     for k in range(data.c.size):
         data.c[k] = -data.contacts[k, GAP_RATE]
     status = solve_constrained(struct)
     if status != OK:
         return status
-    data.status.velocity_change = max(greatest(data.q_o), greatest(data.qdd))
-    for k in range(6):
-        data.twist[k] += data.q_o[k]
-    for j in range(data.v.size):
-        data.v[j] += data.qdd[j]
+    data.status.velocity_change = greatest(data.acceleration)
+    for k in range(data.velocity.size):
+        data.velocity[k] += data.acceleration[k]
     return OK

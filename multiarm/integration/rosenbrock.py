@@ -62,8 +62,9 @@ from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
 
 
 class RosenbrockWork(NamedTuple):
-    """A step's arrays for ``D = N + M + w`` entries of the state: ``N = 6 + joints`` positions,
-    ``M = N + e`` velocities and inner states, ``w`` works.
+    """A step's arrays for ``D = N + M + w`` entries of the chart's vector.
+
+    They are N positions, ``M = N + e`` velocities and states of effects, and ``w`` works.
     """
 
     system: Ints1  # struct of the system
@@ -81,7 +82,7 @@ class RosenbrockWork(NamedTuple):
 
 def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks]:
     """Allocate the arrays of a Rosenbrock method's steps."""
-    size, n = step.z.size, 6 + data.model.layout.joints
+    size, n = step.z.size, data.model.layout.nv
     m = step.tolerance.size - n
     work = RosenbrockWork(
         system=data.struct,

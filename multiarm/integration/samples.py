@@ -36,21 +36,23 @@ def sample_width(data: Data) -> int:
     """Numbers a sample: see :func:`write_sample`."""
     n, free, arrays = data.model.layout.joints, len(data.model.constants.free), data.arrays
     of_arms = arrays.shown.size + 2 * free + arrays.wrenches.size + arrays.tips.size
-    return 1 + 7 + n + 6 + n + n + of_arms + 7 + arrays.power.size
+    return (
+        1 + arrays.configuration.size + arrays.velocity.size + n + of_arms + 7 + arrays.power.size
+    )
 
 
 @kernel
 def write_sample(struct, t, works, row):
     """Write an evaluated state as a row with the columns above."""
     model, data, work = open_system(struct)
-    n, m = data.angles.size, data.shown.size
+    m, at = data.shown.size, 1
     row[0] = t
-    copy(data.position, row[1:8])
-    copy(data.angles, row[8 : 8 + n])
-    copy(data.twist, row[8 + n : 14 + n])
-    copy(data.v, row[14 + n : 14 + 2 * n])
-    copy(data.torque, row[14 + 2 * n : 14 + 3 * n])
-    at = 14 + 3 * n
+    copy(data.configuration, row[at : at + data.configuration.size])
+    at += data.configuration.size
+    copy(data.velocity, row[at : at + data.velocity.size])
+    at += data.velocity.size
+    copy(data.torque, row[at : at + data.torque.size])
+    at += data.torque.size
     if data.functions.contact_forces != 0:
         call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:

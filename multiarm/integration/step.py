@@ -1,18 +1,8 @@
 r"""One step of any method, in a chart of the configuration manifold.
 
-Within a step the object's orientation is :math:`R = \exp(\theta) R_0` with ``R_0`` that at the
-beginning of the step, so that the state is a plain vector
-
-.. math::
-    z = [\,x_o\ (3),\ \theta\ (3),\ q\ (n),\ v_o\ (6),\ \dot q\ (n),\ \text{inner}\ (e),\
-        \text{work}\ (w)\,]
-
-with :math:`\dot\theta` from :func:`multiarm.spatial.write_chart_rate`.  Runge-Kutta methods keep
-their order and their dense output in it (H. Munthe-Kaas, BIT 38, 1998); after the step the rotation
-goes into the full quaternion and the next chart begins at :math:`\theta = 0`.
-
-*inner* are the states of effects.  The last entries are the work of each effect, and of control and
-effects together: quadratures for the energy balance, which take no part in the error norm.
+The state is the vector z of a chart of the configuration manifold
+(:mod:`multiarm.dynamics.coordinates`).  Its last entries, the works, take no part in the error
+norm.
 
 Explicit methods are carried out here.  Implicit methods have compiled steps of their own
 (:mod:`multiarm.integration.rosenbrock`, :mod:`multiarm.integration.variational`), which
@@ -30,13 +20,19 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import NOT_FINITE, OK, open_data, open_system
+from multiarm.dynamics.coordinates import (
+    chart_places,
+    load_chart,
+    store_chart,
+    write_chart_slope,
+)
 from multiarm.dynamics.equations import finite
+from multiarm.dynamics.layout import Layout
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, Numbers, view
-from multiarm.spatial import retract_into, write_chart_rate
 from multiarm.tableaus import EXPLICIT, HERMITE, POLYNOMIAL, QUARTIC, SEMI_IMPLICIT, Tableau
 
 
@@ -70,14 +66,14 @@ class ImplicitStep(Numbers):
 
 
 class Step(NamedTuple):
-    """Arrays of one step for ``n`` joints, ``D = 12 + 2 n + e + w``."""
+    """Arrays of one step for ``D`` numbers of a chart's vector, ``w`` of them works."""
 
     # state at the beginning, at the end before projection, at a stage, after projection: (D,)
     z: Floats1
     z_new: Floats1
     z_stage: Floats1
     z_next: Floats1
-    # quaternions of the chart: of this step, of the next one, of the last one
+    # base of the chart (4 F,): of this step, of the next one, of the last one
     base: Floats1
     base_next: Floats1
     base_old: Floats1
@@ -120,11 +116,11 @@ def make_method(tableau: Tableau) -> Method:
     )
 
 
-def make_step(tableau: Tableau, joints: int, states: int = 0, works: int = 1) -> Step:
-    """Allocate for a method, a number of joints, of effects' own states and of works."""
-    size = 12 + 2 * joints + states + works
+def make_step(tableau: Tableau, layout: Layout, states: int = 0, works: int = 1) -> Step:
+    """Allocate for a method, a system, its number of effects' states and of works."""
+    size = 2 * layout.nv + states + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
-    upright = np.array([0.0, 0.0, 0.0, 1.0])
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], layout.frames)
     return Step(
         z=np.zeros(size),
         z_new=np.zeros(size),
@@ -154,64 +150,10 @@ def open_step(struct):
     return _view_method(struct), _view_step(struct)
 
 
-@inlined
-def load(z, base, data):
-    """Write the state of a chart into the evaluation's data."""
-    n = data.angles.size
-    for k in range(3):
-        data.position[k] = z[k]
-    retract_into(base, z[3:6], data.position[3:7])
-    for k in range(6):
-        data.twist[k] = z[6 + n + k]
-    for j in range(n):
-        data.angles[j] = z[6 + j]
-        data.v[j] = z[12 + n + j]
-    for k in range(data.inner.size):
-        data.inner[k] = z[12 + 2 * n + k]
-
-
-@inlined
-def store(data, base, z):
-    """Begin a chart at the state in ``data``: ``theta = 0``; the works stay."""
-    n = data.angles.size
-    for k in range(3):
-        z[k] = data.position[k]
-        z[3 + k] = 0.0
-    for k in range(4):
-        base[k] = data.position[3 + k]
-    for k in range(6):
-        z[6 + n + k] = data.twist[k]
-    for j in range(n):
-        z[6 + j] = data.angles[j]
-        z[12 + n + j] = data.v[j]
-    for k in range(data.inner.size):
-        z[12 + 2 * n + k] = data.inner[k]
-
-
 @kernel
 def begin_chart(struct: INTS, base: NUMBERS, z: NUMBERS):
-    """Begin a chart at the state of the system with this struct, see :func:`store`."""
-    store(open_data(struct), base, z)
-
-
-@inlined
-def write_slope(z, data, slope):
-    """Rate of ``z`` from the accelerations in ``data``."""
-    n = data.angles.size
-    for k in range(3):
-        slope[k] = data.twist[k]
-    write_chart_rate(z[3:6], data.twist[3:6], slope[3:6])
-    for k in range(6):
-        slope[6 + n + k] = data.q_o[k]
-    for j in range(n):
-        slope[6 + j] = data.v[j]
-        slope[12 + n + j] = data.qdd[j]
-    at = 12 + 2 * n
-    for k in range(data.inner_rate.size):
-        slope[at + k] = data.inner_rate[k]
-    at += data.inner_rate.size
-    for k in range(data.power.size):
-        slope[at + k] = data.power[k]
+    """Begin a chart at the state of the system with this struct, see :func:`store_chart`."""
+    store_chart(open_data(struct), base, z)
 
 
 @kernel
@@ -228,7 +170,7 @@ def evaluate_slope(
     if not finite(z):
         return NOT_FINITE
     _, data, _ = open_system(struct)
-    load(z, base, data)
+    load_chart(z, base, data)
     if data.status.stage_gap >= 0.0:
         status = project(struct, data.status.stage_gap)
         if status != OK:
@@ -236,7 +178,7 @@ def evaluate_slope(
     data.time.now = min(t, data.time.latest)
     status = evaluate_on_branch(struct, data.status.stage_gap, alpha, beta)
     if status == OK:
-        write_slope(z, data, slope)
+        write_chart_slope(z, data, slope)
     return status
 
 
@@ -269,7 +211,7 @@ def run_stages(struct, arrays, t, h, alpha, beta):
     """Stages 1.. of a step whose first slope is known, then ``z_new``; returns a status."""
     method, step = open_step(arrays)
     if method.kind == SEMI_IMPLICIT:
-        semi_implicit_euler(step, h, open_data(struct).angles.size)
+        semi_implicit_euler(step, h, open_data(struct))
         return OK
     if method.kind != EXPLICIT:
         step.implicit.alpha = alpha
@@ -287,16 +229,13 @@ def run_stages(struct, arrays, t, h, alpha, beta):
 
 
 @kernel
-def semi_implicit_euler(step, h, n):
+def semi_implicit_euler(step, h, data):
     """New velocities from the old accelerations, then positions with the new velocities."""
-    z, new, k = step.z, step.z_new, step.k[0]
-    for i in range(6 + n, z.size):
+    z, new, k, velocity = step.z, step.z_new, step.k[0], chart_places(data).velocity
+    for i in range(velocity, z.size):
         new[i] = z[i] + h * k[i]
-    for i in range(3):
-        new[i] = z[i] + h * new[6 + n + i]
-        new[3 + i] = h * new[9 + n + i]
-    for j in range(n):
-        new[6 + j] = z[6 + j] + h * new[12 + n + j]
+    for i in range(velocity):  # the chart's rotation vectors begin at zero
+        new[i] = z[i] + h * new[velocity + i]
 
 
 @kernel

@@ -16,6 +16,13 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP
 from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE, OK, open_system
+from multiarm.dynamics.coordinates import (
+    chart_places,
+    copy_works,
+    load_chart,
+    store_chart,
+    write_chart_slope,
+)
 from multiarm.dynamics.equations import finite, largest
 from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
@@ -26,12 +33,9 @@ from multiarm.integration.step import (
     error_estimate,
     evaluate_slope,
     interpolate,
-    load,
     open_step,
     prepare_dense,
     run_stages,
-    store,
-    write_slope,
 )
 from multiarm.integration.step_control import (
     BLOCK_FULL,
@@ -168,11 +172,11 @@ def sample_control(struct, step, clock, settings):
     """
     _, data, _ = open_system(struct)
     alpha, beta = gains(settings, max(clock.h_before, settings.step))
-    load(step.z, step.base, data)
+    load_chart(step.z, step.base, data)
     data.sampling.due = data.sampling.mode
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
-        write_slope(step.z, data, step.slope)
+        write_chart_slope(step.z, data, step.slope)
         clock.control_samples += 1
         clock.control_due = settings.begin + clock.control_samples * settings.control_step
     return status
@@ -189,10 +193,10 @@ def observe(struct, arrays, clock, settings, row):
         if status != OK:
             return status
     alpha, beta = gains(settings, max(clock.h_before, settings.step))
-    load(step.z, step.base, data)
+    load_chart(step.z, step.base, data)
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
-        write_sample(struct, clock.t, step.z[step.tolerance.size :], row)
+        write_sample(struct, clock.t, step.z[chart_places(data).works :], row)
     return CALLBACK_FAILED if data.status.failed else status
 
 
@@ -221,13 +225,13 @@ def emit_samples(struct, method, step, clock, settings, block):
         alpha, beta = gains(settings, max(clock.h_before, settings.step))
         projected = True
         if due >= t - near:
-            load(step.z, step.base, data)
-            works = step.z[step.tolerance.size :]
+            load_chart(step.z, step.base, data)
+            works = step.z[chart_places(data).works :]
         else:
             projected = False
             interpolate(method, step, (due - clock.t_before) / clock.h_before, step.z_stage)
-            load(step.z_stage, step.base_old, data)
-            works = step.z_stage[step.tolerance.size :]
+            load_chart(step.z_stage, step.base_old, data)
+            works = step.z_stage[chart_places(data).works :]
         status = project_and_evaluate(struct, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
@@ -282,7 +286,7 @@ def complete_step(struct, method, step, clock, settings, h, end):
     model, data, _ = open_system(struct)
     t = clock.t
     alpha, beta = gains(settings, h)
-    load(step.z_new, step.base, data)
+    load_chart(step.z_new, step.base, data)
     projected = method.kind == VARIATIONAL  # its equations close the gaps
     latest = min(end, data.time.latest)
     status = project_and_evaluate(struct, clock, settings, projected, latest, alpha, beta)
@@ -296,7 +300,7 @@ def complete_step(struct, method, step, clock, settings, h, end):
     if not gap <= settings.divergence_bound:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope at the end, in this chart for the dense output and below in the next step's chart
-    write_slope(step.z_new, data, step.k[method.stages])
+    write_chart_slope(step.z_new, data, step.k[method.stages])
     if data.functions.guards != 0 and call_cfunc(data.functions.guards, struct, t, end) != OK:
         status = prepare_dense(struct, method, step, t, h, alpha, beta)
         return EVENT if status == OK else status
@@ -314,10 +318,10 @@ def complete_step(struct, method, step, clock, settings, h, end):
         if status != OK:
             return status
     clear(step.z_stage)
-    write_slope(step.z_stage, data, step.slope_next)
+    write_chart_slope(step.z_stage, data, step.slope_next)
     due = sample_time(settings, clock.sample) if clock.sample < settings.samples else math.inf
-    store(data, step.base_next, step.z_next)
-    copy(step.z_new[step.tolerance.size :], step.z_next[step.tolerance.size :])
+    store_chart(data, step.base_next, step.z_next)
+    copy_works(data, step.z_new, step.z_next)
     if due < end - 1e-9 * h:
         status = prepare_dense(struct, method, step, t, h, alpha, beta)
         clock.evaluations += max(0, method.A.shape[0] - method.stages - 1)

@@ -46,46 +46,55 @@ from multiarm.arms.terms import M_AT, M_STRIDE
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
+from multiarm.dynamics.coordinates import chart_places, load_chart, retract
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data
-from multiarm.integration.step import IMPLICIT_WORK, Step, load, open_step
+from multiarm.integration.projection import greatest
+from multiarm.integration.step import IMPLICIT_WORK, Step, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at, view
-from multiarm.spatial import retract_into, write_chart_rate
+from multiarm.spatial import write_chart_rate
 
 # Status of a step whose iteration does not converge.
 NOT_CONVERGED = -18
 
 
 class VariationalWork(NamedTuple):
-    """A step's arrays, for ``n`` joints, ``N`` contacts, ``a`` arms."""
+    """A step's arrays, for velocities of V numbers, ``N`` contacts, ``a`` arms."""
 
     system: Ints1  # struct of the system
     # update and places of the arms' Coriolis matrices, see :class:`multiarm.arms.terms.Coriolis`
     coriolis_calls: Ints1  # (4,)
     coriolis: Ints2  # (a, 2)
-    # at the beginning of the step: constraint matrices, the object's inertia in world axes, momenta
+    # at the beginning of the step: configuration, constraint matrices, the object's inertia in
+    # world axes, momenta (V,)
+    begin: Floats1
     Wo: Floats2  # (N, 6)
     W: Floats3  # (a, d, m)
     inertia: Floats2  # (3, 3)
-    start: Floats1  # (6 + n,)
-    push: Floats1  # (6 + n,), half the impulse of everything but the contacts
-    xi: Floats1  # (6 + n,), velocities over the step
+    start: Floats1
+    push: Floats1  # (V,), half the impulse of everything but the contacts
+    xi: Floats1  # (V,), velocities over the step
     impulse: Floats1  # (N,), of the contacts at the beginning
     gap: Floats1  # (N,), rates that close the gaps at the end
-    last: Floats2  # (2, 6 + n + N), unknowns and their correction in the iteration before
-    scratch: Floats1  # (6 + n,)
+    last: Floats2  # (2, V + N), unknowns and their correction in the iteration before
+    momentum: Floats1  # (V,)
+    # the object's turn back over the step, and its angular momentum at the beginning
+    turn: Floats1
+    spin: Floats1
 
 
 def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     """Allocate the arrays of the variational method's steps."""
-    size, rows = 6 + data.model.layout.joints, data.model.layout.contacts
+    layout = data.model.layout
+    size, rows = layout.nv, layout.contacts
     calls, places = data.coriolis()
     work = VariationalWork(
         system=data.struct,
         coriolis_calls=calls,
         coriolis=places,
+        begin=np.zeros(layout.nq),
         Wo=np.zeros((rows, 6)),
         W=np.zeros_like(data.work.Y),
         inertia=np.zeros((3, 3)),
@@ -95,7 +104,9 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
         impulse=np.zeros(rows),
         gap=np.zeros(rows),
         last=np.zeros((2, size + rows)),
-        scratch=np.zeros(size),
+        momentum=np.zeros(size),
+        turn=np.zeros(3),
+        spin=np.zeros(3),
     )
     return (work,)
 
@@ -123,10 +134,11 @@ def variational_step(address, size, t, h):
 def begin_step(step, work, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of the unknowns."""
     model, data, node = open_system(work.system)
-    n = data.angles.size
+    velocity = chart_places(data).velocity
     for k in range(data.force.size):  # of the last evaluation, which was here or near
         work.impulse[k] = 0.5 * h * data.force[k]
-    load(step.z, step.base, data)
+    load_chart(step.z, step.base, data)
+    copy(data.configuration, work.begin)
     data.time.now = t
     status = update_kinematics(work.system)
     step.implicit.evaluations += 1
@@ -141,8 +153,8 @@ def begin_step(step, work, t, h):
     for i in range(data.pointers.shape[0]):
         for j in range(node.dofs[i + 1] - node.dofs[i]):
             copy(node.Y[i, j], work.W[i, j])
-    for k in range(6 + n):
-        work.xi[k] = step.z[6 + n + k] + 0.5 * h * step.k[0, 6 + n + k]
+    for k in range(work.xi.size):
+        work.xi[k] = step.z[velocity + k] + 0.5 * h * step.k[0, velocity + k]
     return OK
 
 
@@ -154,6 +166,7 @@ def momenta(model, data, node, out):
         for b in range(6):
             s += data.inertia[a, b] * data.twist[b]
         out[a] = s
+    first_joint = chart_places(data).joints
     for i in range(data.pointers.shape[0]):
         d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
         stride = data.pointers[i, M_STRIDE]
@@ -162,7 +175,7 @@ def momenta(model, data, node, out):
             s = 0.0
             for b in range(d):  # one triangle is filled
                 s += M[a * stride + b if b <= a else b * stride + a] * data.v[d0 + b]
-            out[6 + d0 + a] = s
+            out[first_joint + d0 + a] = s
 
 
 @kernel
@@ -172,15 +185,15 @@ def find_velocities(step, work, t, h):
     # be this large once they no longer shrink
     converged, rounded, shrinks = 2e-15, 1e-8, 0.3
     model, data, _ = open_system(work.system)
-    n, before = data.angles.size, math.inf
+    before = math.inf
     for iteration in range(50):
-        displace(step, work, data, h, t + h)
+        displace(work, data, h, t + h)
         status = update_kinematics(work.system)
         if status != OK:
             return status
         for k in range(work.gap.size):
             work.gap[k] = -data.contacts[k, GAP] / h
-        displace(step, work, data, 0.5 * h, t + 0.5 * h)
+        displace(work, data, 0.5 * h, t + 0.5 * h)
         status = midpoint_forces(work, h)
         step.implicit.evaluations += 2
         if status != OK:
@@ -193,12 +206,9 @@ def find_velocities(step, work, t, h):
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED
         change = correct_unknowns(work, data, iteration)
-        fastest = 0.0
-        for k in range(6 + n):
-            fastest = max(fastest, abs(work.xi[k]))
         if not (math.isfinite(change) and finite(work.xi)):  # no NaN is larger than a number
             return NOT_CONVERGED
-        scale = 1.0 + fastest
+        scale = 1.0 + greatest(work.xi)
         # corrections shrink by a nearly constant factor: this is the error left after this one
         left = change * min(change / before, 1.0) if iteration > 0 else change
         if left <= converged * scale or (change <= rounded * scale and change > shrinks * before):
@@ -217,7 +227,7 @@ def correct_unknowns(work, data, iteration):
     size, rows = work.xi.size, work.impulse.size
     change, along, square = 0.0, 0.0, 0.0
     for k in range(size):
-        delta = data.q_o[k] if k < 6 else data.qdd[k - 6]
+        delta = data.acceleration[k]
         change = max(change, abs(delta))
         difference = delta - work.last[1, k]
         along += delta * difference
@@ -226,7 +236,7 @@ def correct_unknowns(work, data, iteration):
     share = min(0.9, max(-0.9, share))
     for k in range(size + rows):
         if k < size:
-            delta, old = data.q_o[k] if k < 6 else data.qdd[k - 6], work.xi[k]
+            delta, old = data.acceleration[k], work.xi[k]
         else:
             delta, old = data.force[k - size], work.impulse[k - size]
         new = old + delta - share * (old + delta - work.last[0, k] - work.last[1, k])
@@ -239,18 +249,10 @@ def correct_unknowns(work, data, iteration):
 
 
 @kernel
-def displace(step, work, data, delay, t):
+def displace(work, data, delay, t):
     """Write the state at the time ``delay`` after the beginning of the step into the data."""
-    n, turn = data.angles.size, work.scratch[:3]
-    for k in range(3):
-        data.position[k] = step.z[k] + delay * work.xi[k]
-        turn[k] = delay * work.xi[3 + k]
-    retract_into(step.base, turn, data.position[3:7])
-    for k in range(6):
-        data.twist[k] = work.xi[k]
-    for j in range(n):
-        data.angles[j] = step.z[6 + j] + delay * work.xi[6 + j]
-        data.v[j] = work.xi[6 + j]
+    retract(data.poses.shape[0], work.begin, delay, work.xi, data.configuration)
+    copy(work.xi, data.velocity)
     data.time.now = t
 
 
@@ -281,6 +283,7 @@ def midpoint_forces(work, h):
     push[3] = half * (data.h_o[3] + w[1] * l2 - w[2] * l1)
     push[4] = half * (data.h_o[4] + w[2] * l0 - w[0] * l2)
     push[5] = half * (data.h_o[5] + w[0] * l1 - w[1] * l0)
+    first_joint = chart_places(data).joints
     for i in range(data.pointers.shape[0]):
         d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
         stride = work.coriolis[i, 1]
@@ -289,7 +292,7 @@ def midpoint_forces(work, h):
             s = data.h[d0 + a]
             for b in range(d):
                 s += (C[a * stride + b] + C[b * stride + a]) * data.v[d0 + b]
-            push[6 + d0 + a] = half * s
+            push[first_joint + d0 + a] = half * s
     return OK
 
 
@@ -300,27 +303,24 @@ def momentum_residual(work, h):
     Needs the kinematics of the midpoint in ``data``.
     """
     model, data, node = open_system(work.system)
-    n, momentum = data.angles.size, work.scratch
+    momentum, turn, spin = work.momentum, work.turn, work.spin
     momenta(model, data, node, momentum)
-    l, theta = data.weight[:3], data.weight[3:]  # noqa: E741  free between evaluations
     for a in range(3):
-        theta[a] = -h * work.xi[3 + a]
-        l[a] = 0.0
+        turn[a] = -h * work.xi[3 + a]
+        spin[a] = 0.0
         for b in range(3):
-            l[a] += work.inertia[a, b] * work.xi[3 + b]
-    write_chart_rate(theta, l, momentum[3:6])
-    for k in range(6 + n):
+            spin[a] += work.inertia[a, b] * work.xi[3 + b]
+    write_chart_rate(turn, spin, momentum[3:6])
+    for k in range(momentum.size):
         momentum[k] = work.start[k] + work.push[k] - momentum[k]
-    add_impulses(work, node, momentum)
-    for k in range(6):
-        data.h_o[k] = momentum[k]
-    for j in range(n):
-        data.h[j] = momentum[6 + j]
+    add_impulses(data, work, node, momentum)
+    copy(momentum, data.generalised_forces)
 
 
 @kernel
-def add_impulses(work, node, out):
+def add_impulses(data, work, node, out):
     """Add the change of the momenta by contact impulses."""
+    first_joint = chart_places(data).joints
     for i in range(node.dofs.size - 1):
         d0, first = node.dofs[i], node.rows[i]
         for k in range(first, node.rows[i + 1]):
@@ -328,38 +328,30 @@ def add_impulses(work, node, out):
             for a in range(6):
                 out[a] += work.Wo[k, a] * s
             for j in range(node.dofs[i + 1] - d0):
-                out[6 + d0 + j] += work.W[i, j, k - first] * s
+                out[first_joint + d0 + j] += work.W[i, j, k - first] * s
 
 
 @kernel
 def end_step(step, work, t, h):
     """Momenta at the end, and from them the velocities that the joints allow: ``z_new``."""
     _, data, node = open_system(work.system)
-    n, z, new = data.angles.size, step.z, step.z_new
-    momentum = work.scratch
-    for k in range(6 + n):
+    places, z, new, momentum = chart_places(data), step.z, step.z_new, work.momentum
+    for k in range(momentum.size):
         momentum[k] = work.start[k] + 2.0 * work.push[k]
-    add_impulses(work, node, momentum)
-    copy(momentum, work.push)  # `displace` needs the scratch
-    displace(step, work, data, h, t + h)
+    add_impulses(data, work, node, momentum)
+    displace(work, data, h, t + h)
     status = update_kinematics(work.system)
     step.implicit.evaluations += 1
     if status != OK:
         return status
-    for k in range(6):
-        data.h_o[k] = work.push[k]
-    for j in range(n):
-        data.h[j] = work.push[6 + j]
+    copy(momentum, data.generalised_forces)
     clear(data.c)
     status = solve_constrained(work.system)
     if status != OK:
         return status
-    for k in range(6):
-        new[k] = h * work.xi[k] + (z[k] if k < 3 else 0.0)
-        new[6 + n + k] = data.q_o[k]
-    for j in range(n):
-        new[6 + j] = z[6 + j] + h * work.xi[6 + j]
-        new[12 + n + j] = data.qdd[j]
+    for k in range(work.xi.size):  # the chart's rotation vectors begin at zero
+        new[k] = z[k] + h * work.xi[k]
+        new[places.velocity + k] = data.acceleration[k]
     for k in range(data.power.size):
-        new[12 + 2 * n + k] = z[12 + 2 * n + k] + h * data.power[k]
+        new[places.works + k] = z[places.works + k] + h * data.power[k]
     return OK

@@ -62,11 +62,13 @@ def minimal_coordinates(motions: Motions) -> Coordinates:
     """Choose coordinates of the motions that keep the joints closed."""
     L = np.linalg.cholesky(motions.inertia)
     free = _free(motions.rates, L)
-    velocities = _most_independent(free, L)
+    weight = np.linalg.norm(L, axis=1)  # the square root of the inertia's diagonal
+    weight[motions.layout.of_frames] *= PREFERENCE
+    velocities = _most_independent(free, weight)
     moving = _free(motions.gaps, L)
     # rows that roll leave more displacements than velocities
     further = moving @ null_space(moving[velocities]).basis if velocities else moving
-    positions = velocities + _most_independent(further, L)
+    positions = velocities + _most_independent(further, weight)
     E_p = moving @ np.linalg.inv(moving[positions])
     E_v = free @ np.linalg.inv(free[velocities])
     K = _solved(motions.rates, -motions.rates_by_position @ E_p, L)
@@ -99,11 +101,9 @@ def _solved(rows: np.ndarray, right: np.ndarray, L: np.ndarray) -> np.ndarray:
     return np.linalg.solve(L.T, least)
 
 
-def _most_independent(basis: np.ndarray, L: np.ndarray) -> list[int]:
-    """Places of the most independent rows of a basis, as many as it has columns, in order."""
+def _most_independent(basis: np.ndarray, weight: np.ndarray) -> list[int]:
+    """Places of the most independent weighted rows of a basis, one a column, in order."""
     if not basis.shape[1]:
         return []
-    weight = np.linalg.norm(L, axis=1)  # the square root of the inertia's diagonal
-    weight[:6] *= PREFERENCE
     order = qr((weight[:, None] * basis).T, mode="r", pivoting=True)[1]
     return sorted(order[: basis.shape[1]].tolist())

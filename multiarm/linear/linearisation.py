@@ -249,14 +249,16 @@ def linearise(
     """
     system = require_system(system, "ma.linearise(system, t, state)")
     D = derivatives(system, t, state, closed_loop=closed_loop)
-    at, n = minimal_coordinates(D.motions), D.layout.joints
-    size, e = 6 + n, len(D.effect_state_rates.matrix)
+    at, layout = minimal_coordinates(D.motions), D.layout
+    size, n, e = layout.nv, layout.joints, len(D.effect_state_rates.matrix)
     p, m = len(at.positions), len(at.velocities)
     by_y, by_torques = _by_coordinates(D, at)
     velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])
     ev, positions, rates = D.evaluation, list(at.positions), list(at.velocities)
     chart, v0 = velocities.copy(), ev.state.velocity
-    chart[3:6, :p] += 0.5 * np.cross(v0[3:6], at.displacement[3:6], axisb=0, axisc=0)
+    for f, twist in enumerate(layout.twists(v0)):
+        turn = slice(6 * f + 3, 6 * f + 6)
+        chart[turn, :p] += 0.5 * np.cross(twist[3:], at.displacement[turn], axisb=0, axisc=0)
     inner = D.rows["effect_state_rates"]
     forces = np.r_[D.rows["contact_forces"]]
     forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
@@ -275,7 +277,7 @@ def linearise(
             *(f"{names[k]}'" for k in rates),
             *(f"effect state {k + 1}" for k in range(e)),
         ),
-        input_names=tuple(f"{name}/torque" for name in names[6:]),
+        input_names=tuple(f"{name}/torque" for name in names[layout.of_joints]),
         output_names=(
             *names,
             *(f"{name}'" for name in names),
@@ -286,10 +288,8 @@ def linearise(
 
 def _by_coordinates(D: Derivatives, at: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     """The derivatives of everything by y, and by torques."""
-    by_position, by_velocity = (
-        np.hstack([D.matrix[:, D.columns[name]] for name in names])
-        for names in (("object_pose", "joint_positions"), ("object_twist", "joint_velocities"))
-    )
+    by_position = D.matrix[:, D.layout.displacement_columns]
+    by_velocity = D.matrix[:, D.layout.velocity_columns]
     by_displacement = by_position @ at.displacement + by_velocity @ at.turning
     by_inner = D.matrix[:, D.columns["effect_states"]]
     by_y = np.hstack([by_displacement, by_velocity @ at.velocity, by_inner])

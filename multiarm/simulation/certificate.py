@@ -332,11 +332,12 @@ def _momentum(data: Data, state: State) -> np.ndarray:
     place_state(data, 0.0, state)
     if update_kinematics(data.struct) != OK:
         data.reraise()
-    parts = [data.arrays.inertia @ state.velocity[:6]]
-    for i, (a, b) in enumerate(pairwise(data.model.layout.dofs)):
-        inertia = read_inertia(data.arrays.pointers[i], b - a)
-        parts.append(inertia @ state.velocity[6 + a : 6 + b])
-    return np.concatenate(parts)
+    layout, momentum = data.model.layout, np.zeros(state.velocity.size)
+    momentum[layout.of_frames] = data.arrays.inertia @ state.object_twist
+    for i, (a, b) in enumerate(pairwise(layout.dofs)):
+        inertia, joints = read_inertia(data.arrays.pointers[i], b - a), layout.of_arm(i)
+        momentum[joints] = inertia @ state.velocity[joints]
+    return momentum
 
 
 def _energy_gradient(data: Data, state: State) -> np.ndarray:

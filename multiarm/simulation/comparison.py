@@ -23,8 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.dynamics.callbacks import NO_CONTROL
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data
 from multiarm.results.trajectory import Trajectory

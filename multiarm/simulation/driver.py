@@ -16,8 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE
+from multiarm.dynamics.coordinates import read_chart
 from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.state import State
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
 from multiarm.integration.monitors import collect_events
 from multiarm.integration.step_control import (
@@ -156,12 +158,9 @@ def _step_evaluations(run: Run) -> int:
 
 def state_of(run: Run, layout: Layout) -> State:
     """The state at the beginning of the next step."""
-    n, z = layout.joints, run.stepping.step.z
-    return State(
-        np.concatenate([z[:3], run.stepping.step.base, z[6 : 6 + n]]),
-        z[6 + n : 12 + 2 * n].copy(),
-        layout,
-    )
+    step, configuration = run.stepping.step, np.empty(layout.nq)
+    read_chart(layout.frames, step.z, step.base, configuration)
+    return State(configuration, step.z[layout.nv : 2 * layout.nv].copy(), layout)
 
 
 def where_of(run: Run) -> str:

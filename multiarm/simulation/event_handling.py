@@ -17,6 +17,7 @@ from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -235,10 +236,8 @@ class EventHandler:
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
         step, bare = run.stepping.step, self.modes.bare
-        b, n, z = bare.arrays, bare.model.layout.joints, step.z
-        b.position[:3], b.position[3:] = z[:3], step.base  # a chart begins at every step
-        b.angles[:], b.twist[:], b.v[:] = z[6 : 6 + n], z[6 + n : 12 + n], z[12 + n : 12 + 2 * n]
-        b.inner[:] = z[12 + 2 * n :][: b.inner.size]
+        b = bare.arrays
+        load_chart(step.z, step.base, b)
         b.time.now, b.time.latest = run.clock.t, np.inf
         if update_kinematics(bare.struct) != OK:
             bare.reraise()
@@ -276,7 +275,6 @@ class EventHandler:
     def _continue(self, run: Run, decision: Decision, step) -> None:
         """Continue the run in the new mode, from the state in its data."""
         data = self.mode.data
-        joints = data.model.layout.joints
         run.data = data
         tolerance = run.settings.gap_tolerance
         if tolerance >= 0.0 and project(data.struct, tolerance) != OK:
@@ -286,7 +284,7 @@ class EventHandler:
         new.z[:] = step.z
         begin_chart(data.struct, new.base, new.z)
         if decision.energy:
-            works = new.z[12 + 2 * joints + data.model.effects.states :]
+            works = new.z[chart_places(data.arrays).works :]
             works[data.model.effects.slot("impacts")] += decision.energy
             works[-1] += decision.energy
         clock = run.clock

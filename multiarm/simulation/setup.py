@@ -13,6 +13,7 @@ from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
@@ -202,9 +203,10 @@ def make_stepping(data: Data, name: str, tolerance: Tolerance | None) -> Steppin
     """A method and its arrays; compiles the step of an implicit method."""
     tableau, effects = METHODS[name], data.model.effects
     method = make_method(tableau)
-    step = make_step(tableau, data.model.layout.joints, effects.states, 1 + len(effects.works))
+    step = make_step(tableau, data.model.layout, effects.states, 1 + len(effects.works))
     if tolerance is not None:
-        units = ["m"] * 3 + ["rad"] * 3 + list(data.model.joint_units)
+        of_frame = ["m"] * 3 + ["rad"] * 3
+        units = of_frame * data.model.layout.frames + list(data.model.joint_units)
         of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
         coordinates = [of_unit[unit] for unit in units]
         step.tolerance[:] = 2 * coordinates + [tolerance.smallest] * effects.states
@@ -363,8 +365,8 @@ def _begin_state(
     _first_slope(task, step, feedback)
     states = data.model.effects.states
     if states:
-        first = 12 + 2 * data.model.layout.joints
-        step.z[first : first + states] = data.effect_states()
+        places = chart_places(data.arrays)
+        step.z[places.states : places.works] = data.effect_states()
         _first_slope(task, step, feedback)
     return begin, report
 

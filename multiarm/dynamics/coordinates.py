@@ -1,0 +1,193 @@
+r"""The configuration manifold, and the chart in which the integrator moves on it.
+
+A configuration is F poses of floating frames and n numbers, the joint positions.  Displacements
+:math:`u` are in the order of a velocity (:mod:`multiarm.dynamics.layout`), in world axes:
+
+.. math::
+    x_f \oplus u = x_f + \delta_f, \qquad R_f \oplus u = \exp(\theta_f) R_f, \qquad
+    q \oplus u = q + \delta_q, \qquad u = (\delta_f, \theta_f, \ldots, \delta_q).
+
+Within a step the orientations are :math:`R_f = \exp(\theta_f) R_{0f}` with those at the beginning
+of the step, the *base* of the chart.  So the state is a plain vector,
+
+.. code-block:: text
+
+    z = [frames (6 F): position, rotation vector;  joint positions (n);  velocity (6 F + n);
+         states of effects (e);  works (w)]
+
+with :math:`\dot\theta` from :func:`multiarm.spatial.write_chart_rate`.  Runge-Kutta methods keep
+their order and their dense output in it (H. Munthe-Kaas, BIT 38, 1998); after the step the rotation
+goes into the full quaternion, and the next chart begins at :math:`\theta = 0`.  The works are
+those of each effect, and of control and effects together: quadratures for the energy balance.
+
+``data`` are the variables of an evaluation (:class:`multiarm.dynamics.arrays.Variables`), as arrays
+in Python and as their view in kernels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.layout import Layout
+from multiarm.jit.kernels import copy, inlined, plain
+from multiarm.spatial import difference as rotation_difference
+from multiarm.spatial import retract_into, write_chart_rate
+
+# --- configurations ------------------------------------------------------------------------------
+
+
+@plain
+def retract(frames, start, step, displacement, configuration):
+    """Write ``start (+) step * displacement`` into ``configuration``, which may be ``start``.
+
+    Parameters
+    ----------
+    frames : int
+        Number of floating frames, F.
+    start, configuration : ndarray, shape (7 F + n,)
+    step : float
+    displacement : ndarray, shape (6 F + n,)
+    """
+    for f in range(frames):
+        at, by = 7 * f, 6 * f
+        turn = (
+            step * displacement[by + 3],
+            step * displacement[by + 4],
+            step * displacement[by + 5],
+        )
+        for k in range(3):
+            configuration[at + k] = start[at + k] + step * displacement[by + k]
+        retract_into(start[at + 3 : at + 7], turn, configuration[at + 3 : at + 7])
+    for j in range(configuration.size - 7 * frames):
+        moved = step * displacement[6 * frames + j]
+        configuration[7 * frames + j] = start[7 * frames + j] + moved
+
+
+def retracted(layout: Layout, start: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """``start (+) displacement``, a new configuration."""
+    configuration = np.empty_like(start)
+    retract(layout.frames, start, 1.0, displacement, configuration)
+    return configuration
+
+
+def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The displacement u with ``start (+) u = end``, each frame turned the shorter way round."""
+    displacement = np.empty(layout.nv)
+    poses, there = layout.poses(start), layout.poses(end)
+    for twist, pose, other in zip(layout.twists(displacement), poses, there, strict=True):
+        twist[:3], twist[3:] = other[:3] - pose[:3], rotation_difference(pose[3:], other[3:])
+    joints = layout.joint_positions(end) - layout.joint_positions(start)
+    displacement[layout.of_joints] = joints
+    return displacement
+
+
+class StateColumns(NamedTuple):
+    """First columns of derivatives by the state; by poses of the frames they begin at zero."""
+
+    twists: int
+    positions: int  # of joints
+    rates: int
+    end: int
+
+
+@plain
+def state_columns(data):
+    """The columns for the sizes of these data, see ``Layout.columns``."""
+    joints, frames = data.angles.size, data.velocity.size - data.angles.size
+    return StateColumns(frames, 2 * frames, 2 * frames + joints, 2 * data.velocity.size)
+
+
+# --- the integrator's chart ----------------------------------------------------------------------
+
+
+class ChartPlaces(NamedTuple):
+    """Where the parts of a chart's vector begin; the frames' positions are first."""
+
+    joints: int  # joint positions
+    velocity: int
+    rates: int  # joint velocities
+    states: int  # of effects
+    works: int
+
+
+@plain
+def chart_places(data):
+    """The places for the sizes of these data."""
+    velocity, joints = data.velocity.size, data.angles.size
+    states = 2 * velocity
+    return ChartPlaces(
+        velocity - joints, velocity, states - joints, states, states + data.inner.size
+    )
+
+
+@plain
+def read_chart(frames, z, base, configuration):
+    """Write the configuration of a chart's vector; ``base`` (4 F,) are quaternions xyzw."""
+    for f in range(frames):
+        at, by = 7 * f, 6 * f
+        for k in range(3):
+            configuration[at + k] = z[by + k]
+        turn = (z[by + 3], z[by + 4], z[by + 5])
+        retract_into(base[4 * f : 4 * f + 4], turn, configuration[at + 3 : at + 7])
+    for j in range(configuration.size - 7 * frames):
+        configuration[7 * frames + j] = z[6 * frames + j]
+
+
+@plain
+def load_chart(z, base, data):
+    """Write the state of a chart into the data, without the works."""
+    places = chart_places(data)
+    read_chart(data.poses.shape[0], z, base, data.configuration)
+    for k in range(data.velocity.size):
+        data.velocity[k] = z[places.velocity + k]
+    for k in range(data.inner.size):
+        data.inner[k] = z[places.states + k]
+
+
+@inlined
+def store_chart(data, base, z):
+    """Begin a chart at the state in the data: ``theta = 0``; the works in ``z`` stay."""
+    places, poses = chart_places(data), data.poses
+    for f in range(poses.shape[0]):
+        for k in range(3):
+            z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], 0.0
+        for k in range(4):
+            base[4 * f + k] = poses[f, 3 + k]
+    for j in range(data.angles.size):
+        z[places.joints + j] = data.angles[j]
+    for k in range(data.velocity.size):
+        z[places.velocity + k] = data.velocity[k]
+    for k in range(data.inner.size):
+        z[places.states + k] = data.inner[k]
+
+
+@inlined
+def write_chart_slope(z, data, slope):
+    """Rate of ``z`` from velocity, accelerations, rates of effects' states, and powers."""
+    places = chart_places(data)
+    for f in range(data.poses.shape[0]):
+        first = 6 * f
+        for k in range(3):
+            slope[first + k] = data.velocity[first + k]
+        write_chart_rate(
+            z[first + 3 : first + 6],
+            data.velocity[first + 3 : first + 6],
+            slope[first + 3 : first + 6],
+        )
+    for j in range(data.v.size):
+        slope[places.joints + j] = data.v[j]
+    for k in range(data.acceleration.size):
+        slope[places.velocity + k] = data.acceleration[k]
+    for k in range(data.inner_rate.size):
+        slope[places.states + k] = data.inner_rate[k]
+    for k in range(data.power.size):
+        slope[places.works + k] = data.power[k]
+
+
+@inlined
+def copy_works(data, source, z):
+    """Write the works of one chart's vector into another."""
+    first = chart_places(data).works
+    copy(source[first:], z[first:])

@@ -1,0 +1,154 @@
+"""Where the parts of a system are in the vectors that stack them.
+
+With F floating frames, of which the object is one, and n joints:
+
+.. code-block:: text
+
+    configuration (7 F + n)    poses (F, 7): position, quaternion xyzw; joint positions (n,)
+    velocity (6 F + n)         twists (F, 6), world axes; joint velocities (n,)
+    contact forces (N)         of each arm, and last of the surroundings
+    columns (12 F + 2 n)       of derivatives by the state: by displacements of the frames, their
+                               twists, joint positions, joint velocities
+
+Displacements, accelerations and generalised forces have the order of a velocity: of a frame six
+numbers, linear (3) and angular (3).  :mod:`multiarm.dynamics.coordinates` moves on configurations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiarm.notation import count_of
+
+NAMED_ARMS = 4
+"""More arms are counted where an object shows itself in a line."""
+
+STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
+"""Names of the columns of derivatives by the state, in their order."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where frames, joints (``dofs``) and contacts (``rows``) of each arm are in stacked vectors.
+
+    Contacts of the object with its surroundings come last, as those of an arm without joints and
+    name.
+    """
+
+    names: tuple[str, ...]
+    dofs: tuple[int, ...]
+    rows: tuple[int, ...]
+    frames: int = 1
+
+    def __str__(self) -> str:
+        count = len(self.names)
+        arms = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
+        return f"{arms}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
+
+    # --- sizes ----------------------------------------------------------------------------------
+
+    @property
+    def joints(self) -> int:
+        """Number of joints of all arms, n."""
+        return self.dofs[-1]
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts of all arms, and of the surroundings, N."""
+        return self.rows[-1]
+
+    @property
+    def nq(self) -> int:
+        """Numbers of a configuration, 7 F + n."""
+        return 7 * self.frames + self.joints
+
+    @property
+    def nv(self) -> int:
+        """Numbers of a velocity, 6 F + n."""
+        return 6 * self.frames + self.joints
+
+    @property
+    def surroundings(self) -> slice:
+        """Contacts of the object with its surroundings."""
+        return slice(self.rows[len(self.names)], self.rows[-1])
+
+    def same_joints(self, other: Layout) -> bool:
+        """Whether frames and joints are the same; the contacts may differ."""
+        return (self.names, self.dofs, self.frames) == (other.names, other.dofs, other.frames)
+
+    # --- parts of configurations and velocities -------------------------------------------------
+
+    def poses(self, configuration: np.ndarray) -> np.ndarray:
+        """Poses of the frames: position [m], quaternion xyzw; a view, shape (..., F, 7)."""
+        return configuration[..., : 7 * self.frames].reshape(
+            *configuration.shape[:-1], self.frames, 7
+        )
+
+    def joint_positions(self, configuration: np.ndarray) -> np.ndarray:
+        """Positions of all joints [rad or m]; a view, shape (..., n)."""
+        return configuration[..., 7 * self.frames :]
+
+    def twists(self, velocity: np.ndarray) -> np.ndarray:
+        """What a vector like a velocity has of the frames; a view, shape (..., F, 6)."""
+        return velocity[..., self.of_frames].reshape(*velocity.shape[:-1], self.frames, 6)
+
+    def joint_rates(self, velocity: np.ndarray) -> np.ndarray:
+        """What a vector like a velocity has of all joints; a view, shape (..., n)."""
+        return velocity[..., self.of_joints]
+
+    @property
+    def of_frames(self) -> slice:
+        """The frames in a velocity."""
+        return slice(6 * self.frames)
+
+    @property
+    def of_joints(self) -> slice:
+        """All joints in a velocity."""
+        return slice(6 * self.frames, self.nv)
+
+    def of_arm(self, i: int) -> slice:
+        """The joints of an arm in a velocity."""
+        first = 6 * self.frames
+        return slice(first + self.dofs[i], first + self.dofs[i + 1])
+
+    def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+        """Views ``arm -> vector[..., its joints]``."""
+        return self._split(vector, self.dofs)
+
+    def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+        """Views ``arm -> vector[..., its contacts]``."""
+        return self._split(vector, self.rows)
+
+    def _split(self, vector: np.ndarray, bounds: tuple[int, ...]) -> dict[str, np.ndarray]:
+        pairs = zip(self.names, bounds[:-1], bounds[1:], strict=False)
+        return {name: vector[..., a:b] for name, a, b in pairs}
+
+    # --- columns of derivatives -----------------------------------------------------------------
+
+    @property
+    def columns(self) -> dict[str, slice]:
+        """Where the columns of derivatives by the state are."""
+        sizes = (6 * self.frames, 6 * self.frames, self.joints, self.joints)
+        return in_sequence(dict(zip(STATE, sizes, strict=True)))
+
+    @property
+    def displacement_columns(self) -> np.ndarray:
+        """The columns of a displacement, in the order of a velocity, shape (6 F + n,)."""
+        return np.r_[self.columns["object_pose"], self.columns["joint_positions"]]
+
+    @property
+    def velocity_columns(self) -> np.ndarray:
+        """The columns of a velocity, shape (6 F + n,)."""
+        return np.r_[self.columns["object_twist"], self.columns["joint_velocities"]]
+
+
+def in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Slices of these sizes, one after the other."""
+    slices, end = {}, 0
+    for name, size in sizes.items():
+        slices[name] = slice(end, end + size)
+        end += size
+    return slices
