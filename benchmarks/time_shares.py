@@ -52,9 +52,9 @@ from multiarm.integration.projection import project
 from multiarm.integration.samples import sample_width, write_sample
 from multiarm.integration.step import (
     begin_chart,
+    coefficients,
     combine,
     error_estimate,
-    make_method,
     make_step,
     open_step,
 )
@@ -285,7 +285,7 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     """The loops over the parts, all at the state in the data."""
     work = data.work
     state = data.get_state()
-    slopes = make_step(RK4, data.model.layout)
+    slopes = make_step(RK4, data.model.layout, data.struct)
     begin_chart(data.struct, slopes.base, slopes.z)
     pushed = slopes.z.copy()
     pushed[:3] += OPEN
@@ -314,7 +314,8 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
 def _arithmetic_burst(layout: Layout, integrator: str) -> Burst:
     """Sums over the stages of made-up slopes."""
     tableau = METHODS[integrator]
-    method, step = make_method(tableau), make_step(tableau, layout)
+    no_system = np.zeros(0, dtype=np.int64)
+    method, step = coefficients(tableau), make_step(tableau, layout, no_system)
     step.k[:] = np.random.default_rng(layout.joints).normal(size=step.k.shape)
     arrays = struct_of(method, step)
 

@@ -97,11 +97,12 @@ def calls_a_burst(burst: Burst) -> int:
 def slope_burst(data: Data) -> Burst:
     """Evaluations as the time loop performs them, at the state in the data."""
     effects, struct = data.model.effects, data.struct
-    step = make_step(RK4, data.model.layout, effects.states, 1 + len(effects.works))
+    works = 1 + len(effects.works)
+    step = make_step(RK4, data.model.layout, struct, effects.states, works)
     begin_chart(struct, step.base, step.z)
     places = chart_places(data.arrays)
     step.z[places.states : places.works] = data.effect_states()
-    return loop_burst(data, _evaluate_often, step.z, step.base, step.slope)
+    return loop_burst(data, _evaluate_often, step.stage, step.z, step.base, step.slope)
 
 
 def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
@@ -188,10 +189,10 @@ def _terms_often(address, count):
 
 
 @kernel
-def _evaluate_often(struct, z, base, slope, count):
+def _evaluate_often(struct, stage, z, base, slope, count):
     status = OK
     for i in range(count):
-        status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
+        status = evaluate_slope(struct, stage, 1e-4 * i, z, base, slope)
         if status != OK:
             return status
     return status

@@ -2,9 +2,9 @@
 
 A method is a :class:`Tableau`, listed in :data:`METHODS`.  Scene files, the command line and error
 messages take the names from there.  Explicit Runge-Kutta methods need no more than a tableau and
-the stepper (:mod:`multiarm.integration.step`).  A Rosenbrock method has further coefficients and
-a step of its own (:mod:`multiarm.integration.rosenbrock`), and so has the variational method
-(:mod:`multiarm.integration.variational`), whose tableau only states its order.
+the explicit step (:mod:`multiarm.integration.explicit`).  A Rosenbrock method has further
+coefficients and a step of its own (:mod:`multiarm.integration.rosenbrock`), and so has the
+variational method (:mod:`multiarm.integration.variational`), whose tableau only states its order.
 
 The coefficients are tuples of floats, so that the names are known without importing NumPy.
 
@@ -48,7 +48,9 @@ class Tableau(NamedTuple):
     # (DOP853's nested form) or QUARTIC (Rodas5P's)
     dense_kind: int = HERMITE
     kind: int = EXPLICIT
-    stability: float = math.inf  # end of the region of stability on the negative real axis
+    # end of the region of stability on the negative real axis; infinite: not watched
+    stability: float = math.inf
+    closes_gaps: bool = False  # a step ends on the joints: no projection follows
     # further coefficients of Rosenbrock methods: see :mod:`multiarm.integration.rosenbrock`
     gamma: float = 0.0
     C: Matrix = ()  # (s, s)
@@ -217,6 +219,7 @@ VARIATIONAL_MIDPOINT = Tableau(
     b=(1.0,),
     c=(0.0,),
     kind=VARIATIONAL,
+    closes_gaps=True,
     purpose="for long motions whose energy must not drift; keeps the joints closed itself",
 )
 

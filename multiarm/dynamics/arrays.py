@@ -86,8 +86,6 @@ class Time(Numbers):
     """Time of an evaluation [s]."""
 
     now: Float
-    # upper bound for the stages of a step: one that ends at a jump does not evaluate the other side
-    latest: Float
 
 
 class Status(Numbers):
@@ -100,8 +98,6 @@ class Status(Numbers):
     imbalance: Float  # residual of the object's equation, relative to the largest force in it
     position_change: Float  # largest change of a coordinate by the last projection [m, rad]
     velocity_change: Float  # the same of the velocities [m/s, rad/s]
-    stage_gap: Float  # gap to which stages are projected before evaluation [m]; negative: are not
-    branch_gap: Float  # gap to which neighbours of a state near a loss of rank are projected [m]
     potential_energy: Float  # of Pinocchio's arms [J], at samples only
 
 
@@ -116,6 +112,12 @@ class SamplingStatus(Numbers):
     mode: Int  # what a sample, and the beginning of a run, makes of ``due``
     due: Int  # HELD, ONCE or ALWAYS
     samples: Int  # taken since the beginning
+
+
+class Interpolation(Numbers):
+    """Setting of an evaluation near a loss of rank."""
+
+    gap: Float  # to which neighbours of the state are projected [m]
 
 
 class Functions(Numbers):
@@ -158,6 +160,7 @@ class Variables(NamedTuple):
 
     time: Time
     status: Status
+    interpolation: Interpolation
     functions: Functions
     pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
     link_poses: Ints1  # addresses of the poses of links on which effects act
@@ -258,8 +261,9 @@ def make_variables(
         "events": (512 if monitors else 0, 3),
     }  # fmt: skip
     return Variables(
-        time=Time(latest=np.inf),
-        status=Status(stage_gap=-1.0, branch_gap=-1.0),
+        time=Time(),
+        status=Status(),
+        interpolation=Interpolation(),
         functions=Functions(),
         modes=ModeStructs(),
         sampling=SamplingStatus(mode=ALWAYS),
@@ -271,23 +275,20 @@ def make_variables(
         lost=np.zeros(arms + 1, dtype=np.int64),
         passed=np.zeros(arms, dtype=np.int64),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
-        **_stacked_vectors(layout),
+        **stacked_vectors(layout),
         **row_variables(constants, layout.contacts),
     )
 
 
-def _stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
+def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
     """Configuration, velocity, accelerations and generalised forces, with views of their parts."""
     q, v, a, h = (np.zeros(size) for size in (layout.nq, *[layout.nv] * 3))
-    (position,), (twist,), (q_o,), (h_o,) = (
-        layout.poses(q), layout.twists(v), layout.twists(a), layout.twists(h),
-    )  # fmt: skip
     return {
-        "configuration": q, "poses": layout.poses(q), "position": position,
+        "configuration": q, "poses": layout.poses(q), "position": layout.poses(q)[0],
         "angles": layout.joint_positions(q),
-        "velocity": v, "twist": twist, "v": layout.joint_rates(v),
-        "acceleration": a, "q_o": q_o, "qdd": layout.joint_rates(a),
-        "generalised_forces": h, "h_o": h_o, "h": layout.joint_rates(h),
+        "velocity": v, "twist": layout.twists(v)[0], "v": layout.joint_rates(v),
+        "acceleration": a, "q_o": layout.twists(a)[0], "qdd": layout.joint_rates(a),
+        "generalised_forces": h, "h_o": layout.twists(h)[0], "h": layout.joint_rates(h),
     }  # fmt: skip
 
 

@@ -466,7 +466,7 @@ class Data:
         """
         require_same_joints(state, self.model.layout)
         b = self.arrays
-        b.time.now, b.time.latest = t, np.inf
+        b.time.now = t
         self.move_to(state)
         b.torque[:] = 0.0  # those of another control
         b.sampling.due, b.sampling.samples = b.sampling.mode, 0

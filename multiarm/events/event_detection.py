@@ -27,7 +27,8 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.events.kernels import QUIET, spring_length, write_guards
 from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
-from multiarm.integration.step import interpolate, open_step
+from multiarm.integration.dense_output import interpolate
+from multiarm.integration.step import open_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import address_of, call_cfunc
 
@@ -129,7 +130,7 @@ def evaluate_in_step(struct, arrays, guards, t, h, theta):
     _, data, _ = open_system(struct)
     interpolate(method, step, theta, step.z_stage)
     load_chart(step.z_stage, step.base_old, data)
-    data.time.now = min(t + theta * h, data.time.latest)
+    data.time.now = min(t + theta * h, step.stage.latest)
     status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:
         return status

@@ -219,16 +219,16 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
 
 
 @kernel
-def acts_locally(struct):
+def acts_locally(step):
     """Whether control and effects are local now, in a scene that the node algorithm solves."""
-    model, data, _ = open_system(struct)
+    model, data, _ = open_system(step.system)
     held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
     controlled = model.control.shape[0] > 0 and not held
     if not model.local_effects or (controlled and model.control_reach > CARRYING):
         return False
     # modes have solutions of their own, and projected stages depend on all arms
     plain = data.functions.solve == data.functions.project and not model.dense
-    return plain and data.status.stage_gap < 0.0
+    return plain and step.stage.gap < 0.0
 
 
 @kernel
@@ -242,19 +242,19 @@ def is_regular(struct):
 
 
 @kernel
-def differentiate_arms(step, struct, blocks, t, h):
+def differentiate_arms(step, blocks, t, h):
     """Write the derivatives at the beginning of a step, right after its evaluation.
 
     Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular.
     """
-    _, data, work = open_system(struct)
+    _, data, work = open_system(step.system)
     clear_derivatives(blocks)
     write_products(blocks, data, work, blocks.products, blocks.products_o)
-    status = differentiate_by_time(step, struct, blocks, t, h)
+    status = differentiate_by_time(step, blocks, t, h)
     if status == OK and not factor_arms(blocks, data, work):
         status = NOT_FINITE
     if status == OK:
-        status = differentiate_by_state(step, struct, blocks, t)
+        status = differentiate_by_state(step, blocks, t)
     if status == OK and not solve_arms(blocks, work):
         status = NOT_FINITE
     return status
@@ -273,18 +273,18 @@ def clear_derivatives(blocks):
 
 
 @kernel
-def differentiate_by_time(step, struct, blocks, t, h):
+def differentiate_by_time(step, blocks, t, h):
     """Write the residuals of the beginning, and their derivatives by time where they have any.
 
     These come from two later times, inside the step: its beginning may be a kink.  Returns a
     status.
     """
-    model, _, _ = open_system(struct)
+    model, _, _ = open_system(step.system)
     column = 2 * blocks.d + blocks.e + TIME
     change = TIME_CHANGE * min(h, 1.0)  # [s]
     steady = model.control.shape[0] == 0 and model.effects.shape[0] == 0
     for k in range(1 if steady else 3):
-        status = write_residuals(step, struct, blocks, t + k * change, step.z, False, False)
+        status = write_residuals(step, blocks, t + k * change, step.z, False, False)
         if status != OK:
             return status
         if k == 0:
@@ -297,20 +297,20 @@ def differentiate_by_time(step, struct, blocks, t, h):
 
 
 @kernel
-def differentiate_by_state(step, struct, blocks, t):
+def differentiate_by_state(step, blocks, t):
     """Displace the object; then one joint, or one effect's state, of all arms at once.
 
     As the object's columns need the arms' terms at the beginning of the step, they come first.
     Returns a status.
     """
-    _, data, work = open_system(struct)
+    _, data, work = open_system(step.system)
     places, d, own = chart_places(data), blocks.d, 2 * blocks.d + blocks.e
-    status = differentiate_by_share(step, struct, blocks, t)
+    status = differentiate_by_share(step, blocks, t)
     if status != OK:
         return status
     fast = CHANGE * max(1.0, greatest(step.z[places.velocity : places.states]))
     strong = CHANGE * max(1.0, greatest(step.z[places.states : places.works]))
-    central = step.implicit.beta != 0.0
+    central = step.stage.beta != 0.0
     copy(step.z, step.z_stage)
     for k in range(TIME + own):
         of_arms = k >= TIME
@@ -324,7 +324,7 @@ def differentiate_by_state(step, struct, blocks, t):
         for side in range(sides):
             offset = change if side == 0 else -change
             displace(step, blocks, work, places, column, offset)
-            status = write_residuals(step, struct, blocks, t, step.z_stage, of_arms, of_position)
+            status = write_residuals(step, blocks, t, step.z_stage, of_arms, of_position)
             if status != OK:
                 return status
             add_difference(blocks, 1.0 / (sides * offset), column)
@@ -333,14 +333,14 @@ def differentiate_by_state(step, struct, blocks, t):
 
 
 @kernel
-def differentiate_by_share(step, struct, blocks, t):
+def differentiate_by_share(step, blocks, t):
     """Displace s, by so little that drives within their limits stay there; returns a status."""
     own = 2 * blocks.d + blocks.e
     change = CHANGE * max(1.0, greatest(blocks.share))
     for l in range(blocks.shared - 6):  # noqa: E741
         before = blocks.share[l]
         blocks.share[l] += change
-        status = write_residuals(step, struct, blocks, t, step.z, False, False)
+        status = write_residuals(step, blocks, t, step.z, False, False)
         blocks.share[l] = before
         if status != OK:
             return status
@@ -372,18 +372,19 @@ def displace(step, blocks, work, places, column, change):
 
 
 @kernel
-def write_residuals(step, struct, blocks, t, z, arms_move, positions_move):
+def write_residuals(step, blocks, t, z, arms_move, positions_move):
     """Write F at a state, for the accelerations and forces in the data; returns a status.
 
     Without ``arms_move`` the arms' terms are those in the data, without ``positions_move`` all
     products of matrices are those of the beginning.
     """
+    struct, stage = step.system, step.stage
     model, data, work = open_system(struct)
     found, found_o = blocks.found, blocks.found_o
     load_chart(z, step.base, data)
-    data.time.now = min(t, data.time.latest)
+    data.time.now = min(t, stage.latest)
     if arms_move:
-        step.implicit.evaluations += 1
+        stage.evaluations += 1
         status = update_kinematics(struct)
         if status != OK:
             return status
@@ -391,7 +392,7 @@ def write_residuals(step, struct, blocks, t, z, arms_move, positions_move):
         object_terms(model, data)
         update_rows(struct)
     write_local_forces(struct, blocks)
-    drift_terms(data, step.implicit.alpha, step.implicit.beta)
+    drift_terms(data, stage.alpha, stage.beta)
     if data.status.failed:
         return CALLBACK_FAILED
     if positions_move:

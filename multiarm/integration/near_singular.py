@@ -47,7 +47,7 @@ def evaluate_on_branch(struct, gap_tolerance, alpha, beta):
     if status != OK or gap_tolerance < 0.0 or open_coupled(struct).status.arms == 0:
         return status
     _, data, _ = open_system(struct)
-    data.status.branch_gap = gap_tolerance
+    data.interpolation.gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)
 
 
@@ -103,7 +103,7 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         ahead, frames = (k if side % 2 == 0 else -k) * delay, data.poses.shape[0]
         retract(frames, data.kept_configuration, ahead, data.velocity, data.configuration)
         if (
-            project(struct, data.status.branch_gap) != OK
+            project(struct, data.interpolation.gap) != OK
             or evaluate_state(struct, alpha, beta) != OK
         ):
             return False

@@ -56,7 +56,7 @@ from multiarm.integration.arm_blocks import (
 )
 from multiarm.integration.arm_stages import factor_stages, solve_arm_stage, turn
 from multiarm.integration.projection import greatest
-from multiarm.integration.step import IMPLICIT_WORK, Step, combine, evaluate_slope, open_step
+from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
 
@@ -67,7 +67,6 @@ class RosenbrockWork(NamedTuple):
     They are N positions, ``M = N + e`` velocities and states of effects, and ``w`` works.
     """
 
-    system: Ints1  # struct of the system
     slope: Floats1  # (D,), the first slope
     other: Floats1  # (D,), scratch
     time_slope: Floats1  # (D,), derivative with respect to time
@@ -85,7 +84,6 @@ def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks]:
     size, n = step.z.size, data.model.layout.nv
     m = step.tolerance.size - n
     work = RosenbrockWork(
-        system=data.struct,
         slope=np.zeros(size),
         other=np.zeros(size),
         time_slope=np.zeros(size),
@@ -98,8 +96,8 @@ def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks]:
     return work, make_arm_blocks(data, step)
 
 
-_view_work = view(RosenbrockWork, IMPLICIT_WORK)
-_view_blocks = view(ArmBlocks, IMPLICIT_WORK + len(RosenbrockWork._fields))
+_view_work = view(RosenbrockWork, METHOD_WORK)
+_view_blocks = view(ArmBlocks, METHOD_WORK + len(RosenbrockWork._fields))
 
 
 @cfunc
@@ -112,14 +110,13 @@ def rosenbrock_step(address, size, t, h):
     method, step = open_step(struct)
     work, blocks = _view_work(struct), _view_blocks(struct)
     copy(step.k[0], work.slope)
-    step.implicit.evaluations = 0
     status = differentiate(step, work, blocks, t, h)
     if status != OK:
         return status
     n = work.by_position.shape[1]
     omega, gamma = step.z[n + 3 : n + 6], method.gamma
     if blocks.used[0] != 0:
-        usable = factor_stages(gamma, blocks, work.system, omega, h)
+        usable = factor_stages(gamma, blocks, step.system, omega, h)
     else:
         usable = factor(method, step, work, h)
     if not usable:
@@ -128,7 +125,7 @@ def rosenbrock_step(address, size, t, h):
         copy(work.slope, work.other)
         if i > 0:
             combine(step, method.A[i], i, h, step.z_stage)
-            status = slope_at(step, work, t + method.c[i] * h, step.z_stage, work.other)
+            status = slope_at(step, t + method.c[i] * h, step.z_stage, work.other)
             if status != OK:
                 return status
         for j in range(i):
@@ -138,7 +135,7 @@ def rosenbrock_step(address, size, t, h):
         for l in range(work.other.size):  # noqa: E741
             work.other[l] += h * method.d[i] * work.time_slope[l]
         if blocks.used[0] != 0:
-            solve_arm_stage(gamma, blocks, work.system, omega, h, work.other, step.k[i])
+            solve_arm_stage(gamma, blocks, step.system, omega, h, work.other, step.k[i])
         else:
             solve_stage(method, step, work, h, work.other, step.k[i])
     combine(step, method.b, method.stages, h, step.z_new)
@@ -146,25 +143,17 @@ def rosenbrock_step(address, size, t, h):
 
 
 @kernel
-def slope_at(step, work, t, z, slope):
-    """Evaluate, and count it."""
-    implicit = step.implicit
-    implicit.evaluations += 1
-    return evaluate_slope(work.system, t, z, step.base, implicit.alpha, implicit.beta, slope)
-
-
-@kernel
 def differentiate(step, work, blocks, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
-    if acts_locally(work.system):
-        status = slope_at(step, work, t, step.z, work.other)
+    if acts_locally(step):
+        status = slope_at(step, t, step.z, work.other)
         if status != OK:
             return status
-        if is_regular(work.system) and share_weight(work.system, blocks):
+        if is_regular(step.system) and share_weight(step.system, blocks):
             blocks.used[0] = 1
-            status = differentiate_arms(step, work.system, blocks, t, h)
-            write_time_slope(blocks, work.system, work.time_slope)
+            status = differentiate_arms(step, blocks, t, h)
+            write_time_slope(blocks, step.system, work.time_slope)
             return status
     return differentiate_whole(step, work, t, h)
 
@@ -182,11 +171,11 @@ def differentiate_whole(step, work, t, h):
     copy(step.z, z)
     for j in range(n):
         z[j] = step.z[j] - position_change
-        status = slope_at(step, work, t, z, below)
+        status = slope_at(step, t, z, below)
         if status != OK:
             return status
         z[j] = step.z[j] + position_change
-        status = slope_at(step, work, t, z, other)
+        status = slope_at(step, t, z, other)
         if status != OK:
             return status
         z[j] = step.z[j]
@@ -195,7 +184,7 @@ def differentiate_whole(step, work, t, h):
     for j in range(m):
         change = relative_change * (fast if j < n else strong)
         z[n + j] = step.z[n + j] + change
-        status = slope_at(step, work, t, z, other)
+        status = slope_at(step, t, z, other)
         if status != OK:
             return status
         z[n + j] = step.z[n + j]
@@ -207,17 +196,17 @@ def differentiate_whole(step, work, t, h):
 @kernel
 def differentiate_by_time(step, work, t, h):
     """``f_t`` from two later times, inside the step: its beginning may be a kink."""
-    model, _, _ = open_system(work.system)
+    model, _, _ = open_system(step.system)
     rate, other = work.time_slope, work.other
     clear(rate)
     if model.control.shape[0] == 0 and model.effects.shape[0] == 0:
         return OK
     change = TIME_CHANGE * min(h, 1.0)  # [s]
-    status = slope_at(step, work, t + 2.0 * change, step.z, other)
+    status = slope_at(step, t + 2.0 * change, step.z, other)
     if status != OK:
         return status
     copy(other, rate)
-    status = slope_at(step, work, t + change, step.z, other)
+    status = slope_at(step, t + change, step.z, other)
     if status != OK:
         return status
     for i in range(rate.size):

@@ -24,7 +24,7 @@ import numpy as np
 from multiarm.dynamics.arrays import CONTRADICTION, OK, open_coupled, open_system
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.integration.projection import FEEDBACK_RATIO, near_loss
-from multiarm.jit.kernels import kernel, plain
+from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.structs import Flag, Float, Floats1, Int, Numbers, view
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
@@ -38,7 +38,7 @@ NONE, FEEDBACK, PROJECTION = 0, 1, 2
 
 # Step size control: safety factor, smallest and largest change of the length (Hairer and Wanner).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
-# Times closer than this, relative to the run, are equal.
+# Times closer than this, relative to the end of the run, are equal.
 CLOSE_IN_TIME = 1e-12
 # A scene counts as stiff after this many steps limited by stability ...
 STIFF_AFTER = 15
@@ -47,16 +47,12 @@ SMOOTH_AFTER = 6
 
 
 class Settings(NamedTuple):
-    """Settings of a run."""
+    """Settings of a run, which stay as they are."""
 
     begin: Float  # [s]
-    end: Float
-    sample_step: Float  # [s]: samples are taken at its multiples from ``begin``, and at ``end``;
+    sample_step: Float  # [s]: samples are taken at its multiples from ``begin``, and at the end;
     sample_times: Floats1  # or, unless this is empty, at these times [s]
-    samples: Int  # number of them
-    final_sample: Int  # the one that is taken at ``end``; negative: none
     adaptive: Flag
-    step: Float  # [s], the fixed step, or the first one of an adaptive method
     longest_step: Float  # [s], of an adaptive method
     tolerance: Float  # the smallest of ``Step.tolerance``
     stabilization: Int
@@ -68,14 +64,20 @@ class Settings(NamedTuple):
     # Increasing times of discontinuities.  An adaptive method ends a step there; the end of that
     # step is evaluated just before the breakpoint, the next step begins just after it.
     breakpoints: Floats1
-    control_step: Float  # [s] between samples of the control; infinite: it is not sampled
-    switch: Flag  # return when stiffness limits the steps of an explicit method
-    stop: Float  # [s], where a step ends and the loop returns, before the end; infinite: none
 
 
 class Clock(Numbers):
-    """State of the loop, which it keeps between calls."""
+    """State of the loop, which it keeps between calls, and what the driver asks it to do."""
 
+    # set by the driver
+    end: Float  # [s]
+    stop: Float  # [s], where a step ends and the loop returns, before the end; infinite: none
+    samples: Int  # number of samples until the end
+    final_sample: Int  # the one that is taken at the end; negative: none
+    control_step: Float  # [s] between samples of the control; infinite: it is not sampled
+    switch: Flag  # return when stiffness limits the steps of an explicit method
+    step: Float  # [s], the fixed step, or the first one of an adaptive method
+    # kept by the loop
     t: Float
     h: Float  # the next step
     # beginning, length and error [tolerances] of the last step
@@ -111,12 +113,22 @@ class Clock(Numbers):
 view_clock, view_settings = view(Clock), view(Settings)
 
 
-def make_clock(settings: Settings) -> Clock:
+def make_clock(
+    begin: float, end: float, samples: int, final_sample: int, control_step: float, switch: bool,
+    step: float,
+) -> Clock:  # fmt: skip
     """A clock at the beginning of a run."""
     return Clock(
-        t=settings.begin,
-        h=settings.step,
-        control_due=settings.begin + settings.control_step,
+        end=end,
+        stop=math.inf,
+        samples=samples,
+        final_sample=final_sample,
+        control_step=control_step,
+        switch=switch,
+        step=step,
+        t=begin,
+        h=step,
+        control_due=begin + control_step,
         control_samples=1,  # that of the beginning has been taken
         error_before=1.0,
         smallest_step=math.inf,
@@ -136,21 +148,27 @@ def gains(settings, h):
     return alpha, beta
 
 
+@inlined
+def close_in_time(clock):
+    """Times closer than this are equal [s]."""
+    return CLOSE_IN_TIME * (1.0 + clock.end)
+
+
 @kernel
 def planned_step(clock, settings):
     """Length of the next step, and the time at which it ends."""
     t = clock.t
     breakpoints = settings.breakpoints
-    near = CLOSE_IN_TIME * (1.0 + settings.end)
+    near = close_in_time(clock)
     while clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] <= t + near:
         clock.breakpoint += 1
-    stop = min(settings.end, settings.stop)
+    stop = min(clock.end, clock.stop)
     if clock.control_due < stop - near:
         stop = clock.control_due
     if not settings.adaptive:
-        past = math.floor((t - settings.begin) / settings.step + 1e-9)
-        end = settings.begin + (past + 1) * settings.step
-        if end > stop - 1e-9 * settings.step:
+        past = math.floor((t - settings.begin) / clock.step + 1e-9)
+        end = settings.begin + (past + 1) * clock.step
+        if end > stop - 1e-9 * clock.step:
             end = stop
         return end - t, end
     if clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] < stop - near:
@@ -164,27 +182,25 @@ def planned_step(clock, settings):
 
 
 @kernel
-def control_is_due(clock, settings):
+def control_is_due(clock):
     """Whether a sample of the control is to be taken now."""
-    return clock.control_due <= clock.t + CLOSE_IN_TIME * (1.0 + settings.end)
+    return clock.control_due <= clock.t + close_in_time(clock)
 
 
 @kernel
 def breakpoint_at(clock, settings, end):
     """The breakpoint at which a step ends; infinite when it ends at none."""
     k = clock.breakpoint
-    near = CLOSE_IN_TIME * (1.0 + settings.end)
-    if k < settings.breakpoints.size and abs(settings.breakpoints[k] - end) <= near:
+    if k < settings.breakpoints.size and abs(settings.breakpoints[k] - end) <= close_in_time(clock):
         return settings.breakpoints[k]
     return math.inf
 
 
 @kernel
-def stay_before_breakpoint(struct, clock, settings, end):
+def stay_before_breakpoint(step, clock, settings, end):
     """Evaluate a step that ends at a breakpoint before the discontinuity only."""
-    _, data, _ = open_system(struct)
     ahead = not math.isinf(breakpoint_at(clock, settings, end))
-    data.time.latest = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
+    step.stage.latest = end - close_in_time(clock) if ahead else math.inf
 
 
 @kernel
@@ -204,14 +220,14 @@ def length_after_rejection(method, h, error):
 
 
 @kernel
-def choose_stage_projection(struct, clock, settings):
+def choose_stage_projection(step, clock, settings):
     """Decide whether the stages of the next step are projected."""
-    _, data, _ = open_system(struct)
+    struct = step.system
     open_coupled(struct).status.least_margin = math.inf
     retry = clock.retry_steps > 0
     if not settings.adaptive and settings.gap_tolerance >= 0.0:
         retry = near_loss(struct)
-    data.status.stage_gap = settings.gap_tolerance if retry else -1.0
+    step.stage.gap = settings.gap_tolerance if retry else -1.0
 
 
 @kernel

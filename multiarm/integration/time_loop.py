@@ -6,6 +6,9 @@ callbacks, and once for each function that is compiled lazily.  It returns when 
 is full, when its budget of evaluations is used up (progress, checkpoints and Ctrl-C are handled in
 Python), at an event, at the end, or when a step fails.  :class:`Clock` holds its whole state, so
 that the next call continues there.
+
+``arrays`` is the struct of a method and its step
+(:class:`multiarm.integration.methods.Stepping`), ``struct`` that of the system.
 """
 
 from __future__ import annotations
@@ -24,19 +27,12 @@ from multiarm.dynamics.coordinates import (
     write_chart_slope,
 )
 from multiarm.dynamics.equations import finite, largest
+from multiarm.integration.dense_output import interpolate, prepare_dense
 from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
-from multiarm.integration.rosenbrock import rosenbrock_step
 from multiarm.integration.samples import follow_joints, write_sample
-from multiarm.integration.step import (
-    error_estimate,
-    evaluate_slope,
-    interpolate,
-    open_step,
-    prepare_dense,
-    run_stages,
-)
+from multiarm.integration.step import error_estimate, open_step, slope_at
 from multiarm.integration.step_control import (
     BLOCK_FULL,
     BUDGET_USED,
@@ -63,38 +59,33 @@ from multiarm.integration.step_control import (
     view_clock,
     view_settings,
 )
-from multiarm.integration.variational import variational_step
-from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, kernel, unlocked
+from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
-from multiarm.tableaus import EXPLICIT, ROSENBROCK, SEMI_IMPLICIT, VARIATIONAL
 
 # Near a loss of rank this many steps after a failed one are made with projected stages, which
 # allows long steps.
 RETRY_STEPS = 3
-# Compiled steps of the implicit methods.
-IMPLICIT_STEPS = {ROSENBROCK: rosenbrock_step, VARIATIONAL: variational_step}
 
 
 @unlocked
-def advance(struct: INTS, arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT):
+def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT):
     """Integrate until the end, a full block, the budget of evaluations, an event, or a failure.
 
-    ``struct`` is the system's, ``arrays`` that of the method and its step; ``clock`` and
-    ``settings`` are those of the run.  ``block`` (samples, width) receives the samples from
-    ``clock.block_first`` on.  Returns the reason.
+    ``clock`` and ``settings`` are those of the run.  ``block`` (samples, width) receives the
+    samples from ``clock.block_first`` on.  Returns the reason.
     """
     method, step = open_step(arrays)
-    clock, settings = view_clock(clock), view_settings(settings)
+    clock, settings, struct = view_clock(clock), view_settings(settings), step.system
     limit = clock.evaluations + budget
     while True:
         status = emit_samples(struct, method, step, clock, settings, block)
         if status != OK:
             return status
-        if clock.t >= settings.end:
+        if clock.t >= clock.end:
             return FINISHED
-        if clock.t >= settings.stop:
+        if clock.t >= clock.stop:
             return STOPPED
-        if settings.switch and clock.stiff_steps >= STIFF_AFTER:
+        if clock.switch and clock.stiff_steps >= STIFF_AFTER:
             return STIFF
         if clock.evaluations >= limit:
             return BUDGET_USED
@@ -102,17 +93,19 @@ def advance(struct: INTS, arrays: INTS, clock: INTS, settings: INTS, block: TABL
         # shorter steps, relative to the time, would make no progress
         if not h > max(1e-12 * clock.t, 8.0 * np.finfo(np.float64).eps * 1e-3):
             return clock.cause
-        choose_stage_projection(struct, clock, settings)
-        stay_before_breakpoint(struct, clock, settings, end)
-        status, error = try_step(struct, arrays, clock, settings, h)
+        choose_stage_projection(step, clock, settings)
+        stay_before_breakpoint(step, clock, settings, end)
+        status, error = try_step(arrays, clock, settings, h)
         if status == OK and error <= 1.0:
-            status = complete_step(struct, method, step, clock, settings, h, end)
+            status = complete_step(method, step, clock, settings, h, end)
             if status == OK:
+                count_evaluations(step, clock)
                 accept_step(struct, method, clock, settings, h, end, error)
                 if clock.solver_changes > 0:
                     clock.solver_changes = 0
                     return SOLVER_CHANGED
                 continue
+        count_evaluations(step, clock)
         if status in (CALLBACK_FAILED, EVENT) or not settings.adaptive:
             return status
         clock.rejected += 1
@@ -140,12 +133,12 @@ def start_monitors(struct: INTS):
 
 
 @kernel
-def sample_time(settings, k):
+def sample_time(clock, settings, k):
     """Time of sample ``k``."""
     if settings.sample_times.size > 0:
         return settings.sample_times[k]
-    if k == settings.final_sample:
-        return settings.end
+    if k == clock.final_sample:
+        return clock.end
     return settings.begin + k * settings.sample_step
 
 
@@ -165,34 +158,35 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
 
 
 @kernel
-def sample_control(struct, step, clock, settings):
+def sample_control(step, clock, settings):
     """Sample the control at the beginning of the next step, and evaluate it again from there.
 
     Returns a status.
     """
+    struct = step.system
     _, data, _ = open_system(struct)
-    alpha, beta = gains(settings, max(clock.h_before, settings.step))
+    alpha, beta = gains(settings, max(clock.h_before, clock.step))
     load_chart(step.z, step.base, data)
     data.sampling.due = data.sampling.mode
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
         write_chart_slope(step.z, data, step.slope)
         clock.control_samples += 1
-        clock.control_due = settings.begin + clock.control_samples * settings.control_step
+        clock.control_due = settings.begin + clock.control_samples * clock.control_step
     return status
 
 
 @unlocked
-def observe(struct, arrays, clock, settings, row):
+def observe(arrays, clock, settings, row):
     """Evaluate the beginning of the next step, and write it as a sample; returns a status."""
     _, step = open_step(arrays)
-    clock, settings = view_clock(clock), view_settings(settings)
+    clock, settings, struct = view_clock(clock), view_settings(settings), step.system
     _, data, _ = open_system(struct)
-    if control_is_due(clock, settings):
-        status = sample_control(struct, step, clock, settings)
+    if control_is_due(clock):
+        status = sample_control(step, clock, settings)
         if status != OK:
             return status
-    alpha, beta = gains(settings, max(clock.h_before, settings.step))
+    alpha, beta = gains(settings, max(clock.h_before, clock.step))
     load_chart(step.z, step.base, data)
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
@@ -212,17 +206,17 @@ def emit_samples(struct, method, step, clock, settings, block):
     near = 1e-9 * max(clock.h_before, 1e-12)
     while True:
         due = math.inf
-        if clock.sample < settings.samples:
-            due = sample_time(settings, clock.sample)
-        if due >= t - near and control_is_due(clock, settings):
-            status = sample_control(struct, step, clock, settings)
+        if clock.sample < clock.samples:
+            due = sample_time(clock, settings, clock.sample)
+        if due >= t - near and control_is_due(clock):
+            status = sample_control(step, clock, settings)
             if status != OK:
                 return status
         if due > t + near:
             return OK
         if rows >= block.shape[0]:
             return BLOCK_FULL
-        alpha, beta = gains(settings, max(clock.h_before, settings.step))
+        alpha, beta = gains(settings, max(clock.h_before, clock.step))
         projected = True
         if due >= t - near:
             load_chart(step.z, step.base, data)
@@ -244,25 +238,18 @@ def emit_samples(struct, method, step, clock, settings, block):
 
 
 @kernel
-def try_step(struct, arrays, clock, settings, h):
+def try_step(arrays, clock, settings, h):
     """Stages and error estimate of one step; returns (status, error in units of the tolerance)."""
     method, step = open_step(arrays)
-    t = clock.t
-    alpha, beta = gains(settings, h)
+    t, stage = clock.t, step.stage
+    stage.alpha, stage.beta = gains(settings, h)
     copy(step.slope, step.k[0])
     if settings.stabilization == FEEDBACK and settings.adaptive:
         # the gains depend on this step's length, the known slope on that of the step before
-        status = evaluate_slope(struct, t, step.z, step.base, alpha, beta, step.k[0])
-        clock.evaluations += 1
+        status = slope_at(step, t, step.z, step.k[0])
         if status != OK:
             return status, 0.0
-    status = run_stages(struct, arrays, t, h, alpha, beta)
-    _, data, _ = open_system(struct)
-    implicit = method.kind != EXPLICIT and method.kind != SEMI_IMPLICIT
-    stages = step.implicit.evaluations if implicit else method.stages - 1
-    # a projection is counted as two evaluations
-    projected = data.status.stage_gap >= 0.0 and method.kind != VARIATIONAL
-    clock.evaluations += 3 * stages if projected else stages
+    status = call_cfunc(method.step, arrays, t, h)
     if status != OK:
         return status, 0.0
     if not finite(step.z_new):
@@ -270,26 +257,30 @@ def try_step(struct, arrays, clock, settings, h):
     if not settings.adaptive:
         return OK, 0.0
     if method.error[0, method.stages] != 0.0:
-        status = evaluate_slope(
-            struct, t + h, step.z_new, step.base, alpha, beta, step.k[method.stages]
-        )
-        clock.evaluations += 1
+        status = slope_at(step, t + h, step.z_new, step.k[method.stages])
         if status != OK:
             return status, 0.0
-    error = error_estimate(method, step, h, rounding_floor(struct, clock))
+    error = error_estimate(method, step, h, rounding_floor(step.system, clock))
     return (OK, error) if math.isfinite(error) else (NOT_FINITE, 0.0)
 
 
+@inlined
+def count_evaluations(step, clock):
+    """Add the evaluations of a step to those of the run."""
+    clock.evaluations += step.stage.evaluations
+    step.stage.evaluations = 0
+
+
 @kernel
-def complete_step(struct, method, step, clock, settings, h, end):
+def complete_step(method, step, clock, settings, h, end):
     """Project and evaluate the end of a step, check it, and prepare dense output and next step."""
+    struct, t, latest = step.system, clock.t, step.stage.latest
     model, data, _ = open_system(struct)
-    t = clock.t
     alpha, beta = gains(settings, h)
     load_chart(step.z_new, step.base, data)
-    projected = method.kind == VARIATIONAL  # its equations close the gaps
-    latest = min(end, data.time.latest)
-    status = project_and_evaluate(struct, clock, settings, projected, latest, alpha, beta)
+    status = project_and_evaluate(
+        struct, clock, settings, method.closes_gaps, min(end, latest), alpha, beta
+    )
     if status != OK:
         return status
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
@@ -302,7 +293,7 @@ def complete_step(struct, method, step, clock, settings, h, end):
     # the slope at the end, in this chart for the dense output and below in the next step's chart
     write_chart_slope(step.z_new, data, step.k[method.stages])
     if data.functions.guards != 0 and call_cfunc(data.functions.guards, struct, t, end) != OK:
-        status = prepare_dense(struct, method, step, t, h, alpha, beta)
+        status = prepare_dense(method, step, t, h)
         return EVENT if status == OK else status
     if data.places.size > 0:
         for i in range(data.places.shape[0]):
@@ -310,21 +301,20 @@ def complete_step(struct, method, step, clock, settings, h, end):
     follow_joints(model, data)
     update_monitors(struct, t, end)
     count_solution(struct, clock)
-    if settings.adaptive and method.kind == EXPLICIT:
+    if settings.adaptive and math.isfinite(method.stability):
         detect_stiffness(method, step, clock, h, end)
-    if not math.isinf(data.time.latest):
+    if not math.isinf(latest):
         after = max(end, breakpoint_at(clock, settings, end))
         status = project_and_evaluate(struct, clock, settings, True, after, alpha, beta)
         if status != OK:
             return status
     clear(step.z_stage)
     write_chart_slope(step.z_stage, data, step.slope_next)
-    due = sample_time(settings, clock.sample) if clock.sample < settings.samples else math.inf
+    due = sample_time(clock, settings, clock.sample) if clock.sample < clock.samples else math.inf
     store_chart(data, step.base_next, step.z_next)
     copy_works(data, step.z_new, step.z_next)
     if due < end - 1e-9 * h:
-        status = prepare_dense(struct, method, step, t, h, alpha, beta)
-        clock.evaluations += max(0, method.A.shape[0] - method.stages - 1)
+        status = prepare_dense(method, step, t, h)
         if status != OK:
             return status
     copy(step.z_next, step.z)

@@ -50,7 +50,7 @@ from multiarm.dynamics.coordinates import chart_places, load_chart, retract
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.integration.projection import greatest
-from multiarm.integration.step import IMPLICIT_WORK, Step, open_step
+from multiarm.integration.step import METHOD_WORK, Step, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at, view
@@ -63,7 +63,6 @@ NOT_CONVERGED = -18
 class VariationalWork(NamedTuple):
     """A step's arrays, for velocities of V numbers, ``N`` contacts, ``a`` arms."""
 
-    system: Ints1  # struct of the system
     # update and places of the arms' Coriolis matrices, see :class:`multiarm.arms.terms.Coriolis`
     coriolis_calls: Ints1  # (4,)
     coriolis: Ints2  # (a, 2)
@@ -91,7 +90,6 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     size, rows = layout.nv, layout.contacts
     calls, places = data.coriolis()
     work = VariationalWork(
-        system=data.struct,
         coriolis_calls=calls,
         coriolis=places,
         begin=np.zeros(layout.nq),
@@ -111,7 +109,7 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     return (work,)
 
 
-_view_work = view(VariationalWork, IMPLICIT_WORK)
+_view_work = view(VariationalWork, METHOD_WORK)
 
 
 @cfunc
@@ -120,7 +118,6 @@ def variational_step(address, size, t, h):
     struct = struct_at(address, size)
     _, step = open_step(struct)
     work = _view_work(struct)
-    step.implicit.evaluations = 0
     status = begin_step(step, work, t, h)
     if status != OK:
         return status
@@ -133,15 +130,15 @@ def variational_step(address, size, t, h):
 @kernel
 def begin_step(step, work, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of the unknowns."""
-    model, data, node = open_system(work.system)
+    model, data, node = open_system(step.system)
     velocity = chart_places(data).velocity
     for k in range(data.force.size):  # of the last evaluation, which was here or near
         work.impulse[k] = 0.5 * h * data.force[k]
     load_chart(step.z, step.base, data)
     copy(data.configuration, work.begin)
     data.time.now = t
-    status = update_kinematics(work.system)
-    step.implicit.evaluations += 1
+    status = update_kinematics(step.system)
+    step.stage.evaluations += 1
     if status != OK:
         return status
     for a in range(3):
@@ -184,25 +181,25 @@ def find_velocities(step, work, t, h):
     # the relative error of the velocities; where roundings keep the corrections above it, they may
     # be this large once they no longer shrink
     converged, rounded, shrinks = 2e-15, 1e-8, 0.3
-    model, data, _ = open_system(work.system)
+    model, data, _ = open_system(step.system)
     before = math.inf
     for iteration in range(50):
         displace(work, data, h, t + h)
-        status = update_kinematics(work.system)
+        status = update_kinematics(step.system)
         if status != OK:
             return status
         for k in range(work.gap.size):
             work.gap[k] = -data.contacts[k, GAP] / h
         displace(work, data, 0.5 * h, t + 0.5 * h)
-        status = midpoint_forces(work, h)
-        step.implicit.evaluations += 2
+        status = midpoint_forces(step, work, h)
+        step.stage.evaluations += 2
         if status != OK:
             return status
-        momentum_residual(work, h)
+        momentum_residual(step, work, h)
         for k in range(work.gap.size):
             rolls = model.codes[k, KIND] == TANGENT
             data.c[k] = -data.contacts[k, GAP_RATE] if rolls else work.gap[k]
-        status = solve_constrained(work.system)
+        status = solve_constrained(step.system)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED
         change = correct_unknowns(work, data, iteration)
@@ -257,10 +254,10 @@ def displace(work, data, delay, t):
 
 
 @kernel
-def midpoint_forces(work, h):
+def midpoint_forces(step, work, h):
     """Kinematics and forces at the midpoint: ``push = h F / 2``; returns a status."""
-    _, data, node = open_system(work.system)
-    status = update_kinematics(work.system)
+    _, data, node = open_system(step.system)
+    status = update_kinematics(step.system)
     if status != OK:
         return status
     calls = work.coriolis_calls
@@ -270,7 +267,7 @@ def midpoint_forces(work, h):
         call_cfunc(calls[1], struct_at(calls[2], calls[3]), 0.0, 0.0)
     if data.status.failed:
         return CALLBACK_FAILED
-    status = call_cfunc(data.functions.forces, work.system, 0.0, 0.0)
+    status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)
     if status != OK:
         return status
     inertia, w, push, half = data.inertia, data.twist[3:6], work.push, 0.5 * h
@@ -297,12 +294,12 @@ def midpoint_forces(work, h):
 
 
 @kernel
-def momentum_residual(work, h):
+def momentum_residual(step, work, h):
     """``p_0 + W_0 S_0 + h F / 2 - pi`` into ``data.h_o`` and ``data.h``.
 
     Needs the kinematics of the midpoint in ``data``.
     """
-    model, data, node = open_system(work.system)
+    model, data, node = open_system(step.system)
     momentum, turn, spin = work.momentum, work.turn, work.spin
     momenta(model, data, node, momentum)
     for a in range(3):
@@ -334,19 +331,19 @@ def add_impulses(data, work, node, out):
 @kernel
 def end_step(step, work, t, h):
     """Momenta at the end, and from them the velocities that the joints allow: ``z_new``."""
-    _, data, node = open_system(work.system)
+    _, data, node = open_system(step.system)
     places, z, new, momentum = chart_places(data), step.z, step.z_new, work.momentum
     for k in range(momentum.size):
         momentum[k] = work.start[k] + 2.0 * work.push[k]
     add_impulses(data, work, node, momentum)
     displace(work, data, h, t + h)
-    status = update_kinematics(work.system)
-    step.implicit.evaluations += 1
+    status = update_kinematics(step.system)
+    step.stage.evaluations += 1
     if status != OK:
         return status
     copy(momentum, data.generalised_forces)
     clear(data.c)
-    status = solve_constrained(work.system)
+    status = solve_constrained(step.system)
     if status != OK:
         return status
     for k in range(work.xi.size):  # the chart's rotation vectors begin at zero

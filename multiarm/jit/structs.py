@@ -107,17 +107,6 @@ def struct_of(*holders: tuple) -> np.ndarray:
     return make_struct(entries)
 
 
-def rewrite(struct: np.ndarray, holder: Any, **numbers: float) -> Any:
-    """A ``NamedTuple`` with other numbers, written into its struct; no kernel may be running."""
-    kind: type = type(holder)
-    kinds, floats = _numbers_of(kind), struct.view(np.float64)
-    for name, value in numbers.items():
-        k = holder._fields.index(name)
-        number = kinds[k](value)
-        (floats if isinstance(number, float) else struct)[WIDTH * k] = number
-    return holder._replace(**numbers)
-
-
 @functools.cache
 def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
     """Places of the fields that are numbers, and their constructors."""

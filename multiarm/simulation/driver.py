@@ -21,6 +21,7 @@ from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
+from multiarm.integration.methods import make_stepping
 from multiarm.integration.monitors import collect_events
 from multiarm.integration.step_control import (
     BLOCK_FULL,
@@ -35,9 +36,10 @@ from multiarm.integration.step_control import (
 )
 from multiarm.integration.time_loop import advance, observe
 from multiarm.integration.variational import NOT_CONVERGED
-from multiarm.jit.structs import rewrite, struct_of
+from multiarm.jit.structs import struct_of
 from multiarm.simulation.event_handling import EventHandler
-from multiarm.simulation.setup import Run, make_stepping
+from multiarm.simulation.setup import Run, set_tolerance
+from multiarm.tableaus import METHODS
 
 FOR_STIFF_SCENES = "rodas5p"
 # Steps after which a trial shows how long the steps of that method are.
@@ -61,20 +63,7 @@ class Driver:
     def __init__(self, run: Run, events: EventHandler | None) -> None:
         self.run, self.events, self.event_stops = run, events, 0
         self._switch = Switch()
-        self._settings, self._struct = run.settings, struct_of(run.settings)
-
-    @property
-    def settings_struct(self) -> np.ndarray:
-        """Struct of the run's settings, made anew where these were replaced."""
-        if self.run.settings is not self._settings:
-            self._settings, self._struct = self.run.settings, struct_of(self.run.settings)
-        return self._struct
-
-    def extend(self, end: float, samples: int) -> None:
-        """Move the end [s] of the run on, and the number of samples until then."""
-        struct = self.settings_struct
-        self._settings = rewrite(struct, self._settings, end=end, samples=samples)
-        self.run.settings = self._settings
+        self._settings = struct_of(run.settings)
 
     def advance(self, budget: int) -> tuple[int, str]:
         """Call the loop with a budget of evaluations.
@@ -82,10 +71,7 @@ class Driver:
         Returns why it stopped, and why the run cannot go on past an event there (else empty).
         """
         run, events, fault = self.run, self.events, ""
-        reason = advance(
-            run.data.struct, run.stepping.struct, run.clock.struct, self.settings_struct,
-            run.block, budget,
-        )  # fmt: skip
+        reason = advance(run.stepping.struct, run.clock.struct, self._settings, run.block, budget)
         collect_events(run.data, run.log)
         if events is not None and reason in (EVENT, STOPPED):
             self.event_stops += 1
@@ -104,9 +90,7 @@ class Driver:
     def observe(self, row: np.ndarray) -> int:
         """Evaluate where the run is, and write it as a row of samples; returns a status."""
         run = self.run
-        return observe(
-            run.data.struct, run.stepping.struct, run.clock.struct, self.settings_struct, row
-        )
+        return observe(run.stepping.struct, run.clock.struct, self._settings, row)
 
 
 class Switch:
@@ -120,10 +104,10 @@ class Switch:
 
     def begin_trial(self, run: Run) -> None:
         """Continue with the method for stiff scenes, on trial."""
-        method, clock = run.stepping.method, run.clock
-        self._explicit = run.stepping.tableau.name
+        clock, tableau = run.clock, run.stepping.tableau
+        self._explicit = tableau.name
         # besides the stages, an explicit step takes three: two for projection, one at its end
-        self._explicit_pace = clock.h_before / (method.stages + 2)
+        self._explicit_pace = clock.h_before / (len(tableau.b) + 2)
         self._change(run, FOR_STIFF_SCENES, "the scene is stiff")
 
     def end_trial(self, run: Run) -> None:
@@ -140,10 +124,11 @@ class Switch:
 
     def _change(self, run: Run, name: str, why: str) -> None:
         """Change the method of a run, at its state."""
-        old, run.stepping = run.stepping.step, make_stepping(run.data, name, run.tolerance)
+        old, run.stepping = run.stepping.step, make_stepping(run.data, METHODS[name])
         new = run.stepping.step
+        set_tolerance(new, run.data, run.tolerance)
         new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
-        run.settings = run.settings._replace(switch=False)
+        run.clock.switch = False
         self._until, self._spent = run.clock.steps + TRIAL_STEPS, _step_evaluations(run)
         self._since = run.clock.t
         text = f"{why}: the run goes on with {name}"

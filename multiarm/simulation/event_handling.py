@@ -42,11 +42,12 @@ from multiarm.events.kernels import (
 )
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
+from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, evaluate_slope
 from multiarm.integration.step_control import gains
 from multiarm.results.event_log import EventLog
-from multiarm.simulation.setup import Run, Tolerance, make_stepping
+from multiarm.simulation.setup import Run, Tolerance, set_tolerance
 
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
 HIT_SHARE = 4.0
@@ -154,7 +155,7 @@ class EventHandler:
         self._pending = Pending(time, guards)
         if time - t <= 1e-13 * max(1.0, t):
             return self.cross(run)
-        run.settings = run.settings._replace(stop=time)
+        run.clock.stop = time
         return ""
 
     def cross(self, run: Run) -> str:
@@ -238,7 +239,7 @@ class EventHandler:
         step, bare = run.stepping.step, self.modes.bare
         b = bare.arrays
         load_chart(step.z, step.base, b)
-        b.time.now, b.time.latest = run.clock.t, np.inf
+        b.time.now = run.clock.t
         if update_kinematics(bare.struct) != OK:
             bare.reraise()
         update_rows(self.modes.full.struct)
@@ -279,7 +280,8 @@ class EventHandler:
         tolerance = run.settings.gap_tolerance
         if tolerance >= 0.0 and project(data.struct, tolerance) != OK:
             raise SolverError("the state could not be put on the contacts that closed")
-        run.stepping = make_stepping(data, run.stepping.tableau.name, run.tolerance)
+        run.stepping = make_stepping(data, run.stepping.tableau)
+        set_tolerance(run.stepping.step, data, run.tolerance)
         new = run.stepping.step
         new.z[:] = step.z
         begin_chart(data.struct, new.base, new.z)
@@ -292,10 +294,9 @@ class EventHandler:
         if run.settings.adaptive:
             clock.h = length
         clock.error_before, clock.t_before, clock.h_before = 1.0, clock.t, 0.0
-        run.settings = run.settings._replace(stop=np.inf)
-        alpha, beta = gains(run.settings, run.settings.step)
-        t = clock.t
-        status = evaluate_slope(data.struct, t, new.z, new.base, alpha, beta, new.slope)
+        clock.stop = np.inf
+        new.stage.alpha, new.stage.beta = gains(run.settings, clock.step)
+        status = evaluate_slope(data.struct, new.stage, clock.t, new.z, new.base, new.slope)
         if status != OK:
             data.reraise()
             raise SolverError(f"the motion after the event could not be evaluated ({status})")

@@ -34,7 +34,6 @@ from multiarm.simulation.setup import (
     prepare,
     span_notice,
 )
-from multiarm.tableaus import EXPLICIT
 
 BUDGET = 4000  # evaluations between two calls of progress, and checks of time and Ctrl-C
 CHECKPOINT_INTERVAL = 2.0  # [s] of wall time
@@ -151,7 +150,7 @@ class Pace:
     def __init__(self, run: Run, spec: RunSpec) -> None:
         self.event_stops = 0
         self._unit, self._most = min(1.0, spec.duration), spec.most_steps  # [s], see `most_steps`
-        chosen = run.settings.longest_step if run.settings.adaptive else run.settings.step
+        chosen = run.settings.longest_step if run.settings.adaptive else run.clock.step
         self._shortest = min(self._unit / self._most, SHORT_SHARE * chosen)
         self._steps, self._t = 0, run.settings.begin
 
@@ -182,8 +181,7 @@ def _stiffness_remark(run: Run) -> str:
         return (
             f"; the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
         )
-    explicit = run.stepping.tableau.kind == EXPLICIT and not run.may_switch
-    if not explicit or clock.stiff_steps < STIFF_AFTER:
+    if run.may_switch or clock.stiff_steps < STIFF_AFTER:
         return ""
     since = f"stiff from t = {clock.stiff_since:.3g} s"
     return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"

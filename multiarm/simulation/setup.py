@@ -15,20 +15,14 @@ from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.diagnosis import failure_text
+from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SceneError, SolverError
-from multiarm.integration.rosenbrock import make_rosenbrock
+from multiarm.integration.methods import Stepping, make_stepping
 from multiarm.integration.samples import sample_width
-from multiarm.integration.step import (
-    Method,
-    Step,
-    begin_chart,
-    evaluate_slope,
-    make_method,
-    make_step,
-)
+from multiarm.integration.step import Step, begin_chart, evaluate_slope
 from multiarm.integration.step_control import (
     FEEDBACK,
     NONE,
@@ -38,10 +32,7 @@ from multiarm.integration.step_control import (
     gains,
     make_clock,
 )
-from multiarm.integration.time_loop import IMPLICIT_STEPS, start_monitors
-from multiarm.integration.variational import make_variational
-from multiarm.jit.pointers import address_of
-from multiarm.jit.structs import struct_of
+from multiarm.integration.time_loop import start_monitors
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
@@ -49,7 +40,7 @@ from multiarm.scene.faults import shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
-from multiarm.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
+from multiarm.tableaus import METHODS, Tableau
 
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
@@ -89,17 +80,6 @@ class Task:
     def end(self) -> float:
         """Time at which the run ends [s]."""
         return self.begin + self.spec.duration
-
-
-@dataclass(frozen=True)
-class Stepping:
-    """A method and its arrays."""
-
-    tableau: Tableau
-    method: Method
-    step: Step
-    work: tuple[tuple, ...]  # arrays of an implicit method; empty for others
-    struct: np.ndarray  # struct of method, step and work
 
 
 @dataclass(frozen=True)
@@ -199,23 +179,15 @@ def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tole
     return name, Tolerance(*(tighten * max(0.1 * v, SMALLEST_TOLERANCE) for v in wanted))
 
 
-def make_stepping(data: Data, name: str, tolerance: Tolerance | None) -> Stepping:
-    """A method and its arrays; compiles the step of an implicit method."""
-    tableau, effects = METHODS[name], data.model.effects
-    method = make_method(tableau)
-    step = make_step(tableau, data.model.layout, effects.states, 1 + len(effects.works))
-    if tolerance is not None:
-        of_frame = ["m"] * 3 + ["rad"] * 3
-        units = of_frame * data.model.layout.frames + list(data.model.joint_units)
-        of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
-        coordinates = [of_unit[unit] for unit in units]
-        step.tolerance[:] = 2 * coordinates + [tolerance.smallest] * effects.states
-    work: tuple[tuple, ...] = ()
-    if tableau.kind in IMPLICIT_STEPS:
-        make_work = make_rosenbrock if tableau.kind == ROSENBROCK else make_variational
-        work = make_work(data, step)
-        step.implicit.function = address_of(IMPLICIT_STEPS[tableau.kind])
-    return Stepping(tableau, method, step, work, struct_of(method, step, *work))
+def set_tolerance(step: Step, data: Data, tolerance: Tolerance | None) -> None:
+    """Write the largest accepted error of each number of the state; a fixed step has none."""
+    if tolerance is None:
+        return
+    of_frame = ["m"] * 3 + ["rad"] * 3
+    units = of_frame * data.model.layout.frames + list(data.model.joint_units)
+    of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
+    coordinates = [of_unit[unit] for unit in units]
+    step.tolerance[:] = 2 * coordinates + [tolerance.smallest] * data.model.effects.states
 
 
 def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
@@ -223,47 +195,52 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     data, spec, begin = task.data, task.spec, task.begin
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
-    if METHODS[name].kind == VARIATIONAL:
-        effects, with_states = task.system.scene.effects, data.model.effects.with_states
-        with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
-        fault = method_fault(name, with_states, with_events)
-        if fault:
-            raise SceneError(f"integrator: {fault}")
+    effects, with_states = task.system.scene.effects, data.model.effects.with_states
+    with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
+    if fault := method_fault(name, with_states, with_events):
+        raise SceneError(f"integrator: {fault}")
+    stepping = make_stepping(data, METHODS[name])
+    step = stepping.step
+    set_tolerance(step, data, tolerance)
+    state, report = _place(task, step)
     settings = _settings(task, tolerance)
-    stepping = make_stepping(data, name, tolerance)
-    step, feedback = stepping.step, gains(settings, settings.step)
-    state, report = _begin_state(task, step, feedback)
-    size = scene_size(data)
-    settings = settings._replace(
-        # gaps larger than a tenth of the scene mean that the run has diverged
-        divergence_bound=0.1 * size,
-        gap_tolerance=projection_tolerance(data, size) if settings.gap_tolerance >= 0.0 else -1.0,
-    )
+    first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
+    step.stage.alpha, step.stage.beta = gains(settings, first_length)
+    _evaluate_start(task, step)
     if settings.gap_tolerance >= 0.0 and data.coupled.status.arms:
         # two motions may cross at the start
-        data.arrays.status.stage_gap = settings.gap_tolerance
-        _first_slope(task, step, feedback)
-        data.arrays.status.stage_gap = -1.0
+        step.stage.gap = settings.gap_tolerance
+        _first_slope(task, step)
+        step.stage.gap = -1.0
     start_monitors(data.struct)
     log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)
     if settings.adaptive:
-        first_step = _first_step(task, step, feedback, stepping.method)
-        settings = settings._replace(step=first_step)
+        first_length = _first_length(task, step, METHODS[name])
+    step.stage.evaluations = 0  # statistics begin with the first step
+    samples, final_sample = _samples(task)
     width = sample_width(data)
-    rows = min(max(BLOCK_NUMBERS // width, 16), settings.samples)
+    clock = make_clock(
+        begin,
+        task.end,
+        samples,
+        final_sample,
+        control_step=np.inf if data.model.sampling is None else float(data.model.sampling.time),
+        switch=settings.adaptive and spec.integrator is None,
+        step=first_length,
+    )
     return Run(
         data=data,
         stepping=stepping,
         settings=settings,
-        clock=make_clock(settings),
+        clock=clock,
         sink=sink,
-        block=np.zeros((rows, width)),
+        block=np.zeros((min(max(BLOCK_NUMBERS // width, 16), samples), width)),
         log=log,
         solver_log=solver_log,
         tolerance=tolerance,
-        may_switch=settings.switch,
+        may_switch=bool(clock.switch),
     )
 
 
@@ -319,41 +296,40 @@ def span_notice(model: Model, end: float) -> list[dict]:
     return [{"time": span.end, "kind": "control", "text": f"{span.what} ends and {rest}"}]
 
 
-def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
-    """Settings, with placeholders for what depends on the start."""
-    data, spec, given = task.data, task.spec, task.output_times
-    stabilization = spec.stabilization
+def _samples(task: Task) -> tuple[int, int]:
+    """Number of samples, and the one that is taken at the end of the run."""
+    spec = task.spec
     samples = int(np.floor(spec.duration / spec.output_step * (1 + 1e-12))) + 1
     if spec.duration - (samples - 1) * spec.output_step > 1e-9 * spec.duration:
         samples += 1
+    return samples if task.output_times is None else task.output_times.size, samples - 1
+
+
+def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
+    """The settings of a run, with the kinematics of its start in the data."""
+    data, spec, times = task.data, task.spec, task.output_times
+    stabilization, size = spec.stabilization, scene_size(data)
     kinds = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
+    projects = stabilization.kind == "projection"
     return Settings(
         begin=task.begin,
-        end=task.end,
         sample_step=float(spec.output_step),
-        sample_times=np.zeros(0) if given is None else given,
-        samples=samples if given is None else given.size,
-        final_sample=samples - 1,
+        sample_times=np.zeros(0) if times is None else times,
         adaptive=tolerance is not None,
-        step=float(spec.step) if spec.step is not None else 1e-3,
         longest_step=positive("max_step", task.longest_step),
         tolerance=1.0 if tolerance is None else tolerance.smallest,
         stabilization=kinds[stabilization.kind],
         alpha=-1.0 if stabilization.alpha is None else float(stabilization.alpha),
         beta=-1.0 if stabilization.beta is None else float(stabilization.beta),
-        gap_tolerance=0.0 if stabilization.kind == "projection" else -1.0,
-        divergence_bound=np.inf,
+        gap_tolerance=projection_tolerance(data, size) if projects else -1.0,
+        # gaps larger than a tenth of the scene mean that the run has diverged
+        divergence_bound=0.1 * size,
         breakpoints=np.array(data.model.breakpoints, dtype=float),
-        control_step=np.inf if data.model.sampling is None else float(data.model.sampling.time),
-        switch=tolerance is not None and spec.integrator is None,
-        stop=np.inf,
     )
 
 
-def _begin_state(
-    task: Task, step: Step, feedback: tuple[float, float]
-) -> tuple[State, StartReport]:
-    """The state at which the run begins, evaluated, with the chart and effects' states there."""
+def _place(task: Task, step: Step) -> tuple[State, StartReport]:
+    """The state at which the run begins, with its kinematics in the data, and its chart."""
     system, data = task.system, task.data
     begin, report = system.initial_state(), system.start_report
     if task.state is not None:
@@ -361,39 +337,47 @@ def _begin_state(
         if task.spec.stabilization.kind == "projection":
             begin, report = project_start(data, system.scene, task.state)
     place_state(data, task.begin, begin)
+    _require(update_kinematics(data.struct), data)
     begin_chart(data.struct, step.base, step.z)
-    _first_slope(task, step, feedback)
-    states = data.model.effects.states
-    if states:
-        places = chart_places(data.arrays)
-        step.z[places.states : places.works] = data.effect_states()
-        _first_slope(task, step, feedback)
     return begin, report
 
 
-def _first_slope(task: Task, step: Step, feedback: tuple[float, float]) -> None:
+def _evaluate_start(task: Task, step: Step) -> None:
+    """The slope at the start, with the effects' states there."""
+    _first_slope(task, step)
+    if task.data.model.effects.states:
+        places = chart_places(task.data.arrays)
+        step.z[places.states : places.works] = task.data.effect_states()
+        _first_slope(task, step)
+
+
+def _first_slope(task: Task, step: Step) -> None:
     """Evaluate the beginning; a failure there is an error, not a result."""
-    data = task.data
-    status = evaluate_slope(data.struct, task.begin, step.z, step.base, *feedback, step.slope)
+    struct = task.data.struct
+    status = evaluate_slope(struct, step.stage, task.begin, step.z, step.base, step.slope)
+    _require(status, task.data)
+
+
+def _require(status: int, data: Data) -> None:
     if status != OK:
         data.reraise()
         raise SolverError(failure_text(data, status))
 
 
-def _first_step(task: Task, step: Step, feedback: tuple[float, float], method: Method) -> float:
+def _first_length(task: Task, step: Step, tableau: Tableau) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
     data, duration = task.data, task.spec.duration
     trial = min(1e-5, duration)  # [s]: from its slopes the second derivative is taken
     scale = step.tolerance
     first = (np.abs(step.slope[: scale.size]) / scale).max()
-    other = np.zeros_like(step.slope)
+    later = np.zeros_like(step.slope)
     z = step.z + trial * step.slope
-    if evaluate_slope(data.struct, task.begin + trial, z, step.base, *feedback, other) != OK:
+    if evaluate_slope(data.struct, step.stage, task.begin + trial, z, step.base, later) != OK:
         data.forgive()  # the run itself will fail there, and report when
         return float(trial)
-    second = (np.abs(other - step.slope)[: scale.size] / scale).max() / trial
+    second = (np.abs(later - step.slope)[: scale.size] / scale).max() / trial
     worst = max(first, second)
     if worst == 0.0:
         return min(1e-2, duration)
-    h = (0.01 / worst) ** (1.0 / (method.error_order + 1.0))
+    h = (0.01 / worst) ** (1.0 / (tableau.error_order + 1.0))
     return float(min(h, duration))

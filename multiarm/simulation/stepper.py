@@ -241,10 +241,9 @@ class Stepper:
         self._task.data.hold(torques)
         self._driver: Driver = begin(self._task, MemorySink())
         run = self._driver.run
-        run.settings = run.settings._replace(final_sample=-1)
+        run.clock.final_sample = -1
         if torques is not None:
-            run.clock.control_due = math.inf
-            run.settings = run.settings._replace(control_step=math.inf)
+            run.clock.control_due = run.clock.control_step = math.inf
         self._held = self._driven = torques is not None
         self._run: Run = run
         self._pace = Pace(run, self._task.spec)
@@ -276,7 +275,7 @@ class Stepper:
             return
         run.data.hold(self._torques)
         if not self._held:
-            run.settings = run.settings._replace(control_step=math.inf)
+            run.clock.control_step = math.inf
             self._held = self._driven = True
         run.clock.control_due = run.clock.t
 
@@ -284,7 +283,7 @@ class Stepper:
         """Evaluate the system's control now, and where it is sampled at the multiples from now."""
         sampling, t = self._task.data.model.sampling, run.clock.t
         if sampling is not None:
-            run.settings = run.settings._replace(control_step=sampling.time)
+            run.clock.control_step = sampling.time
             run.clock.control_samples = math.floor(t / sampling.time * (1.0 + SAME_TIME))
         run.clock.control_due = t
 
@@ -295,7 +294,7 @@ class Stepper:
             step = self._run.settings.sample_step
             self._record_present(step)
             count = math.ceil(end / step - SAME_TIME)
-        self._driver.extend(end, count)
+        self._run.clock.end, self._run.clock.samples = end, count
 
     def _record_present(self, step: float) -> None:
         """Record the present if a sample is due, with the torques that act from now on."""
@@ -330,8 +329,8 @@ class Stepper:
         run = self._run
         status, text = failure_of(run, reason)
         run.data.forgive()
-        run.settings = run.settings._replace(stop=math.inf)
-        run.clock.h, run.clock.retry_steps = run.settings.step, 0
+        run.clock.stop = math.inf
+        run.clock.h, run.clock.retry_steps = run.clock.step, 0
         if status == "interrupted":
             raise KeyboardInterrupt
         raise SolverError(text)

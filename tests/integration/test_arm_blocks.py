@@ -21,7 +21,7 @@ from steps import coupled, derivatives_of, step_of_the_package
 
 import multiarm as ma
 from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, OK, OPEN_LOOP
-from multiarm.integration.step import evaluate_slope
+from multiarm.integration.step import Stage, evaluate_slope
 from multiarm.problems import ring_of_arms
 from multiarm.scene.control import BUILT_IN as CONTROLS
 from multiarm.scene.effects import BUILT_IN as EFFECTS
@@ -112,10 +112,11 @@ class Slope:
         position = [state.object_position, np.zeros(3), state.position[7:]]
         self.z = np.concatenate([*position, state.velocity, inner, works])
         self.base = state.object_quaternion_xyzw.copy()
+        self.stage = Stage(gap=-1.0, latest=np.inf)
 
     def __call__(self, t, z):
         slope = np.zeros(z.size)
-        assert evaluate_slope(self.data.struct, t, z, self.base, 0.0, 0.0, slope) == OK
+        assert evaluate_slope(self.data.struct, self.stage, t, z, self.base, slope) == OK
         return slope
 
     def along(self, direction):
@@ -408,11 +409,11 @@ def test_evaluations_of_a_step_do_not_grow_with_the_arms():
     for n in (2, 5):
         system = ma.compile_system(ring_of_arms(n).replace(effects={"joint_damping": 100.0}))
         state = system.initial_state()
-        counts[n] = step_of_the_package(system, state, 1e-3).step.implicit.evaluations
-        whole = step_of_the_package(coupled(system), state, 1e-3).step.implicit.evaluations
+        counts[n] = step_of_the_package(system, state, 1e-3).step.stage.evaluations
+        whole = step_of_the_package(coupled(system), state, 1e-3).step.stage.evaluations
         assert whole == 3 * (6 + 6 * n) + 2 + 7
     assert counts == {2: 1 + 12 + 7, 5: 1 + 12 + 7}
     control = swing("east", joints=7)
     trio = ma.compile_system(panda_trio(WELD, control=control, effects={"actuator_lag": 0.05}))
-    count = step_of_the_package(trio, trio.initial_state(), 1e-3).step.implicit.evaluations
+    count = step_of_the_package(trio, trio.initial_state(), 1e-3).step.stage.evaluations
     assert count == 1 + 14 + 7 + 7  # seven states of drives, too

@@ -20,12 +20,12 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm import tableaus
-from multiarm.integration.step import make_method
+from multiarm.integration.step import coefficients
 from multiarm.scene import StabilizationSpec
 from multiarm.scene.run import STABILIZATIONS
 from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
-COEFFICIENTS = {name: make_method(tableau) for name, tableau in METHODS.items()}
+COEFFICIENTS = {name: coefficients(tableau) for name, tableau in METHODS.items()}
 RUNGE_KUTTA = [name for name, m in METHODS.items() if m.kind == EXPLICIT]
 
 

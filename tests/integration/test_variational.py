@@ -26,10 +26,11 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.integration.methods import make_stepping
 from multiarm.problems import HARD_CASES
 from multiarm.problems.contacts import held_box
 from multiarm.problems.spinning import TUMBLING_INERTIA, free_spin_scene
-from multiarm.simulation.setup import make_stepping
+from multiarm.tableaus import METHODS
 
 
 def one_step(system, state, h, integrator="variational"):
@@ -325,8 +326,8 @@ def test_works_of_effects_are_no_unknowns_of_a_step(ur5_system):
     effects = {"joint_damping": 0.5, "drag": {"linear": 1.0}}
     system = ma.compile_system(ur5_system.scene.replace(effects=effects))
     assert len(system.model.effects.works) == 2
-    step = make_stepping(data_of(system), "variational", None).work[0]
-    for unknowns in (step.xi, step.start, step.push, step.scratch):
+    step = make_stepping(data_of(system), METHODS["variational"]).work[0]
+    for unknowns in (step.xi, step.start, step.push, step.momentum):
         assert unknowns.size == 6 + system.model.layout.joints
     assert step.last.shape == (2, 6 + system.model.layout.joints + system.model.layout.contacts)
 

@@ -17,7 +17,7 @@ from multiarm.control.force_distribution import static_forces
 from multiarm.dynamics.equations import largest
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ControlError, ModelError
-from multiarm.integration.step import error_estimate, make_method, make_step
+from multiarm.integration.step import coefficients, error_estimate, make_step
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import load_trajectory
 from multiarm.tableaus import DOPRI5
@@ -88,11 +88,11 @@ def test_the_largest_of_numbers_with_a_nan_is_nan(at):
 
 @pytest.mark.parametrize("at", [0, 7, 15])
 def test_a_step_with_a_nan_has_no_error_estimate(at):
-    step = make_step(DOPRI5, Layout(("arm",), (0, 2), (0, 0)))
+    step = make_step(DOPRI5, Layout(("arm",), (0, 2), (0, 0)), np.zeros(0, dtype=np.int64))
     step.k[:] = 1.0
     step.k[3, at] = math.nan
     # without its Python entry the kernel is tried as Python
-    found = error_estimate.py_func(make_method(DOPRI5), step, 0.1, 0.0)
+    found = error_estimate.py_func(coefficients(DOPRI5), step, 0.1, 0.0)
     assert math.isnan(found)
 
 

@@ -144,7 +144,7 @@ def endless_events(monkeypatch):
         events = [{"time": t, "kind": kind, "arm": "floor", "text": kind} for kind in kinds]
         self._log.add(events)
         self.count += len(events)
-        run.settings = run.settings._replace(stop=t + 1e-9)
+        run.clock.stop = t + 1e-9
         return ""
 
     monkeypatch.setattr(EventHandler, "cross", cross)

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from mechanics import data_of
 
-from multiarm.integration.step_control import FINISHED
-from multiarm.integration.time_loop import advance
-from multiarm.jit.structs import struct_of
+from multiarm.dynamics.arrays import OK
+from multiarm.jit.pointers import CFUNC_PROTOTYPE
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Task, prepare, run_spec
 
@@ -28,16 +27,10 @@ def step_of_the_package(system, state, h):
     data = data_of(system)
     run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
     stepping = run.stepping
-    settings = run.settings._replace(adaptive=False, step=h, divergence_bound=np.inf)
-    reason = advance(
-        data_of(system).struct,
-        stepping.struct,
-        run.clock.struct,
-        struct_of(settings),
-        run.block,
-        1000,
-    )
-    assert reason == FINISHED and run.clock.steps == 1
+    step, struct = stepping.step, stepping.struct
+    step.k[0] = step.slope
+    make = CFUNC_PROTOTYPE(stepping.coefficients.step)
+    assert make(struct.ctypes.data, struct.size, 0.0, h) == OK
     return stepping
 
 

@@ -1,0 +1,127 @@
+"""The configuration manifold and the integrator's chart, for several floating frames."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from multiarm.dynamics.arrays import stacked_vectors
+from multiarm.dynamics.coordinates import (
+    chart_places,
+    difference,
+    load_chart,
+    read_chart,
+    retracted,
+    state_columns,
+    store_chart,
+    write_chart_slope,
+)
+from multiarm.dynamics.layout import STATE, Layout
+
+LAYOUTS = [
+    Layout(("arm",), (0, 3), (0, 2)),
+    Layout(("left", "right"), (0, 3, 5), (0, 2, 4), frames=3),
+    Layout((), (0,), (0,), frames=2),
+]
+ROUNDING = 1e-14
+layouts = pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: f"{layout.frames} frames")
+
+
+def random_configuration(layout, rng):
+    q = rng.normal(size=layout.nq)
+    layout.poses(q)[:, 3:] = Rotation.random(layout.frames, random_state=rng).as_quat()
+    return q
+
+
+def random_data(layout, rng, states=2, works=3):
+    vectors = stacked_vectors(layout)
+    for vector in ("velocity", "acceleration", "generalised_forces"):
+        vectors[vector][:] = rng.normal(size=layout.nv)
+    vectors["configuration"][:] = random_configuration(layout, rng)
+    extra = {"inner": states, "inner_rate": states, "power": works}
+    return SimpleNamespace(**vectors, **{name: rng.normal(size=n) for name, n in extra.items()})
+
+
+@layouts
+def test_retraction_turns_each_frame_by_the_exponential_and_shifts_all_else(layout):
+    rng = np.random.default_rng(1)
+    start, u = random_configuration(layout, rng), rng.normal(size=layout.nv)
+    end = retracted(layout, start, u)
+    for before, after, twist in zip(
+        layout.poses(start), layout.poses(end), layout.twists(u), strict=True
+    ):
+        expected = Rotation.from_rotvec(twist[3:]) * Rotation.from_quat(before[3:])
+        assert np.allclose(after[:3], before[:3] + twist[:3], atol=ROUNDING)
+        turned = Rotation.from_quat(after[3:]) * expected.inv()
+        assert turned.magnitude() < ROUNDING
+    joints = layout.joint_positions(start) + layout.joint_rates(u)
+    assert np.allclose(layout.joint_positions(end), joints, atol=ROUNDING)
+
+
+@layouts
+def test_difference_is_the_inverse_of_retraction(layout):
+    rng = np.random.default_rng(2)
+    start, u = random_configuration(layout, rng), rng.uniform(-1.5, 1.5, size=layout.nv)
+    assert np.allclose(difference(layout, start, retracted(layout, start, u)), u, atol=ROUNDING)
+
+
+@layouts
+def test_parts_are_views_of_the_stacked_vectors(layout):
+    q, v = np.arange(layout.nq, dtype=float), np.arange(layout.nv, dtype=float)
+    layout.poses(q)[...] = -1.0
+    layout.twists(v)[...] = -1.0
+    assert np.all(q[: 7 * layout.frames] == -1.0) and np.all(v[: 6 * layout.frames] == -1.0)
+    assert np.array_equal(layout.joint_positions(q), np.arange(7 * layout.frames, layout.nq))
+    for i in range(len(layout.names)):
+        first, last = layout.dofs[i : i + 2]
+        assert np.array_equal(v[layout.of_arm(i)], layout.joint_rates(v)[first:last])
+
+
+@layouts
+def test_columns_of_the_state_have_every_displacement_and_velocity_once(layout):
+    columns = layout.columns
+    assert list(columns) == list(STATE)
+    both = np.concatenate([layout.displacement_columns, layout.velocity_columns])
+    assert np.array_equal(np.sort(both), np.arange(2 * layout.nv))
+    of_kernels = state_columns(random_data(layout, np.random.default_rng(3)))
+    assert list(of_kernels) == [*[columns[name].start for name in STATE[1:]], 2 * layout.nv]
+
+
+@layouts
+def test_a_chart_begins_at_the_state_and_leads_back_to_it(layout):
+    rng = np.random.default_rng(4)
+    data, other = random_data(layout, rng), random_data(layout, rng)
+    z = rng.normal(size=chart_places(data).works + data.power.size)
+    works, base = z[chart_places(data).works :].copy(), np.zeros(4 * layout.frames)
+    store_chart.py_func(data, base, z)
+    load_chart.py_func(z, base, other)
+    assert np.allclose(other.configuration, data.configuration, atol=ROUNDING)
+    assert np.array_equal(other.velocity, data.velocity)
+    assert np.array_equal(other.inner, data.inner)
+    assert np.array_equal(z[chart_places(data).works :], works)
+
+
+@layouts
+def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
+    """A motion with constant twists passes through the chart's state; differences of order two."""
+    rng, h = np.random.default_rng(5), 1e-5
+    data = random_data(layout, rng)
+    places = chart_places(data)
+    z = 0.4 * rng.normal(size=places.works + data.power.size)
+    base = Rotation.random(layout.frames, random_state=rng).as_quat().ravel()
+    load_chart.py_func(z, base, data)
+    slope = np.zeros_like(z)
+    write_chart_slope.py_func(z, data, slope)
+
+    def positions(t):
+        q = retracted(layout, data.configuration, t * data.velocity)
+        origin = np.zeros(layout.nq)
+        read_chart(layout.frames, np.zeros_like(z), base, origin)
+        return difference(layout, origin, q)
+
+    numeric = (positions(h) - positions(-h)) / (2.0 * h)
+    assert np.allclose(slope[: layout.nv], numeric, atol=1e-8)
+    assert np.array_equal(slope[places.velocity : places.states], data.acceleration)
+    assert np.array_equal(slope[places.states : places.works], data.inner_rate)
+    assert np.array_equal(slope[places.works :], data.power)
