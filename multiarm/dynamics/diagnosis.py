@@ -39,7 +39,6 @@ NONE = 1e-6
 ALIKE = 0.1
 # Longest description, in characters.
 LONGEST = 60
-REACH = "motion along its own reach"
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,7 @@ class LostMotion:
     moment: np.ndarray
     place: np.ndarray  # (3,) where the arm holds the object [m]
     share: float  # motion along it, relative to that along the arm's best direction
+    along_reach: bool = False  # from the arm's shoulder to where it holds the object
 
 
 def failure_text(data: Data, status: int) -> str:
@@ -135,7 +135,7 @@ def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
         return ()
     _, sizes, turned = np.linalg.svd(hold.torques)
     kept = int(np.sum(sizes > LITTLE * sizes[0])) if sizes[0] > 0.0 else 0
-    return _named(hold, hold.basis @ turned[kept:].T, float(sizes[0]))
+    return _lost_motions(hold, hold.basis @ turned[kept:].T, float(sizes[0]))
 
 
 def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ...]:
@@ -151,7 +151,7 @@ def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ..
     size = np.linalg.norm(hold.wrenches, 2)
     space, sizes, _ = np.linalg.svd(wrenches, full_matrices=False)
     kept = int(np.sum(sizes > NONE * size * np.linalg.norm(directions)))
-    named = _named(hold, space[:, :kept], float(np.linalg.norm(hold.torques, 2)))
+    named = _lost_motions(hold, space[:, :kept], float(np.linalg.norm(hold.torques, 2)))
     words = tuple(lost.words for lost in named)
     if kept < directions.shape[1]:
         words += ("contacts that say the same twice",)
@@ -174,11 +174,19 @@ class _Hold:
     wrenches: np.ndarray
     basis: np.ndarray
     torques: np.ndarray
-    names: tuple[tuple[str, np.ndarray], ...]
+    names: tuple[_Named, ...]
 
     def share(self, wrench: np.ndarray, best: float) -> float:
         """Motion of the arm along a unit wrench, relative to that along its best direction."""
         return float(np.linalg.norm(self.torques @ (self.basis.T @ wrench))) / best if best else 0.0
+
+
+class _Named(NamedTuple):
+    """A line or an axis with a name, as a unit wrench about where the arm holds the object."""
+
+    name: str
+    wrench: np.ndarray
+    along_reach: bool = False
 
 
 class _Axis(NamedTuple):
@@ -201,7 +209,7 @@ def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
     leave = f"its {count_of(joints, 'joint')} {'leaves' if joints == 1 else 'leave'}"
     words += (f"{leave} {len(lost)} of {independent} directions without motion",)
     if len(lost) > independent - joints:  # the posture loses further ones
-        words += tuple(motion.words for motion in lost if motion.words.endswith(REACH))
+        words += tuple(motion.words for motion in lost if motion.along_reach)
     return words
 
 
@@ -278,20 +286,18 @@ def _length(axes: list[_Axis], place: np.ndarray) -> float:
 # --- words ---------------------------------------------------------------------------------------
 
 
-def _axis_names(
-    axes: list[_Axis], place: np.ndarray, length: float
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Named lines and axes as unit wrenches about ``place``, in the order of preference."""
+def _axis_names(axes: list[_Axis], place: np.ndarray, length: float) -> Iterator[_Named]:
+    """Named lines and axes in the order of preference."""
     shoulder, ends = _reach(axes, place)
     for end in ends:
         along = end - shoulder
         if np.linalg.norm(along) > ALIKE * length:
             along = along / np.linalg.norm(along)
-            yield REACH, _line(along, shoulder - place, length)
+            yield _Named("motion along its own reach", _line(along, shoulder - place, length), True)
     for name, axis in zip("xyz", np.eye(3), strict=True):
-        yield f"motion along world {name}", _line(axis, np.zeros(3), length)
+        yield _Named(f"motion along world {name}", _line(axis, np.zeros(3), length))
     for name, axis in zip("xyz", np.eye(3), strict=True):
-        yield f"turn about world {name}", np.concatenate([np.zeros(3), axis])
+        yield _Named(f"turn about world {name}", np.concatenate([np.zeros(3), axis]))
 
 
 def _reach(axes: list[_Axis], place: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -330,23 +336,23 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
-def _named(hold: _Hold, space: np.ndarray, best: float) -> tuple[LostMotion, ...]:
+def _lost_motions(hold: _Hold, space: np.ndarray, best: float) -> tuple[LostMotion, ...]:
     """A basis of lost wrenches (6, k): first those that have names, then others."""
-    found = []
-    for name, wrench in hold.names:
-        part = space.T @ wrench
+    motions = []
+    for line in hold.names:
+        part = space.T @ line.wrench
         size = np.linalg.norm(part)
         if size * size > 1.0 - ALIKE * ALIKE:
-            found.append(_motion(hold, name, space @ part / size, best))
+            motions.append(_motion(hold, line._replace(wrench=space @ part / size), best))
             space = space @ np.linalg.svd(part[None, :])[2][1:].T
-    others = [_motion(hold, _screw(hold, wrench), wrench, best) for wrench in space.T]
-    return tuple(found + others)
+    screws = [_Named(_screw(hold, wrench), wrench) for wrench in space.T]
+    return (*motions, *(_motion(hold, screw, best) for screw in screws))
 
 
-def _motion(hold: _Hold, name: str, wrench: np.ndarray, best: float) -> LostMotion:
-    share = hold.share(wrench, best)
-    words = f"{'no' if share < NONE else 'little'} {name}"
-    return LostMotion(words, wrench[:3], hold.length * wrench[3:], hold.place, share)
+def _motion(hold: _Hold, line: _Named, best: float) -> LostMotion:
+    share, force, moment = hold.share(line.wrench, best), line.wrench[:3], line.wrench[3:]
+    words = f"{'no' if share < NONE else 'little'} {line.name}"
+    return LostMotion(words, force, hold.length * moment, hold.place, share, line.along_reach)
 
 
 def _screw(hold: _Hold, wrench: np.ndarray) -> str:

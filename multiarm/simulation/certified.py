@@ -17,7 +17,7 @@ the file holds a complete run without certificate.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -56,12 +56,33 @@ class Attempt:
 
     trajectory: Trajectory  # closed once it is no longer needed
     path: Path | None
-    row: dict[str, Any]  # its cost, and its estimated errors once they are known
+    errors: Mapping[str, float | None]  # by kind of output; None until they are estimated
 
     @property
     def tolerance(self) -> float:
         """Largest accepted error of one step."""
-        return float(self.row["tolerance"])
+        return float(self.trajectory.statistics["tolerance"])
+
+    @property
+    def steps(self) -> int:
+        """Number of accepted steps."""
+        return int(self.trajectory.statistics["steps"])
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations."""
+        return int(self.trajectory.statistics["evaluations"])
+
+    @property
+    def compile_time(self) -> float:
+        """How long it waited for the compiler [s]."""
+        return float(self.trajectory.statistics["compile_time_s"])
+
+    def row(self, returned: bool) -> dict[str, Any]:
+        """Cost and errors for the certificate, in types of JSON."""
+        counted = self.trajectory.statistics
+        keys = ("tolerance", "integrator", "steps", "evaluations", "wall_time_s", "compile_time_s")
+        return {**{key: counted.get(key) for key in keys}, **self.errors, "returned": returned}
 
 
 class _Stopped(Exception):
@@ -95,8 +116,8 @@ class Attempts:
     def first(self) -> Trajectory:
         """Carry out the task as given."""
         sink = MemorySink() if self.out is None else Hdf5Sink(self.out)
-        trajectory = carry_out(self.task, sink, self.progress)
-        self._made.append(Attempt(trajectory, self.out, _row(trajectory)))
+        trajectory = carry_out(self.task, sink, self.progress).trajectory
+        self._made.append(Attempt(trajectory, self.out, dict.fromkeys(KINDS)))
         return trajectory
 
     def certify(self) -> Trajectory:
@@ -126,7 +147,7 @@ class Attempts:
         candidate, finer = self._first_pair()
         while True:
             finding = judge(self.task.data, candidate.trajectory, finer.trajectory, self._accuracy)
-            candidate.row.update(finding.estimated)
+            candidate.errors = finding.estimated
             if self._judged:
                 self._drop(self._judged[-1][0])
             self._judged.append((candidate, finding))
@@ -153,7 +174,7 @@ class Attempts:
                 if stop.reason != EXHAUSTED:
                     raise
         looser = self._rerun(TIGHTER * max(first.tolerance, SMALLEST_TOLERANCE))
-        if looser.row["steps"] > 0.95 * first.row["steps"]:
+        if looser.steps > 0.95 * first.steps:
             # the tolerance does not limit the steps: the difference of the runs means nothing
             raise _Stopped(EXHAUSTED, ROUNDING_WORDS)
         return looser, first
@@ -207,18 +228,18 @@ class Attempts:
         sink = MemorySink() if path is None else Hdf5Sink(path)
         try:
             task = self._with_shorter_steps(tolerance, coarser)
-            run = carry_out(task, sink, self._watch(), tolerance / first.tolerance, most)
+            run, stalled = carry_out(task, sink, self._watch(), tolerance / first.tolerance, most)
         except MultiarmError as error:
             self._remove(path)
             raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {error}") from error
         except BaseException:
             self._remove(path)
             raise
-        attempt = Attempt(run, path, _row(run))
+        attempt = Attempt(run, path, dict.fromkeys(KINDS))
         self._made.append(attempt)
         if run.status == "interrupted":
             raise _Stopped(INTERRUPTED, "")
-        if run.status != "completed" and TOO_MANY in run.message:
+        if stalled:
             raise _Stopped(EXHAUSTED, f"{TOO_MANY} at a tolerance of {tolerance:.1g}: {REMEDY}")
         if run.status != "completed":
             raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {run.message}")
@@ -273,11 +294,9 @@ class Attempts:
         else:
             if reason == INTERRUPTED:
                 words = "the repetition with smaller tolerances was interrupted by the user"
-            rows = [
-                {**attempt.row, "returned": attempt is chosen} for attempt in self._made
-            ]  # fmt: skip
+            rows = [attempt.row(attempt is chosen) for attempt in self._made]
             changes["certificate"] = certificate(finding, self._accuracy, reason, words, rows)
-        waited = sum(attempt.row["compile_time_s"] for attempt in self._made)
+        waited = sum(attempt.compile_time for attempt in self._made)
         changes["statistics"] = {**chosen.trajectory.statistics, "compile_time_s": waited}
         if chosen.path is None:
             return chosen.trajectory.with_outcome(**changes)
@@ -326,10 +345,4 @@ def _grown(rate: float | None, time: float) -> float:
 def _most(coarser: Attempt, tolerance: float) -> float:
     """How many evaluations a rerun may take: one that takes many more is limited by roundings."""
     tighter = max(coarser.tolerance / tolerance / TIGHTER, 1.0)
-    return 12.0 * tighter**0.25 * coarser.row["evaluations"] + BUDGET
-
-
-def _row(run: Trajectory) -> dict[str, Any]:
-    counted = run.statistics
-    keys = ("tolerance", "integrator", "steps", "evaluations", "wall_time_s", "compile_time_s")
-    return {**{key: counted.get(key) for key in keys}, **dict.fromkeys(KINDS)}
+    return 12.0 * tighter**0.25 * coarser.evaluations + BUDGET

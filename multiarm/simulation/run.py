@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from multiarm.dynamics.system import System
 from multiarm.errors import TrajectoryError
@@ -49,13 +49,35 @@ TOO_MANY = "steps became so short that the run hardly got on"
 Progress = Callable[[float], None]
 
 
+class Carried(NamedTuple):
+    """A task that was carried out.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    stalled : bool
+        It was ended because its steps became too short, or too many.
+    """
+
+    trajectory: Trajectory
+    stalled: bool
+
+
+class _Ended(NamedTuple):
+    """How a run ended."""
+
+    status: str
+    message: str
+    stalled: bool = False
+
+
 def carry_out(
     task: Task,
     sink: Sink,
     progress: Progress | None = None,
     tighten: float = 1.0,
     most_evaluations: float = math.inf,
-) -> Trajectory:
+) -> Carried:
     """Run a task once.
 
     Parameters
@@ -88,7 +110,7 @@ def carry_out(
     interrupt = Interrupt()
     try:
         pace = Pace(run, spec)
-        status, message, wall = _drive(driver, progress, most_evaluations, pace, interrupt)
+        ended, wall = _drive(driver, progress, most_evaluations, pace, interrupt)
     except BaseException as error:
         # the error passes through, but the samples are kept
         with suppress(TrajectoryError):
@@ -96,12 +118,12 @@ def carry_out(
         statistics = run_statistics(driver, task, 0.0, compile_time() - compiled_before)
         run.sink.finish("failed", f"{where_of(run)}: {error!r}", statistics, log.all())
         raise
-    message += _stiffness_remark(run)
+    message = ended.message + _stiffness_remark(run)
     message += log.summary(MESSAGE_LENGTH - len(message))
     statistics = run_statistics(driver, task, wall, compile_time() - compiled_before)
-    trajectory = run.sink.finish(status, message, statistics, log.all())
+    trajectory = run.sink.finish(ended.status, message, statistics, log.all())
     interrupt.deliver()
-    return trajectory
+    return Carried(trajectory, ended.stalled)
 
 
 def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
@@ -220,8 +242,8 @@ def _drive(
     most_evaluations: float,
     pace: Pace,
     interrupt: Interrupt,
-) -> tuple[str, str, float]:
-    """Call the compiled loop until the end; returns status, message and time without compilation.
+) -> tuple[_Ended, float]:
+    """Call the compiled loop until the end; returns how it ended, and its time [s] of running.
 
     A Ctrl-C that came too late to end the run is left in ``interrupt``.
     """
@@ -237,19 +259,19 @@ def _drive(
                 interrupt.pressed = reason != FINISHED
             ended = None
             if reason == FINISHED:
-                ended = "completed", "the run reached its end"
+                ended = _Ended("completed", "the run reached its end")
             elif interrupt.pressed:
                 interrupt.pressed = False
-                ended = "interrupted", f"stopped by the user {where_of(run)}"
+                ended = _Ended("interrupted", f"stopped by the user {where_of(run)}")
             elif reason not in GOES_ON:
-                ended = failure_of(run, reason)
+                ended = _Ended(*failure_of(run, reason))
+            elif fault:
+                ended = _Ended("failed", f"{where_of(run)}: {fault}")
             else:
-                if not fault:
-                    pace.event_stops = driver.event_stops
-                    too_many = run.clock.evaluations > most_evaluations
-                    fault = TOO_MANY if too_many else pace.judge(run)
-                if fault:
-                    ended = "failed", f"{where_of(run)}: {fault}"
+                pace.event_stops = driver.event_stops
+                too_many = run.clock.evaluations > most_evaluations
+                if stalled := TOO_MANY if too_many else pace.judge(run):
+                    ended = _Ended("failed", f"{where_of(run)}: {stalled}", stalled=True)
             due = time.perf_counter() >= next_checkpoint
             try:
                 if ended or due or reason == BLOCK_FULL:
@@ -258,9 +280,9 @@ def _drive(
                     run.sink.checkpoint()
                     next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
             except TrajectoryError as error:
-                ended = "failed", f"{where_of(run)}: {error}"
+                ended = _Ended("failed", f"{where_of(run)}: {error}")
             if ended:
-                return *ended, running_time() - started
+                return ended, running_time() - started
             reason, fault = driver.advance(BUDGET)
 
 

@@ -230,8 +230,9 @@ def loosened(monkeypatch, factor):
     carry_out = attempts.carry_out
 
     def loose(task, sink, progress=None, tighten=1.0, *limit):
-        made.append(carry_out(task, sink, progress, factor * tighten, *limit))
-        return made[-1]
+        carried = carry_out(task, sink, progress, factor * tighten, *limit)
+        made.append(carried.trajectory)
+        return carried
 
     monkeypatch.setattr(attempts, "carry_out", loose)
     return made

@@ -229,7 +229,7 @@ def _reference(system: System, method: str, run: Trajectory) -> Trajectory:
         choice = {"integrator": method, "tolerance": tolerance, "accuracy": None, "step": None}
         with system.borrow() as data:
             task = Task(system, data, run_spec(scene, {}, choice, None), None, np.inf)
-            reference = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS)
+            reference, _ = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS)
         if reference.status == "completed":
             return reference
     return run  # which decides nothing
