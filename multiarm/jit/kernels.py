@@ -16,10 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numba import njit, types
 from numba.core import event
 
 from multiarm.jit.compilation import compiling, start_compiling, stop_compiling
+from multiarm.jit.interpretation import INTERPRETED
 from multiarm.jit.linking import PART, WHOLE
 
 _PACKAGE = Path(__file__).parents[1]
@@ -89,14 +91,16 @@ class Kernel:
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self.py_func = function
         self._plain = plain
+        self.is_called_by_address = not options.get("no_cfunc_wrapper", True)
+        functools.update_wrapper(self, function)
+        if INTERPRETED:
+            return
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
         self._numba_type_ = self._part._numba_type_  # Numba reads the type of a global here
         self._whole: Any = None
         self._wait: Callable[[], object] | None = None
-        self.is_called_by_address = not options.get("no_cfunc_wrapper", True)
-        functools.update_wrapper(self, function)
 
     @property
     def whole(self) -> Any:
@@ -116,6 +120,9 @@ class Kernel:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the whole, or a plain kernel's Python."""
+        if INTERPRETED:
+            with np.errstate(all="ignore"):  # as compiled code does
+                return self.py_func(*arguments)
         return self.py_func(*arguments) if self._plain else self.whole(*arguments)
 
     def expect_in_cache(self, wait: Callable[[], object]) -> None:
@@ -123,8 +130,8 @@ class Kernel:
         self._wait = wait
 
     def is_cached(self) -> bool:
-        """Whether fresh machine code is in the cache."""
-        return bool(_cache_file(self.whole)._load_index())
+        """Whether fresh machine code is in the cache, or is not needed."""
+        return INTERPRETED or bool(_cache_file(self.whole)._load_index())
 
 
 class _CompilationListener(event.Listener):
