@@ -22,9 +22,9 @@ INTERPRETED = bool(config.DISABLE_JIT)
 
 
 def generated(twin: Callable) -> Callable[[Callable], Any]:
-    """Decorator of an operation that is generated; ``twin`` is called where kernels are interpreted.
+    """Decorator like Numba's ``intrinsic``, of a function that types and generates an operation.
 
-    It decorates what types and generates the operation, like Numba's ``intrinsic``.
+    Where kernels are interpreted, ``twin`` is called instead.
     """
 
     def choose(typing: Callable) -> Any:

@@ -336,7 +336,7 @@ def _array_of_entry(address: int, dtype: Any, axes: int) -> np.ndarray:
 def _memory_at(dtype: Any, address: int, shape: tuple[int, ...]) -> np.ndarray:
     """The C-contiguous array at an address; as in compiled code, somebody else keeps its memory."""
     memory = (ctypes.c_int64 * math.prod(shape)).from_address(address)
-    return np.ndarray(shape, _NUMPY[dtype], memory)
+    return np.ndarray(shape, _NUMPY[dtype], memoryview(memory))
 
 
 def _entry_of_struct(dtype, axes: int):
