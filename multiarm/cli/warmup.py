@@ -6,6 +6,7 @@ import time
 from typing import Annotated
 
 from multiarm.cli.options import option
+from multiarm.errors import MultiarmError
 from multiarm.notation import count_of
 from multiarm.terminal.console import output
 from multiarm.terminal.progress import Progress
@@ -26,7 +27,13 @@ def warmup(
     """
     with Progress() as progress:
         from multiarm.jit.ahead import all_kernels, compile_all
+        from multiarm.jit.interpretation import INTERPRETED
 
+        if INTERPRETED:
+            raise MultiarmError(
+                "NUMBA_DISABLE_JIT is set, so that kernels are interpreted and there is nothing to "
+                "compile; unset it to fill the cache"
+            )
         began, kernels = time.perf_counter(), all_kernels()
         cached = sum(kernel.is_cached() for kernel in kernels)
         done = 0

@@ -102,7 +102,7 @@ def local_distance(shape, query, function_call):
     """
     kind = int(shape[SHAPE_KIND])
     y, (a, b, c) = vec(query, PLACE), vec(shape, SHAPE_SIZES)
-    height, radial = y[2], math.sqrt(y[0] * y[0] + y[1] * y[1])
+    height, radial = y[2], _hypotenuse(y[0], y[1])
     r0, r1 = (y[0] / radial, y[1] / radial) if radial > 0.0 else (math.nan, math.nan)
     around = (-r1, r0, 0.0)
     if kind == PLANE:
@@ -122,7 +122,7 @@ def local_distance(shape, query, function_call):
         )
     elif kind == TORUS:
         out = radial - a
-        distance = math.sqrt(out * out + height * height)
+        distance = _hypotenuse(out, height)
         cosine, sine = out / distance, height / distance
         H = add_outer(_FLAT, 1.0 / distance, (-sine * r0, -sine * r1, cosine))
         H = add_outer(H, cosine / radial, around)
@@ -132,6 +132,11 @@ def local_distance(shape, query, function_call):
     else:
         query[FUNCTION] = shape[SHAPE_FUNCTION]
         call_python(function_call)
+
+
+@inlined
+def _hypotenuse(x, y):
+    return math.sqrt(x * x + y * y)
 
 
 @inlined

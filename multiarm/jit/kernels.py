@@ -2,8 +2,8 @@
 
 A kernel is compiled whole when Python calls it, or when its address is taken; where another kernel
 calls it, it becomes part of that one.  Plain ones run as Python when Python calls them.  The code
-of a whole is cached on disk and stays fresh until the source of any kernel, or a constant that one
-reads, changes.
+of a whole is cached on disk and stays fresh until the kernel's file, or one that it imports from
+directly or through others, changes.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numba import njit, types
 from numba.core import event
 
 from multiarm.jit.compilation import compiling, start_compiling, stop_compiling
+from multiarm.jit.interpretation import INTERPRETED
 from multiarm.jit.linking import PART, WHOLE
 
 _PACKAGE = Path(__file__).parents[1]
@@ -32,51 +34,58 @@ INT, NUMBER, TRUTH = types.int64, types.float64, types.boolean
 INTS, NUMBERS, TABLE = types.int64[::1], types.float64[::1], types.float64[:, ::1]
 
 
-def _kernel_sources() -> dict[Path, bytes]:
-    """The package's files that have kernels; studies compile nothing into others' kernels."""
-    sources = {path: path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py"))}
-    return {
-        path: text
-        for path, text in sources.items()
-        if _KERNEL.search(text) and path.parent.name != "studies"
-    }
-
-
 def kernel_modules() -> list[str]:
     """Names of the package's modules that have kernels."""
-    paths = (path.relative_to(_PACKAGE).with_suffix("") for path in _kernel_sources())
+    paths = (path.relative_to(_PACKAGE).with_suffix("") for path in _kernel_files())
     return [".".join(("multiarm", *path.parts)) for path in paths]
 
 
-def _source_stamp() -> str:
-    """Digest of the sources of all kernels and of the modules they import (their constants).
-
-    Numba looks only at a kernel's own file to see whether its cached code is fresh; a kernel that
-    was compiled into another one from another file would stay as it was.
-    """
-    sources, used = _kernel_sources(), {Path(__file__)}
-    for path, text in sources.items():
-        imported = (name.decode().replace(".", "/") for name in _IMPORTED.findall(text))
-        used |= {path, *(_PACKAGE / f"{name}.py" for name in imported)}
-    digest = hashlib.sha256()
-    for path in sorted(filter(Path.is_file, used)):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()
-
-
-_STAMP = _source_stamp()
-_MAKING = threading.Lock()
+def _kernel_files() -> list[Path]:
+    return [path for path in sorted(_PACKAGE.rglob("*.py")) if _KERNEL.search(path.read_bytes())]
 
 
 def _stamp_of(function: Callable) -> str:
-    """Digest of all that the cached code of a kernel depends on.
+    """Digest of all sources that the cached code of a kernel depends on.
 
-    For a kernel outside the package, the text of its file as well.
+    Numba looks only at a kernel's own file to see whether its cached code is fresh.  A kernel from
+    another file that was compiled into it, or a constant that it reads, would stay as it was; so
+    what the file imports from this package counts, and what that imports, and so on.
     """
     file = Path(function.__code__.co_filename)
-    if _PACKAGE in file.parents or not file.is_file():
-        return _STAMP
-    return _STAMP + hashlib.sha256(file.read_bytes()).hexdigest()
+    if _PACKAGE in file.parents:
+        return _stamp_of_module(file)
+    if file.is_file():
+        digest, imported = _read(file)
+        return digest.hex() + _stamp(imported)
+    return _stamp(_kernel_files())  # what the cell of a notebook imports is unknown
+
+
+def _stamp(files: list[Path]) -> str:
+    """Digest of files of this package, and of all that they import from it."""
+    digests: dict[Path, bytes] = {}
+    waiting = list(files)
+    while waiting:
+        path = waiting.pop()
+        if path not in digests:
+            digests[path], imported = _read_module(path)
+            waiting += imported
+    return hashlib.sha256(b"".join(digests[path] for path in sorted(digests))).hexdigest()
+
+
+def _read(path: Path) -> tuple[bytes, list[Path]]:
+    """Digest of a file, and the files of this package that it imports from."""
+    text = path.read_bytes()
+    names = {name.decode().replace(".", "/") for name in _IMPORTED.findall(text)}
+    places = [(_PACKAGE / f"{name}.py", _PACKAGE / name / "__init__.py") for name in names]
+    return hashlib.sha256(text).digest(), [
+        module if module.is_file() else package for module, package in places
+    ]
+
+
+# This package's files are read once, when they are imported: they may be edited while it runs.
+_read_module = functools.cache(_read)
+_stamp_of_module = functools.cache(lambda path: _stamp([path]))
+_MAKING = threading.Lock()
 
 
 class Kernel:
@@ -89,18 +98,21 @@ class Kernel:
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self.py_func = function
         self._plain = plain
+        self.is_called_by_address = not options.get("no_cfunc_wrapper", True)
+        functools.update_wrapper(self, function)
+        if INTERPRETED:
+            return
+        self._stamp = _stamp_of(function)
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
         self._numba_type_ = self._part._numba_type_  # Numba reads the type of a global here
         self._whole: Any = None
         self._wait: Callable[[], object] | None = None
-        self.is_called_by_address = not options.get("no_cfunc_wrapper", True)
-        functools.update_wrapper(self, function)
 
     @property
     def whole(self) -> Any:
-        """Numba's dispatcher of the function as a whole, cached while no kernel has changed."""
+        """Numba's dispatcher of the function as a whole, cached while its sources are the same."""
         with _MAKING:  # threads must not make two
             if self._wait is not None:
                 with compiling():
@@ -109,13 +121,18 @@ class Kernel:
             if self._whole is None:
                 self._whole = njit(cache=True, **WHOLE, **self._options)(self.py_func)
                 file = _cache_file(self._whole)
-                file._source_stamp = _stamp_of(self.py_func)
+                file._source_stamp = self._stamp
                 file._load_index = _or_nothing(file._load_index)
                 file._load_data = _or_missing(file._load_data)
         return self._whole
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the whole, or a plain kernel's Python."""
+        if INTERPRETED:
+            with np.errstate(all="ignore"):  # as compiled code does
+                result = self.py_func(*arguments)
+            # a division by Python's zero would raise
+            return np.float64(result) if type(result) is float else result
         return self.py_func(*arguments) if self._plain else self.whole(*arguments)
 
     def expect_in_cache(self, wait: Callable[[], object]) -> None:
@@ -123,8 +140,8 @@ class Kernel:
         self._wait = wait
 
     def is_cached(self) -> bool:
-        """Whether fresh machine code is in the cache."""
-        return bool(_cache_file(self.whole)._load_index())
+        """Whether fresh machine code is in the cache, or is not needed."""
+        return INTERPRETED or bool(_cache_file(self.whole)._load_index())
 
 
 class _CompilationListener(event.Listener):

@@ -9,7 +9,13 @@ from __future__ import annotations
 import ctypes
 
 from multiarm.jit.kernels import Kernel
-from multiarm.jit.pointers import CFUNC_PROTOTYPE, GuardedCall, address_of
+from multiarm.jit.pointers import (
+    CFUNC_PROTOTYPE,
+    GuardedCall,
+    address_of,
+    c_function,
+    function_at,
+)
 from multiarm.jit.structs import WIDTH
 
 
@@ -35,8 +41,7 @@ class LazyFunction(GuardedCall):
     ) -> None:
         self._function, self._failed = function, failed
         self._place, self._flag = address, flag
-        self._stand_in = CFUNC_PROTOTYPE(self._compile_and_call)
-        self.address: int = ctypes.cast(self._stand_in, ctypes.c_void_p).value or 0
+        self._stand_in, self.address = c_function(CFUNC_PROTOTYPE, self._compile_and_call)
 
     def _compile_and_call(self, struct: int, size: int, a: float, b: float) -> int:
         try:
@@ -46,7 +51,7 @@ class LazyFunction(GuardedCall):
             _number(struct, *self._flag).value = 1
             return self._failed
         _number(struct, *self._place).value = compiled
-        return CFUNC_PROTOTYPE(compiled)(struct, size, a, b)
+        return function_at(compiled)(struct, size, a, b)
 
 
 def _number(struct: int, field: int, place: int) -> ctypes.c_int64:

@@ -10,12 +10,13 @@ import ctypes
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
+from weakref import WeakValueDictionary
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
 from multiarm.jit.compilation import compiling
+from multiarm.jit.interpretation import INTERPRETED, generated
 from multiarm.jit.kernels import Kernel
 
 # Signature of functions called by address, decorated with `cfunc`: address and size of a struct,
@@ -25,10 +26,15 @@ CFUNC = types.int64(types.int64, types.int64, types.float64, types.float64)
 CFUNC_PROTOTYPE = ctypes.CFUNCTYPE(
     ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, ctypes.c_double
 )
+_CALLBACK_PROTOTYPE = ctypes.CFUNCTYPE(None)
+# Where kernels are interpreted, the functions that they call "by address".
+_INTERPRETED: WeakValueDictionary[int, Callable] = WeakValueDictionary()
 
 
 def address_of(function: Kernel) -> int:
     """Address of a kernel decorated with `cfunc`, compiled if need be."""
+    if INTERPRETED:
+        return _key_of(function)
     whole = function.whole
     if CFUNC.args not in whole.overloads:
         # a thread that needs what another one compiles waits for the compiler, too
@@ -38,7 +44,35 @@ def address_of(function: Kernel) -> int:
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 
 
-@intrinsic
+def function_at(address: int) -> Callable[[int, int, float, float], int]:
+    """The function, decorated with `cfunc`, at an address."""
+    return _INTERPRETED[address] if INTERPRETED else CFUNC_PROTOTYPE(address)
+
+
+def c_function(prototype: Any, function: Callable) -> tuple[Any, int]:
+    """A Python function that kernels can call, for as long as the object returned lives.
+
+    Returns
+    -------
+    alive : object
+    address : int
+    """
+    if INTERPRETED:
+        return function, _key_of(function)
+    pointer = prototype(function)
+    return pointer, ctypes.cast(pointer, ctypes.c_void_p).value or 0
+
+
+def _key_of(function: Callable) -> int:
+    _INTERPRETED[id(function)] = function
+    return id(function)
+
+
+def _call_cfunc(address: int, struct: Any, a: float, b: float) -> int:
+    return _INTERPRETED[address](struct.ctypes.data, struct.size, a, b)
+
+
+@generated(_call_cfunc)
 def call_cfunc(typing_context, address, struct, a, b):
     """Call the function at an integer address with a struct and two numbers."""
 
@@ -53,7 +87,11 @@ def call_cfunc(typing_context, address, struct, a, b):
     return types.int64(types.int64, struct, types.float64, types.float64), generate
 
 
-@intrinsic
+def _call_python(address: int) -> None:
+    _INTERPRETED[address]()
+
+
+@generated(_call_python)
 def call_python(typing_context, address):
     """Call the function without arguments or result at an integer address."""
 
@@ -97,5 +135,4 @@ class PythonCallback(GuardedCall):
                 self.error = error
                 status.failed = True
 
-        self._keep_alive = ctypes.CFUNCTYPE(None)(guarded)
-        self.address: int = ctypes.cast(self._keep_alive, ctypes.c_void_p).value or 0
+        self._keep_alive, self.address = c_function(_CALLBACK_PROTOTYPE, guarded)

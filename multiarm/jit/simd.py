@@ -17,7 +17,9 @@ from llvmlite import ir
 from numba import types
 from numba.core.datamodel import models
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, register_model
+from numba.extending import lower_builtin, register_model
+
+from multiarm.jit.interpretation import generated
 
 LANES = 4
 _NUMBER, _INTEGER, _PLACE = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
@@ -68,6 +70,13 @@ _define(operator.mul, 2, "fmul")
 _define(operator.truediv, 2, "fdiv")
 
 
+def _lanes(array, at):
+    """The four numbers that begin at one place of an array, where kernels are interpreted."""
+    if not 0 <= at <= array.size - LANES:
+        raise IndexError(f"lanes {at} to {at + LANES - 1} of an array of {array.size} numbers")
+    return array.reshape(-1)[at : at + LANES]
+
+
 def _pointer(context, builder, kind, array, at):
     """LLVM pointer to the four numbers that begin at one place of an array."""
     data = context.make_array(kind)(context, builder, array).data
@@ -78,7 +87,11 @@ def _shuffled(builder, a, b, places):
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_PLACE, LANES), places))
 
 
-@intrinsic
+def _load_pack(array, at):
+    return _lanes(array, at).copy()
+
+
+@generated(_load_pack)
 def load_pack(typing_context, array, at):
     """Lanes that begin at one place of a vector of float64."""
 
@@ -89,7 +102,11 @@ def load_pack(typing_context, array, at):
     return _PACK(array, types.intp), generate
 
 
-@intrinsic
+def _store_pack(array, at, value):
+    _lanes(array, at)[:] = value
+
+
+@generated(_store_pack)
 def store_pack(typing_context, array, at, value):
     """Write lanes into a vector of float64, from one place on."""
 
@@ -101,7 +118,11 @@ def store_pack(typing_context, array, at, value):
     return types.void(array, types.intp, _PACK), generate
 
 
-@intrinsic
+def _broadcast(number):
+    return np.full(LANES, number)
+
+
+@generated(_broadcast)
 def broadcast(typing_context, number):
     """The same number in all lanes."""
 
@@ -114,7 +135,11 @@ def broadcast(typing_context, number):
     return _PACK(types.float64), generate
 
 
-@intrinsic
+def _gather_pack(array, at0, at1, at2, at3):
+    return array.reshape(-1)[[at0, at1, at2, at3]]
+
+
+@generated(_gather_pack)
 def gather_pack(typing_context, array, at0, at1, at2, at3):
     """Lanes from four places of an array of float64, counted as in a vector."""
 
@@ -129,7 +154,11 @@ def gather_pack(typing_context, array, at0, at1, at2, at3):
     return _PACK(array, *[types.intp] * LANES), generate
 
 
-@intrinsic
+def _min_positive(a, b):
+    return np.where(b > 0.0, _minimum(a, b), 0.0)
+
+
+@generated(_min_positive)
 def min_positive(typing_context, a, b):
     """In every lane the minimum of ``a`` and ``b``, but 0 where ``b`` is not positive (or NaN)."""
 
@@ -142,7 +171,11 @@ def min_positive(typing_context, a, b):
     return _PACK(_PACK, _PACK), generate
 
 
-@intrinsic
+def _minimum(a, b):
+    return np.where(a < b, a, b)
+
+
+@generated(_minimum)
 def minimum(typing_context, a, b):
     """In every lane the minimum of ``a`` and ``b``; ``b`` where one of them is NaN."""
 
@@ -153,7 +186,11 @@ def minimum(typing_context, a, b):
     return _PACK(_PACK, _PACK), generate
 
 
-@intrinsic
+def _sum_pack(value):
+    return (value[0] + value[2]) + (value[1] + value[3])
+
+
+@generated(_sum_pack)
 def sum_pack(typing_context, value):
     """Sum of the four numbers."""
 
@@ -166,7 +203,13 @@ def sum_pack(typing_context, value):
     return types.float64(_PACK), generate
 
 
-@intrinsic
+def _transpose_four(source, at, out, at0, at1, at2, at3):
+    rows = np.stack([_lanes(source, at + LANES * k) for k in range(LANES)])
+    for place, column in zip((at0, at1, at2, at3), rows.T, strict=True):
+        _lanes(out, place)[:] = column
+
+
+@generated(_transpose_four)
 def transpose_four(typing_context, source, at, out, at0, at1, at2, at3):
     """Deal four lanes that follow each other at ``at``: each arm's to four places of ``out``."""
 

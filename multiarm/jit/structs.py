@@ -31,7 +31,9 @@ A field of a ``NamedTuple`` may be such numbers too: ``view_run(struct).clock.st
 
 from __future__ import annotations
 
+import ctypes
 import functools
+import math
 from collections.abc import Callable, Sequence
 from struct import Struct as Format
 from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
@@ -44,7 +46,6 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
     infer_getattr,
-    intrinsic,
     lower_getattr_generic,
     lower_setattr_generic,
     models,
@@ -53,6 +54,8 @@ from numba.extending import (
     unbox,
 )
 from numba.np.arrayobj import populate_array
+
+from multiarm.jit.interpretation import generated
 
 # Types of a field of a NamedTuple: C-contiguous arrays of float64 or int64, and their axes, or
 # numbers.
@@ -71,6 +74,7 @@ N = TypeVar("N", bound="Numbers")
 WIDTH = 4
 _NO_SIZES = (1,) * (WIDTH - 1)
 _KINDS = (np.dtype(np.float64), np.dtype(np.int64))
+_NUMPY: dict[Any, Any] = {types.float64: np.float64, types.int64: np.int64}
 _NUMBER, _BITS = Format("d"), Format("q")
 
 
@@ -259,7 +263,7 @@ def view(holder: type, at: int = 0) -> Callable[[Any], Any]:
     """
     kind = View(holder, at)
 
-    @intrinsic
+    @generated(_python_view(kind))
     def open_view(typing_context, struct):
         def generate(context, builder, signature, arguments):
             array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -270,10 +274,69 @@ def view(holder: type, at: int = 0) -> Callable[[Any], Any]:
     return open_view
 
 
+class _PythonView:
+    """A view where kernels are interpreted; its fields are properties of a subclass."""
+
+    __slots__ = ("_address",)
+    needed = 0  # integers of the struct
+
+    def __init__(self, struct: np.ndarray) -> None:
+        if 0 < struct.size < self.needed:  # kernels give 0 for a size that they do not know
+            raise IndexError(f"{type(self).__name__} needs {self.needed} integers: {struct.size}")
+        self._address = struct.ctypes.data
+
+
+def _python_view(kind: View) -> type[_PythonView]:
+    """Class of the views of one kind."""
+    properties = {name: _view_property(kind, *field) for name, field in kind.fields.items()}
+    needed = WIDTH * (1 + max(place for place, *_ in kind.fields.values()))
+    return type(kind.name, (_PythonView,), {"__slots__": (), "needed": needed, **properties})
+
+
+def _view_property(kind: View, place: int, dtype: Any, axes: int) -> property:
+    offset = 8 * WIDTH * place  # [bytes]
+    if axes > 0:
+        return property(lambda view: _array_of_entry(view._address + offset, dtype, axes))
+    if axes < 0:
+        numbers, size = _python_view(dtype), WIDTH * len(dtype.fields)
+
+        def read_numbers(view: _PythonView) -> _PythonView:
+            (address,) = _memory_at(types.int64, view._address + offset, (1,))
+            return numbers(_struct_at(address, size))
+
+        return property(read_numbers)
+
+    def read(view: _PythonView) -> np.number:
+        return _memory_at(dtype, view._address + offset, (1,))[0]
+
+    def write(view: _PythonView, value: float) -> None:
+        _memory_at(dtype, view._address + offset, (1,))[0] = value
+
+    return property(read, write if kind.settable else None)
+
+
+def _array_of_entry(address: int, dtype: Any, axes: int) -> np.ndarray:
+    """The array of an entry of a struct: its address and its sizes stand at ``address``."""
+    first, *shape = _memory_at(types.int64, address, (1 + axes,)).tolist()
+    return _memory_at(dtype, first, tuple(shape))
+
+
+@functools.lru_cache(maxsize=2**14)
+def _memory_at(dtype: Any, address: int, shape: tuple[int, ...]) -> np.ndarray:
+    """The C-contiguous array at an address; as in compiled code, somebody else keeps its memory."""
+    memory = (ctypes.c_int64 * math.prod(shape)).from_address(address)
+    return np.ndarray(shape, _NUMPY[dtype], memoryview(memory))
+
+
 def _entry_of_struct(dtype, axes: int):
     """Intrinsic ``(struct, k) -> array``: the view at entry ``k`` of a struct."""
 
-    @intrinsic
+    def read(struct, k):
+        if not 0 <= WIDTH * k < struct.size:
+            raise IndexError(f"entry {k} of a struct of {struct.size // WIDTH}")
+        return _array_of_entry(struct.ctypes.data + 8 * WIDTH * k, dtype, axes)
+
+    @generated(read)
     def entry(typing_context, struct, k):
         def generate(context, builder, signature, arguments):
             numbers = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -292,7 +355,11 @@ ints1 = _entry_of_struct(types.int64, 1)
 ints2 = _entry_of_struct(types.int64, 2)
 
 
-@intrinsic
+def _floats_at(address, count):
+    return _memory_at(types.float64, int(address), (int(count),))
+
+
+@generated(_floats_at)
 def floats_at(typing_context, address, count):
     """Vector of ``count`` float64 at an integer address."""
 
@@ -302,7 +369,11 @@ def floats_at(typing_context, address, count):
     return types.Array(types.float64, 1, "C")(types.int64, types.intp), generate
 
 
-@intrinsic
+def _struct_at(address, size):
+    return _memory_at(types.int64, int(address), (int(size),))
+
+
+@generated(_struct_at)
 def struct_at(typing_context, address, size):
     """Struct of ``size`` integers at an integer address."""
 

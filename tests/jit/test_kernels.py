@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
@@ -16,8 +17,9 @@ from repository import ROOT
 
 import multiarm as ma
 from multiarm.errors import MultiarmError
+from multiarm.jit import kernels
 from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
-from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, kernel
+from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, kernel, kernel_modules
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import (
     Flag,
@@ -149,6 +151,54 @@ def test_an_edited_constant_of_ones_own_kernel_counts(tmp_path):
     assert run_own(tmp_path, 3.0) == "False 6.0"
     assert run_own(tmp_path, 3.0) == "True 6.0"
     assert run_own(tmp_path, 5.0) == "False 10.0"
+
+
+PACKAGE = ROOT / "multiarm"
+
+
+def imported_by(file: Path) -> set[Path]:
+    """Files of the package that a file imports when it is imported, by its syntax tree."""
+    files: set[Path] = set()
+    for node in ast.parse(file.read_bytes()).body:
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        for name in names:
+            place = ROOT.joinpath(*name.split("."))
+            files |= {place.with_suffix(".py"), place / "__init__.py"}
+    return {path for path in files if path.is_file() and PACKAGE in path.parents}
+
+
+def reached_from(file: Path) -> set[Path]:
+    """A file, and all that it imports from the package, directly or through others."""
+    reached: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        path = waiting.pop()
+        if path not in reached:
+            reached.add(path)
+            waiting += imported_by(path)
+    return reached
+
+
+@pytest.mark.parametrize(
+    "edited", ["effects/drag.py", "contacts/surfaces.py", "scene/values.py", "jit/vectors.py"]
+)
+def test_exactly_the_kernels_that_import_an_edited_file_compile_again(edited, monkeypatch):
+    files = [ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in kernel_modules()]
+    before = {file: kernels._stamp([file]) for file in files}
+
+    def read(path):
+        digest, imported = kernels._read(path)
+        return (b"edited" if path == PACKAGE / edited else digest), imported
+
+    monkeypatch.setattr(kernels, "_read_module", read)
+    changed = {file for file in files if kernels._stamp([file]) != before[file]}
+    assert changed == {file for file in files if PACKAGE / edited in reached_from(file)}
+    assert changed
 
 
 @pytest.mark.slow

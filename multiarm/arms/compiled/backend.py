@@ -46,7 +46,7 @@ from multiarm.arms.terms import (
 )
 from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
 from multiarm.errors import ModelError
-from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
+from multiarm.jit.pointers import address_of, function_at
 from multiarm.jit.simd import LANES
 from multiarm.jit.structs import make_struct
 
@@ -185,9 +185,7 @@ class CompiledBackend:
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the positions and velocities bound, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
-            CFUNC_PROTOTYPE(address_of(entry))(
-                self._struct.ctypes.data, self._struct.size, 0.0, 0.0
-            )
+            function_at(address_of(entry))(self._struct.ctypes.data, self._struct.size, 0.0, 0.0)
 
     def terms(self, arm: int) -> LinkTerms:
         """Copies of the last terms of arm number ``arm`` of these."""

@@ -129,7 +129,7 @@ def factor_lu(A, n, pivots):
     """LU factors of ``A[:n, :n]`` in place, rows exchanged as ``pivots`` says.
 
     Returns the smallest pivot relative to the largest (both as magnitudes): 0 when the matrix is
-    singular, NaN when it is not finite.
+    singular, NaN when it is not finite, infinity when ``n`` is 0.
     """
     smallest, largest = math.inf, 0.0
     for j in range(n):
@@ -153,7 +153,7 @@ def factor_lu(A, n, pivots):
             A[i, j] = factor
             for k in range(j + 1, n):
                 A[i, k] -= factor * A[j, k]
-    return smallest / largest
+    return smallest / largest if n > 0 else smallest
 
 
 @kernel

@@ -1,0 +1,172 @@
+"""What compiled and interpreted kernels both compute, to be compared.
+
+    NUMBA_DISABLE_JIT=1 python tests/support/both_ways.py computations
+    NUMBA_DISABLE_JIT=1 python tests/support/both_ways.py evaluations
+
+print JSON, a line for each computation: its name, and its results interpreted.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import event_scenes
+import golden
+import numpy as np
+
+import multiarm as ma
+from multiarm.arms.compiled.kernels import place_joint, update_arms
+from multiarm.jit.kernels import kernel
+from multiarm.jit.simd import load_pack
+from multiarm.problems import HARD_CASES, ring_of_arms
+
+
+def swinging(arms: str) -> ma.System:
+    """Two UR5s hold a disc by balls, and cannot hold it still."""
+    return ma.compile_system(ring_of_arms(2, "ball"), arms=arms)
+
+
+def step() -> golden.Results:
+    """One step of a stepper."""
+    state = ma.Stepper(swinging("compiled"), accuracy=1e-6).advance(1e-3)
+    return {"position": state.position, "velocity": state.velocity}
+
+
+def ten_steps() -> golden.Results:
+    """A run of ten steps."""
+    run = ma.simulate(swinging("pinocchio"), 0.01, integrator="rk4", step=1e-3, certificate=False)
+    names = ("object/position", "object/twist", "arms/arm0/joint_velocity", "energy/work")
+    return {"steps": run.statistics["steps"], **{name: run.channel(name) for name in names}}
+
+
+def implicit_steps() -> golden.Results:
+    """A run by the implicit method, against a damper that explicit ones need short steps for."""
+    system = ma.compile_system(HARD_CASES["stiff_damping"].scene())
+    run = ma.simulate(system, 0.01, integrator="rodas5p", tolerance=1e-6, certificate=False)
+    return {"twist": run.object_twist, "status": run.status}
+
+
+def event() -> golden.Results:
+    """A ball falls on a floor."""
+    scene = event_scenes.on_floor(event_scenes.ball(height=1e-4))
+    run = event_scenes.run(scene, 0.006)
+    (touches,) = run.events
+    return {
+        "kind": touches["kind"],
+        "time": touches["time"],
+        "impulse": touches["after"]["impulse"],
+        "twist": run.object_twist[-1],
+    }
+
+
+def derivatives() -> golden.Results:
+    """Of the accelerations and forces by everything."""
+    system = swinging("compiled")
+    return {"matrix": ma.derivatives(system, 0.1, system.initial_state()).matrix}
+
+
+def gradient() -> golden.Results:
+    """Of the object's height at the end by the start and by its mass."""
+    result = ma.gradient(
+        swinging("compiled"),
+        2e-3,
+        final=lambda t, state: state.object_position[2],
+        parameters=["object.mass"],
+        accuracy=1e-5,
+    )
+    return {
+        "value": result.value,
+        "mass": result.parameters["object.mass"],
+        "rates": result.start.d_joint_velocities["arm0"],
+    }
+
+
+COMPUTATIONS: dict[str, Callable[[], golden.Results]] = {
+    function.__name__: function
+    for function in (step, ten_steps, implicit_steps, event, derivatives, gradient)
+}
+
+
+@kernel
+def number_after_the_last(vector):
+    return vector[vector.size]
+
+
+@kernel
+def lanes_after_the_last(vector):
+    return load_pack(vector, vector.size - 3)
+
+
+def error_of(function: Callable, *arguments: Any) -> str:
+    """Class of the exception that a call raises."""
+    try:
+        function(*arguments)
+    except Exception as error:
+        return type(error).__name__
+    return ""
+
+
+def lines_of_kernels() -> golden.Results:
+    """The lines of three kernels that a tracer, such as a debugger, sees during an evaluation.
+
+    One that Python calls, one that is called by its address, one that is inlined.
+    """
+    from multiarm.dynamics.equations import evaluate_state
+
+    system, seen = swinging("compiled"), {}
+    for function in (evaluate_state, update_arms, place_joint):
+        seen[function.py_func.__code__] = set()
+
+    def trace(frame, event, argument):
+        if frame.f_code not in seen:
+            return None
+        if event == "line":
+            seen[frame.f_code].add(frame.f_lineno)
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        ma.evaluate(system)
+    finally:
+        sys.settrace(before)
+    return {code.co_name: len(lines) for code, lines in seen.items()}
+
+
+def evaluated_cases() -> Iterator[golden.Case]:
+    """Every example scene with compiled arms, and every hard case; evaluations without runs."""
+    for case in golden.cases():
+        sort = case.name.partition(" ")[0]
+        if sort == "hard" or (sort == "example" and case.arms == "compiled"):
+            yield replace(case, runs={})
+
+
+def main() -> None:
+    """Print what the command line asks for."""
+    if sys.argv[1] == "evaluations":
+        frozen = golden.load()
+        for case in evaluated_cases():
+            _show(case.name, golden.measure(case, frozen[case.name]["states"])[0])
+        return
+    for name, compute in COMPUTATIONS.items():
+        _show(name, compute())
+    _show("number_after_the_last", error_of(number_after_the_last, np.zeros(4)))
+    _show("lanes_after_the_last", error_of(lanes_after_the_last, np.zeros(4)))
+    _show("lines_of_kernels", lines_of_kernels())
+
+
+def as_json(results: Any) -> str:
+    """Results with their arrays as nested lists."""
+    return json.dumps(results, default=lambda array: array.tolist())
+
+
+def _show(name: str, result: Any) -> None:
+    print(as_json([name, result]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
