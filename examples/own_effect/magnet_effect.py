@@ -6,12 +6,14 @@ at the magnet itself [m].
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 import multiarm as ma
-from multiarm.effects import APPLIED, POWER, EffectKernel, open_system
+from multiarm.effects import APPLIED, EffectKernel, open_data, set_power, view_of_effect
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Float, Floats1, struct_at
 
 
 class Magnet(ma.Effect):
@@ -33,21 +35,30 @@ class Magnet(ma.Effect):
         return ma.Loads(object_wrench=[*(self.spec.strength * way / distance**3), 0, 0, 0])
 
 
+class MagnetNumbers(NamedTuple):
+    """What the kernel reads."""
+
+    place: Floats1  # (3,) [m], world axes
+    strength: Float  # [N m^2]
+    softening: Float  # [m]
+
+
+open_magnet = view_of_effect(MagnetNumbers)
+
+
 @cfunc
 def pull(address, size, at, _t):
-    """Own array: place of the magnet, strength, softening."""
+    """Add the force, and state its power."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    slots, magnet = ints1(struct, int(at)), floats1(struct, int(at) + 1)
-    squared = magnet[4] ** 2
+    data, magnet, power = open_data(struct), open_magnet(struct, at), 0.0
+    squared = magnet.softening**2
     for k in range(3):
-        squared += (magnet[k] - data.position[k]) ** 2
-    power = 0.0
+        squared += (magnet.place[k] - data.position[k]) ** 2
     for k in range(3):
-        force = magnet[3] * (magnet[k] - data.position[k]) / squared**1.5
+        force = magnet.strength * (magnet.place[k] - data.position[k]) / squared**1.5
         data.h_o[k] += force
         power += force * data.twist[k]
-    data.power[slots[POWER]] = power
+    set_power(struct, at, power)
     return 0
 
 
@@ -57,7 +68,7 @@ class CompiledMagnet(Magnet):
     name = "compiled_magnet"
 
     def build(self, context):
-        """One kernel, with one array."""
+        """One kernel with its numbers."""
         spec = self.spec
-        numbers = np.array([*spec.at, spec.strength, spec.softening])
-        return [EffectKernel(self.name, pull, APPLIED, (numbers,))]
+        numbers = MagnetNumbers(np.array(spec.at), spec.strength, spec.softening)
+        return [EffectKernel(self.name, pull, APPLIED, numbers)]

@@ -26,7 +26,6 @@ from multiarm.jit.structs import (
     Ints1,
     Ints2,
     Numbers,
-    make_struct,
     struct_of,
     view,
 )
@@ -318,10 +317,9 @@ def system_struct(
 ) -> np.ndarray:
     """Struct of a system; :func:`open_system` and :func:`open_coupled` are its inverse.
 
-    ``effects`` are the arrays of the effects, from index ``OWN_ARRAYS`` on.
+    ``effects`` are the structs of the effects, from index ``EFFECTS`` on.
     """
-    own = struct_of(constants, variables, work, coupled)
-    return np.concatenate([own, make_struct(effects)])
+    return np.concatenate([struct_of(constants, variables, work, coupled), *effects])
 
 
 _PARTS = (Constants, Variables, NodeWork, CoupledWork)
@@ -335,7 +333,7 @@ open_coupled = view(CoupledWork, _FIRST[3])
 # Indices of two fields in the struct of a system, and of the first of the effects' arrays.
 FUNCTIONS = _FIRST[1] + Variables._fields.index("functions")
 STATUS = _FIRST[1] + Variables._fields.index("status")
-OWN_ARRAYS = _FIRST[4]
+EFFECTS = _FIRST[4]
 
 
 @inlined

@@ -8,28 +8,73 @@ An evaluation forms the right-hand sides ``h`` of the arms and ``h_o`` of the ob
 3. the control writes ``torque``; *actuator* kernels change it (limits, lag); then it is added;
 4. *applied* kernels add external loads (wrenches, drag), which controllers do not compensate.
 
-A kernel reads and writes the arrays in the system's struct, at whose end are its own.  A scene
-without effects has an empty list of kernels.
+A kernel reads and writes the arrays in the system's struct, at whose end are its own: numbers and
+arrays of a ``NamedTuple``, which it opens by :func:`view_of_effect`.
+
+.. code-block:: python
+
+    class Spring(NamedTuple):
+        stiffness: Floats1  # (n,) [N m/rad, N/m]
+
+    open_spring = view_of_effect(Spring)
+
+    @cfunc
+    def pull(address, size, at, t):
+        struct = struct_at(address, size)
+        data, spring, power = open_data(struct), open_spring(struct, at), 0.0
+        for j in range(data.h.size):
+            force = -spring.stiffness[j] * data.angles[j]
+            data.h[j] += force
+            power += force * data.v[j]
+        set_power(struct, at, power)
+        return 0
+
+    EffectKernel("spring", pull, PASSIVE, Spring(stiffness))
+
+A scene without effects has an empty list of kernels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OWN_ARRAYS
+from multiarm.dynamics.arrays import EFFECTS, open_data
+from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import GuardedCall, address_of
+from multiarm.jit.structs import ints1, make_struct, struct_of, view_at
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 
-# Entries of a kernel's first array: index of its power in ``Variables.power``, and of its first
-# state in ``Variables.inner``.
+# Entries of the array before a kernel's own ones: index of its power in ``Variables.power``, and of
+# its first state in ``Variables.inner``.
 POWER, STATE = range(2)
 
-Arrays = Sequence[np.ndarray]
+
+def view_of_effect(holder: type) -> Callable[[Any, Any], Any]:
+    """Function of kernels ``(struct, at) -> view`` of an effect's numbers and arrays."""
+    open_view = view_at(holder)
+
+    @inlined
+    def open_effect(struct, at):
+        return open_view(struct, int(at) + 1)
+
+    return open_effect
+
+
+@inlined
+def set_power(struct, at, power):
+    """Write the power [W] of the effect at this place."""
+    open_data(struct).power[ints1(struct, int(at))[POWER]] = power
+
+
+@inlined
+def first_state(struct, at):
+    """Index in ``data.inner`` and ``data.inner_rate`` of the first state of this effect."""
+    return ints1(struct, int(at))[STATE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,18 +87,17 @@ class EffectKernel:
         Of the effect, as in the scene.
     kernel : compiled function or None
         Decorated with :func:`multiarm.jit.kernels.cfunc`, called with address and size of the
-        system's struct, the index ``at`` of its first array there (a float), and the time [s].
-        That first array, int64 (2,), holds ``POWER`` and ``STATE``; ``arrays`` follow it.  None:
+        system's struct, the place ``at`` of its arrays there (a float), and the time [s].  None:
         another function writes the power that is recorded under this name.
     phase : int
         ``PASSIVE``, ``ACTUATOR`` or ``APPLIED``.
-    arrays : tuple of ndarray
-        Contiguous float64 or int64: values at the start of a run.  Every
+    arrays : NamedTuple
+        Numbers, and contiguous arrays of float64 or int64: values at the start of a run.  Every
         :class:`multiarm.dynamics.model.Data` has its own copies.
     works : bool
-        The kernel writes its power [W] to ``data.power[slots[POWER]]`` at every call.
+        The kernel calls :func:`set_power` at every call.
     states : int
-        Number of its states: it reads ``data.inner`` from ``slots[STATE]`` on, and writes their
+        Number of its states: it reads ``data.inner`` from :func:`first_state` on, and writes their
         rates to ``data.inner_rate``.
     start : callable, optional
         ``start(arrays) -> (states,)``: these states at the start of a run, which has been
@@ -67,9 +111,9 @@ class EffectKernel:
         Whether these are user functions.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
-    watched : tuple of (int, int)
-        Indices of an array among ``arrays`` and of a joint: this entry is a margin, which is
-        positive while the joint's drive is saturated.  The beginning and the end are events.
+    watched : tuple of (str, int)
+        An array among ``arrays`` and a joint: this entry is a margin, which is positive while the
+        joint's drive is saturated.  The beginning and the end are events.
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
         only, those on the object on the time and the object's state only, and the power, if there
@@ -82,17 +126,36 @@ class EffectKernel:
     name: str
     kernel: Any
     phase: int
-    arrays: tuple[np.ndarray, ...] = ()
+    arrays: Any = ()
     works: bool = True
     states: int = 0
-    start: Callable[[Arrays], np.ndarray] | None = None
+    start: Callable[[Any], np.ndarray] | None = None
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    connect: Callable[[Any, Arrays], Mapping[str, GuardedCall]] | None = None
+    connect: Callable[[Any, Any], Mapping[str, GuardedCall]] | None = None
     calls_user: bool = False
     unilateral: bool = False
-    watched: tuple[tuple[int, int], ...] = ()
+    watched: tuple[tuple[str, int], ...] = ()
     local: bool = False
     state_joints: tuple[int, ...] = ()
+
+
+class EffectData(NamedTuple):
+    """What one kernel reads and writes: places of its power and states, its numbers and arrays."""
+
+    slots: np.ndarray
+    arrays: Any
+
+    @property
+    def struct(self) -> np.ndarray:
+        """Its part of the system's struct."""
+        named = hasattr(self.arrays, "_fields")
+        own = struct_of(self.arrays) if named else make_struct(self.arrays)
+        return np.concatenate([make_struct([self.slots]), own])
+
+
+def _copied(arrays: Any) -> Any:
+    copies = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
+    return type(arrays)._make(copies) if hasattr(arrays, "_fields") else tuple(copies)
 
 
 @dataclass(frozen=True)
@@ -150,15 +213,19 @@ class EffectProgram:
     def watched(self) -> list[tuple[int, int]]:
         """Margins to monitor: index of the array in the struct, joint."""
         places = zip(self.kernels, self._places(), strict=True)
-        return [(at + 1 + k, joint) for own, at in places for k, joint in own.watched]
+        return [
+            (at + 1 + kernel.arrays._fields.index(name), joint)
+            for kernel, at in places
+            for name, joint in kernel.watched
+        ]
 
-    def make_arrays(self) -> list[tuple[np.ndarray, ...]]:
-        """Copies of the arrays of every kernel, the slots first."""
+    def make_data(self) -> list[EffectData]:
+        """What the kernels read and write, with copies of the arrays."""
         made, power, state = [], 0, 0
-        for own in self.kernels:
+        for kernel in self.kernels:
             slots = np.array([power, state], dtype=np.int64)
-            made.append((slots, *(array.copy() for array in own.arrays)))
-            power, state = power + own.works, state + own.states
+            made.append(EffectData(slots, _copied(kernel.arrays)))
+            power, state = power + kernel.works, state + kernel.states
         return made
 
     def program(self) -> tuple[np.ndarray, list[int]]:
@@ -172,4 +239,4 @@ class EffectProgram:
     def _places(self) -> list[int]:
         """Index of each kernel's first array in the system's struct."""
         sizes = [1 + len(own.arrays) for own in self.kernels]
-        return [OWN_ARRAYS + sum(sizes[:k]) for k in range(len(sizes))]
+        return [EFFECTS + sum(sizes[:k]) for k in range(len(sizes))]

@@ -121,15 +121,31 @@ def right_hand_sides(address, size, alpha, beta):
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     model, data, work = open_system(struct_at(address, size))
+    clear(data.power)
     passive_forces(address, size, model, data, work)
     power = 0.0
     if model.control.shape[0] > 0:
-        load_gravity_torque(data, work)
-        control_torques(address, size, model, data)
+        if data.modes.closed != 0:  # a mode of unilateral contacts
+            control_of_closed(model, data)
+        else:
+            load_gravity_torque(data, work)
+            control_torques(address, size, model, data)
         power = add_torques(address, size, model, data)
     applied_forces(address, size, model, data, power)
     drift_terms(data, alpha, beta)
     return CALLBACK_FAILED if data.status.failed else OK
+
+
+@inlined
+def control_of_closed(model, data):
+    """Let the control laws write ``data.torque`` as if all contacts of the joints were closed."""
+    closed = struct_at(data.modes.closed, 0)
+    constants, of_closed, work = open_system(closed)
+    for i in range(of_closed.pointers.shape[0]):
+        arm_rows(i, closed, constants, of_closed, work)
+        load_inertia(i, of_closed, work)
+    load_gravity_torque(of_closed, work)
+    control_torques(data.modes.closed, 0, model, of_closed)
 
 
 @inlined

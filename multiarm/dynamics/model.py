@@ -306,8 +306,8 @@ class Data:
     arrays : Variables
     work, coupled : NodeWork, CoupledWork
         Workspace of the node algorithm, and of its coupled system.
-    effects : list of tuple of ndarray
-        Arrays of every effect kernel, the slots first.
+    effects : list of EffectData
+        What every effect kernel reads and writes.
     callbacks : dict of str to GuardedCall
         Python functions that compiled code calls.
     surfaces : list of SmoothShape
@@ -329,7 +329,7 @@ class Data:
     def __init__(self, model: Model) -> None:
         self.model, self._backends = model, model.backends.copy()
         self._base: Data | None = None
-        self.effects = model.effects.make_arrays()
+        self.effects = model.effects.make_data()
         self._surfaces = {id(surface): copy(surface) for surface in model.surfaces}
         self._ground = Ground(model.constants.gravity)
         arrays = make_variables(
@@ -410,16 +410,16 @@ class Data:
         return np.vstack([pointers, self._ground.pointers])
 
     def _make_struct(self) -> np.ndarray:
-        own = [array for arrays in self.effects for array in arrays]
-        return system_struct(self.model.constants, self.arrays, self.work, self.coupled, own)
+        effects = [effect.struct for effect in self.effects]
+        return system_struct(self.model.constants, self.arrays, self.work, self.coupled, effects)
 
     def _connect_user_functions(self) -> None:
         if self.model.python_control is not None:
             control = self.model.python_control.connect(self.model.layout, self.arrays)
             self._add_callback("control", control)
-        for kernel, (_, *arrays) in zip(self.model.effects.kernels, self.effects, strict=True):
+        for kernel, effect in zip(self.model.effects.kernels, self.effects, strict=True):
             if kernel.connect is not None:
-                self.callbacks.update(kernel.connect(self, arrays))
+                self.callbacks.update(kernel.connect(self, effect.arrays))
 
     def _add_callback(self, name: str, callback: GuardedCall) -> None:
         self.callbacks[name] = callback
@@ -444,10 +444,10 @@ class Data:
         """Struct for compiled code; valid while this lives."""
         return self._struct
 
-    def effect(self, name: str) -> tuple[np.ndarray, ...]:
-        """Arrays of an effect's first kernel, without the slots."""
+    def effect(self, name: str) -> Any:
+        """Numbers and arrays of an effect's first kernel."""
         kernels = zip(self.model.effects.kernels, self.effects, strict=True)
-        return next(arrays[1:] for kernel, arrays in kernels if kernel.name == name)
+        return next(effect.arrays for kernel, effect in kernels if kernel.name == name)
 
     @property
     def user_callbacks(self) -> list[UserCallback]:
@@ -510,9 +510,9 @@ class Data:
     def effect_states(self) -> np.ndarray:
         """States of the effects at the start of a run, which has just been evaluated."""
         parts = [np.zeros(0)]
-        for kernel, (_, *arrays) in zip(self.model.effects.kernels, self.effects, strict=True):
+        for kernel, effect in zip(self.model.effects.kernels, self.effects, strict=True):
             if kernel.start is not None:
-                parts.append(kernel.start(arrays))
+                parts.append(kernel.start(effect.arrays))
             else:
                 parts.append(np.zeros(kernel.states))
         return np.concatenate(parts)

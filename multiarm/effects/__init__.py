@@ -16,11 +16,21 @@ from typing import Any
 
 _HOMES = {
     **dict.fromkeys(
-        ("ACTUATOR", "APPLIED", "PASSIVE", "POWER", "STATE", "EffectKernel"),
+        (
+            "ACTUATOR",
+            "APPLIED",
+            "PASSIVE",
+            "POWER",
+            "STATE",
+            "EffectKernel",
+            "first_state",
+            "set_power",
+            "view_of_effect",
+        ),
         "dynamics.effect_kernels",
     ),
     "BuildContext": "effects.building",
-    "open_system": "dynamics.arrays",
+    **dict.fromkeys(("open_data", "open_system"), "dynamics.arrays"),
 }
 
 __all__ = [*_HOMES]

@@ -6,29 +6,39 @@ control commands, within ``torque_limits``.  The torque that acts does the contr
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import ACTUATOR, STATE, Arrays, EffectKernel
+from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel, first_state, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Floats1, Ints1, struct_at
+
+
+class ActuatorLag(NamedTuple):
+    """Drives that lag, k of them."""
+
+    joints: Ints1
+    time_constants: Floats1  # [s]
+    commands: Floats1  # at the last evaluation [N m, N]
+
+
+open_lag = view_of_effect(ActuatorLag)
 
 
 @cfunc
 def lag_torques(address, size, at, _t):
-    """Own arrays: the lagging joints; their time constants [s]; their commands, written here."""
+    """Write the torques that act, and their rates."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    first = int(at)
-    slots, lagging = ints1(struct, first), ints1(struct, first + 1)
-    constants, commands = floats1(struct, first + 2), floats1(struct, first + 3)
-    torque, state = data.torque, slots[STATE]
-    for k in range(lagging.size):
-        j = lagging[k]
-        commands[k] = torque[j]
+    data, lag, state = open_data(struct), open_lag(struct, at), first_state(struct, at)
+    torque = data.torque
+    for k in range(lag.joints.size):
+        j = lag.joints[k]
+        lag.commands[k] = torque[j]
         torque[j] = data.inner[state + k]
-        data.inner_rate[state + k] = (commands[k] - torque[j]) / constants[k]
+        data.inner_rate[state + k] = (lag.commands[k] - torque[j]) / lag.time_constants[k]
     return 0
 
 
@@ -38,16 +48,15 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
     lagging = np.flatnonzero(constants).astype(np.int64)
     commands = np.zeros(lagging.size)
 
-    def start(arrays: Arrays) -> np.ndarray:
-        return arrays[2].copy() if spec.start == "command" else np.zeros_like(commands)
+    def start(lag: ActuatorLag) -> np.ndarray:
+        return lag.commands.copy() if spec.start == "command" else np.zeros_like(commands)
 
-    arrays = (lagging, constants[lagging], commands)
     return [
         EffectKernel(
             "actuator_lag",
             lag_torques,
             ACTUATOR,
-            arrays,
+            ActuatorLag(lagging, constants[lagging], commands),
             works=False,
             states=lagging.size,
             start=start,

@@ -10,15 +10,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
-from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel, EffectProgram
+from multiarm.dynamics.effect_kernels import (
+    APPLIED,
+    EffectKernel,
+    EffectProgram,
+    set_power,
+    view_of_effect,
+)
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Floats1, Ints1, struct_at
 from multiarm.scene import EFFECTS, JointOutline, Scene, joint_vector
 from multiarm.scene.faults import shown
 from multiarm.scene.registry import called
@@ -101,20 +107,28 @@ def effect_program(context: BuildContext, further: Sequence[EffectKernel] = ()) 
     return EffectProgram.of(kernels)
 
 
+class UserLoads(NamedTuple):
+    """Loads that a Python function computes."""
+
+    function: Ints1  # (1,) address
+    loads: Floats1  # (6 + n,) its result: generalised forces [N, N m]
+
+
+open_loads = view_of_effect(UserLoads)
+
+
 @cfunc
 def add_loads(address, size, at, _t):
-    """Own arrays: address of the function; its result, wrench and torques."""
+    """Call the function, and add its loads."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    slots, function = ints1(struct, int(at)), ints1(struct, int(at) + 1)
-    loads, power = floats1(struct, int(at) + 2), 0.0
+    data, own, power = open_data(struct), open_loads(struct, at), 0.0
     if data.status.failed:
         return 0  # another function failed
-    call_python(function[0])
-    for k in range(loads.size):
-        data.generalised_forces[k] += loads[k]
-        power += loads[k] * data.velocity[k]
-    data.power[slots[POWER]] = power
+    call_python(own.function[0])
+    for k in range(own.loads.size):
+        data.generalised_forces[k] += own.loads[k]
+        power += own.loads[k] * data.velocity[k]
+    set_power(struct, at, power)
     return 0
 
 
@@ -126,18 +140,15 @@ def forces_kernel(
     ``make`` returns the function; it is called once for every Data.  ``read`` returns the result of
     the function as wrench and joint torques, shape (6 + n,).
     """
-    address, loads = np.zeros(1, dtype=np.int64), np.zeros(layout.nv)
+    arrays = UserLoads(np.zeros(1, dtype=np.int64), np.zeros(layout.nv))
 
-    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
-        own_address, own_loads = arrays
+    def connect(data: Data, own: UserLoads) -> dict[str, UserCallback]:
         who = f"the effect {name!r}"
-        call = UserCallback(make(), who, read, own_loads, layout, data.arrays, owner=make)
-        own_address[0] = call.address
+        call = UserCallback(make(), who, read, own.loads, layout, data.arrays, owner=make)
+        own.function[0] = call.address
         return {f"effects/{name}": call}
 
-    return EffectKernel(
-        name, add_loads, APPLIED, (address, loads), connect=connect, calls_user=True
-    )
+    return EffectKernel(name, add_loads, APPLIED, arrays, connect=connect, calls_user=True)
 
 
 def joint_numbers(

@@ -14,60 +14,75 @@ Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import CompliantContacts
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
+from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Floats1, Ints1, struct_at
+
+
+class Springs(NamedTuple):
+    """Compliant contacts, s of them."""
+
+    rows: Ints1  # (2,) address and size of the struct with their rows
+    owners: Ints1  # arms, or the surroundings
+    stiffness: Floats1  # [N/m]
+    damping: Floats1  # [N s/m]
+    active: Ints1  # which act now; the mode of the contacts writes them
+    force: Floats1  # at the last evaluation [N]
+
+
+open_springs = view_of_effect(Springs)
 
 
 @cfunc
 def add_contact_compliance(address, size, at, _t):
-    """Own arrays: struct with the rows of the springs; owners, stiffness [N/m] and damping [N s/m];
-    which springs act now; their forces [N].
-    """
-    struct, first = struct_at(address, size), int(at)
-    _, data, _ = open_system(struct)
-    slots, place, owners = ints1(struct, first), ints1(struct, first + 1), ints1(struct, first + 2)
-    stiffness, damping = floats1(struct, first + 3), floats1(struct, first + 4)
-    active, force = ints1(struct, first + 5), floats1(struct, first + 6)
-    own = struct_at(place[0], place[1])
+    """Add the forces of the springs that act."""
+    struct = struct_at(address, size)
+    data, springs = open_data(struct), open_springs(struct, at)
+    own, force = struct_at(springs.rows[0], springs.rows[1]), springs.force
     update_rows(own)
     _, rows, work = open_system(own)
     power = 0.0
-    for s in range(owners.size):
-        i, rate = owners[s], rows.contacts[s, GAP_RATE]
+    for s in range(springs.owners.size):
+        i, rate = springs.owners[s], rows.contacts[s, GAP_RATE]
         force[s] = 0.0
-        if active[s] != 0:
-            force[s] = -(stiffness[s] * rows.contacts[s, GAP] + damping[s] * rate)
+        if springs.active[s] != 0:
+            gap = rows.contacts[s, GAP]
+            force[s] = -(springs.stiffness[s] * gap + springs.damping[s] * rate)
         for k in range(6):
             data.h_o[k] += rows.Wo[s, k] * force[s]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             data.h[work.dofs[i] + j] += work.Y[i, j, s - work.rows[i]] * force[s]
         power += force[s] * rate
-    data.power[slots[POWER]] = power
+    set_power(struct, at, power)
     return 0
 
 
 def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
     """The kernel of a scene with compliant contacts."""
 
-    def connect(data: Data, arrays: Arrays) -> dict:
+    def connect(data: Data, own: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
-        arrays[0][:] = rows.struct.ctypes.data, rows.struct.size
+        own.rows[:] = rows.struct.ctypes.data, rows.struct.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
         return {}
 
-    # the mode of the contacts writes the last but one, and reads the last (`multiarm.events.modes`)
-    arrays = (
-        np.zeros(2, dtype=np.int64), springs.owners, springs.stiffness, springs.damping,
-        springs.always, np.zeros(len(springs.rows)),
-    )  # fmt: skip
+    arrays = Springs(
+        rows=np.zeros(2, dtype=np.int64),
+        owners=springs.owners,
+        stiffness=springs.stiffness,
+        damping=springs.damping,
+        active=springs.always,
+        force=np.zeros(len(springs.rows)),
+    )
     return EffectKernel(
         "contact_compliance",
         add_contact_compliance,

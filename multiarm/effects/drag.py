@@ -14,44 +14,58 @@ power is that on the object, :math:`f\cdot v_o + m\cdot\omega_o`: wind may drive
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.contacts.kernel import SPIN, VELOCITY
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import APPLIED, POWER, EffectKernel
+from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Floats1, struct_at
+
+
+class Drag(NamedTuple):
+    """Resistance along and about the object's axes, each (3,)."""
+
+    linear: Floats1  # c [N s/m]
+    quadratic: Floats1  # q + rho C A / 2 [N s^2/m^2]
+    angular: Floats1  # d [N m s/rad]
+    wind: Floats1  # velocity of the medium, world axes [m/s]
+
+
+open_drag = view_of_effect(Drag)
 
 
 @cfunc
 def add_drag(address, size, at, _t):
-    """Own array: linear, quadratic and angular coefficients of the axes; the medium's velocity."""
+    """Add the wrench of the medium."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    slots, own = ints1(struct, int(at)), floats1(struct, int(at) + 1)
+    data, drag = open_data(struct), open_drag(struct, at)
     body, h_o, power = data.body, data.h_o, 0.0
     square = 0.0
     for a in range(3):
-        square += (body[VELOCITY + a] - own[9 + a]) ** 2
+        square += (body[VELOCITY + a] - drag.wind[a]) ** 2
     speed = math.sqrt(square)
     for k in range(3):
         u = turn = 0.0
         for a in range(3):
-            u += body[3 * a + k] * (body[VELOCITY + a] - own[9 + a])
+            u += body[3 * a + k] * (body[VELOCITY + a] - drag.wind[a])
             turn += body[3 * a + k] * body[SPIN + a]
-        force, moment = -(own[k] + own[3 + k] * speed) * u, -own[6 + k] * turn
+        force = -(drag.linear[k] + drag.quadratic[k] * speed) * u
+        moment = -drag.angular[k] * turn
         power += moment * turn
         for a in range(3):
             h_o[a] += body[3 * a + k] * force
             h_o[3 + a] += body[3 * a + k] * moment
             power += body[3 * a + k] * force * body[VELOCITY + a]
-    data.power[slots[POWER]] = power
+    set_power(struct, at, power)
     return 0
 
 
 def build(spec, _context: BuildContext) -> list[EffectKernel]:
     """The kernel of an object that moves through a medium."""
-    own = np.array([*spec.linear, *spec.per_axis(), *spec.angular, *spec.wind])
-    return [EffectKernel("drag", add_drag, APPLIED, (own,), local=True)]
+    coefficients = spec.linear, spec.per_axis(), spec.angular, spec.wind
+    drag = Drag(*(np.array(numbers, dtype=float) for numbers in coefficients))
+    return [EffectKernel("drag", add_drag, APPLIED, drag, local=True)]

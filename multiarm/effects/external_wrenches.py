@@ -21,21 +21,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.arms.terms import J_AT
 from multiarm.contacts.kernel import SPIN, VELOCITY
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
-from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
+from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import checked_vector
 from multiarm.effects.building import BuildContext
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.pointers import call_python
-from multiarm.jit.structs import floats2, floats_at, ints1, ints2, struct_at
+from multiarm.jit.structs import Floats2, Ints1, floats_at, struct_at
 from multiarm.jit.vectors import (
     ZERO,
     add,
@@ -52,61 +53,73 @@ from multiarm.scene import read_wrench_table
 
 # Time dependence.
 CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
-# Columns of the table of integers: time dependence; whether on a link; in body axes; the link and
-# its arm; the arm's first joint, how many carry the link; address of a function or first row of a
-# table, and how many.
-COURSE, ON_LINK, IN_BODY, LINK, ARM, FIRST, JOINTS, SOURCE, ROWS, INTEGERS = range(10)
-# Columns of the table of numbers: the link's frame in the joint's (rotation row by row), the point
-# in the joint's or object's frame, force and torque, frequency and phase or begin and end.
-FRAME, POINT, SIZE, TIMES, NUMBERS = 0, 9, 12, 18, 20
 # Columns of a row of a table: begin and end [s], then the cubics of the six components.
 CUBICS, ROW = 2, 26
 
 
+class ExternalWrenches(NamedTuple):
+    """Wrenches, k of them."""
+
+    course: Ints1  # time dependence
+    on_link: Ints1  # whether it acts on a link, else on the object
+    in_body: Ints1  # whether its axes are those of the body, else of the world
+    # of one on a link: number of its pose, arm, first joint, number of joints that carry it
+    link: Ints1
+    arm: Ints1
+    first_joint: Ints1
+    joints: Ints1
+    function: Ints1  # address of a function that writes it
+    # of a table: its first row, and how many
+    first_row: Ints1
+    rows: Ints1
+    frame: Floats2  # (k, 9) the link's frame in that of the joint that carries it
+    point: Floats2  # (k, 3) in the frame of this joint, or of the object [m]
+    size: Floats2  # (k, 6) force and torque
+    times: Floats2  # (k, 2) frequency and phase [Hz, rad], or begin and end [s]
+    table: Floats2  # (rows of all tables, 26)
+    wrench: Floats2  # (k, 6) at the last evaluation
+
+
+open_wrenches = view_of_effect(ExternalWrenches)
+
+
 @cfunc
 def add_external_wrenches(address, size, at, t):
-    """Own arrays: integers, numbers, rows of tables, the wrenches now."""
+    """Add all wrenches at time ``t``."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    first, power = int(at), 0.0
-    slots, integers, numbers = (
-        ints1(struct, first),
-        ints2(struct, first + 1),
-        floats2(struct, first + 2),
-    )
-    rows, wrenches = floats2(struct, first + 3), floats2(struct, first + 4)
-    for k in range(integers.shape[0]):
-        which, own, wrench = integers[k], numbers[k], wrenches[k]
-        write_wrench(which, own, rows, t, wrench)
+    data, wrenches, power = open_data(struct), open_wrenches(struct, at), 0.0
+    for k in range(wrenches.course.size):
+        write_wrench(wrenches, k, t)
         # the moment is that about the object's centre of mass, or about the world's origin
         R, origin = rotation(data.body, 0), ZERO
-        if which[ON_LINK] != 0:
-            pose = floats_at(data.link_poses[which[LINK]], 12)
+        if wrenches.on_link[k] != 0:
+            pose = floats_at(data.link_poses[wrenches.link[k]], 12)
             R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
-        if which[IN_BODY] != 0:
-            to_world(R, own, wrench)
-        lever = add_rotated(origin, R, vec(own, POINT))
-        power += apply_wrench(which, wrench, lever, data)
-    data.power[slots[POWER]] = power
+        if wrenches.in_body[k] != 0:
+            to_world(R, wrenches.frame[k], wrenches.wrench[k])
+        lever = add_rotated(origin, R, vec(wrenches.point[k], 0))
+        power += apply_wrench(wrenches, k, lever, data)
+    set_power(struct, at, power)
     return 0
 
 
 @kernel
-def write_wrench(which, own, rows, t, wrench):
+def write_wrench(wrenches, k, t):
     """Force and torque at time ``t``, in the axes in which they are given."""
-    course, factor = which[COURSE], 1.0
+    course, factor, times, wrench = wrenches.course[k], 1.0, wrenches.times[k], wrenches.wrench[k]
     if course == FUNCTION:
-        call_python(which[SOURCE])  # writes them
+        call_python(wrenches.function[k])  # writes them
         return
     if course == TABLE:
-        interpolate(rows[which[SOURCE] : which[SOURCE] + which[ROWS]], t, wrench)
+        first = wrenches.first_row[k]
+        interpolate(wrenches.table[first : first + wrenches.rows[k]], t, wrench)
         return
     if course == SINUSOID:
-        factor = math.sin(2.0 * math.pi * own[TIMES] * t + own[TIMES + 1])
+        factor = math.sin(2.0 * math.pi * times[0] * t + times[1])
     elif course == PULSE:
-        factor = 1.0 if own[TIMES] <= t < own[TIMES + 1] else 0.0
+        factor = 1.0 if times[0] <= t < times[1] else 0.0
     for a in range(6):
-        wrench[a] = factor * own[SIZE + a]
+        wrench[a] = factor * wrenches.size[k, a]
 
 
 @kernel
@@ -129,25 +142,26 @@ def interpolate(rows, t, wrench):
 
 
 @kernel
-def to_world(R, own, wrench):
+def to_world(R, frame, wrench):
     """Turn force and torque from the axes of the link or object into those of the world."""
-    R = compose(R, rotation(own, FRAME))
+    R = compose(R, rotation(frame, 0))
     put(wrench, 0, rotate(R, vec(wrench, 0)))
     put(wrench, 3, rotate(R, vec(wrench, 3)))
 
 
 @kernel
-def apply_wrench(which, wrench, lever, data):
+def apply_wrench(wrenches, k, lever, data):
     """Add a wrench to the right-hand sides; returns its power [W]."""
+    wrench = wrenches.wrench[k]
     f = vec(wrench, 0)
     m = add_cross(vec(wrench, 3), lever, f)
-    if which[ON_LINK] == 0:
+    if wrenches.on_link[k] == 0:
         h_o, body = data.h_o, data.body
         put(h_o, 0, add(vec(h_o, 0), f))
         put(h_o, 3, add(vec(h_o, 3), m))
         return dot(f, vec(body, VELOCITY)) + dot(m, vec(body, SPIN))
-    joints, first, power = which[JOINTS], which[FIRST], 0.0
-    J = floats_at(data.pointers[which[ARM], J_AT], 6 * joints)
+    joints, first, power = wrenches.joints[k], wrenches.first_joint[k], 0.0
+    J = floats_at(data.pointers[wrenches.arm[k], J_AT], 6 * joints)
     for j in range(joints):
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
         data.h[first + j] += torque
@@ -157,35 +171,34 @@ def apply_wrench(which, wrench, lever, data):
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of external wrenches; their functions have been loaded."""
-    count = len(spec)
-    integers, numbers = np.zeros((count, INTEGERS), dtype=np.int64), np.zeros((count, NUMBERS))
-    wrenches, rows, times = np.zeros((count, 6)), np.zeros((0, ROW)), [np.zeros(0)]
+    wrenches, breakpoints = _without_course(len(spec)), [np.zeros(0)]
     functions: dict[int, Callable] = {}
     for k, wrench in enumerate(spec):
-        _place(wrench, context, integers[k], numbers[k])
-        numbers[k, SIZE : SIZE + 6] = [*(wrench.force or (0, 0, 0)), *(wrench.torque or (0, 0, 0))]
+        _place(wrench, context, wrenches, k)
+        wrenches.size[k] = [*(wrench.force or (0, 0, 0)), *(wrench.torque or (0, 0, 0))]
         if wrench.sinusoid is not None:
-            integers[k, COURSE] = SINUSOID
-            numbers[k, TIMES:] = wrench.sinusoid.frequency, wrench.sinusoid.phase
+            wrenches.course[k] = SINUSOID
+            wrenches.times[k] = wrench.sinusoid.frequency, wrench.sinusoid.phase
         elif wrench.pulse is not None:
-            integers[k, COURSE] = PULSE
-            numbers[k, TIMES:] = wrench.pulse.begin, wrench.pulse.end
-            times.append(numbers[k, TIMES:])
+            wrenches.course[k] = PULSE
+            wrenches.times[k] = wrench.pulse.begin, wrench.pulse.end
+            breakpoints.append(wrenches.times[k])
         elif wrench.table is not None:
-            own = _table_rows(wrench.table, numbers[k, SIZE : SIZE + 6])
-            integers[k, [COURSE, SOURCE, ROWS]] = TABLE, len(rows), len(own)
-            rows = np.vstack([rows, own])
-            times.append(np.append(own[:, 0], own[-1, 1]))
+            rows = _table_rows(wrench.table, wrenches.size[k])
+            wrenches.course[k] = TABLE
+            wrenches.first_row[k], wrenches.rows[k] = len(wrenches.table), len(rows)
+            wrenches = wrenches._replace(table=np.vstack([wrenches.table, rows]))
+            breakpoints.append(np.append(rows[:, 0], rows[-1, 1]))
         elif wrench.function is not None:
-            integers[k, COURSE] = FUNCTION
+            wrenches.course[k] = FUNCTION
             functions[k] = wrench.function
 
-    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
+    def connect(data: Data, own: ExternalWrenches) -> dict[str, UserCallback]:
         calls = {}
         for k, function in functions.items():
             name = f"external_wrenches[{k}]"
-            calls[name] = _callback(function, name, arrays[3][k], data)
-            arrays[0][k, SOURCE] = calls[name].address
+            calls[name] = _callback(function, name, own.wrench[k], data)
+            own.function[k] = calls[name].address
         return calls
 
     return [
@@ -193,8 +206,8 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             "external_wrenches",
             add_external_wrenches,
             APPLIED,
-            (integers, numbers, rows, wrenches),
-            breakpoints=np.concatenate(times),
+            wrenches,
+            breakpoints=np.concatenate(breakpoints),
             connect=connect if functions else None,
             calls_user=bool(functions),
             local=not functions,
@@ -202,18 +215,29 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
     ]
 
 
-def _place(wrench, context: BuildContext, integers: np.ndarray, numbers: np.ndarray) -> None:
+def _without_course(count: int) -> ExternalWrenches:
+    """Arrays for a number of wrenches, all of them zero."""
+    widths = {"frame": 9, "point": 3, "size": 6, "times": 2, "wrench": 6}
+    numbers = {name: np.zeros((count, width)) for name, width in widths.items()}
+    integers = {
+        name: np.zeros(count, dtype=np.int64)
+        for name in ExternalWrenches._fields
+        if name not in (*numbers, "table")
+    }
+    return ExternalWrenches(**integers, **numbers, table=np.zeros((0, ROW)))
+
+
+def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) -> None:
     """Write the body and the point of a wrench."""
-    rotation, point = np.eye(3), np.array(wrench.at)
+    frame, point = np.eye(3), np.array(wrench.at)
     if wrench.target is not None:
         link = context.link(*wrench.target)
-        integers[[ON_LINK, LINK, ARM, FIRST, JOINTS]] = (
-            1, link.number, link.arm, link.first, link.joints,
-        )  # fmt: skip
-        rotation, point = link.rotation, link.rotation @ point + link.translation
-    integers[IN_BODY] = wrench.axes == "body"
-    numbers[FRAME : FRAME + 9] = rotation.ravel()
-    numbers[POINT : POINT + 3] = point
+        wrenches.on_link[k], wrenches.link[k], wrenches.arm[k] = 1, link.number, link.arm
+        wrenches.first_joint[k], wrenches.joints[k] = link.first, link.joints
+        frame, point = link.rotation, link.rotation @ point + link.translation
+    wrenches.in_body[k] = wrench.axes == "body"
+    wrenches.frame[k] = frame.ravel()
+    wrenches.point[k] = point
 
 
 def _table_rows(table, size: np.ndarray) -> np.ndarray:

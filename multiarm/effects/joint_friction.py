@@ -13,60 +13,68 @@ The mode of a run says which (:mod:`multiarm.events`).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import PASSIVE, POWER, EffectKernel
+from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.effect_kernels import PASSIVE, EffectKernel, set_power, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Float, Floats1, struct_at
 from multiarm.scene import friction_of
+
+
+class SmoothFriction(NamedTuple):
+    """Smooth friction in the joints."""
+
+    torque: Floats1  # (n,) c [N m, N]
+    smoothing_speed: Float  # s [rad/s, m/s]
+
+
+class CoulombFriction(NamedTuple):
+    """Friction of joints that move; the mode of a run writes the torques."""
+
+    torque: Floats1  # (n,) on the joints [N m, N]; zero on those at rest
+
+
+open_smooth, open_coulomb = view_of_effect(SmoothFriction), view_of_effect(CoulombFriction)
 
 
 @cfunc
 def add_joint_friction(address, size, at, _t):
-    """Own arrays: one friction torque a joint; the speed ``s``."""
+    """Add the torques of smooth friction."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    first = int(at)
-    slots, friction, speed = (
-        ints1(struct, first),
-        floats1(struct, first + 1),
-        floats1(struct, first + 2),
-    )
-    power = 0.0
+    data, friction, power = open_data(struct), open_smooth(struct, at), 0.0
     for j in range(data.h.size):
-        force = -friction[j] * math.tanh(data.v[j] / speed[0])
-        data.h[j] += force
-        power += force * data.v[j]
-    data.power[slots[POWER]] = power
+        torque = -friction.torque[j] * math.tanh(data.v[j] / friction.smoothing_speed)
+        data.h[j] += torque
+        power += torque * data.v[j]
+    set_power(struct, at, power)
     return 0
 
 
 @cfunc
 def add_coulomb_friction(address, size, at, _t):
-    """Own array: the torque on every joint."""
+    """Add the torques of Coulomb friction."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    slots, torque = ints1(struct, int(at)), floats1(struct, int(at) + 1)
-    power = 0.0
+    data, friction, power = open_data(struct), open_coulomb(struct, at), 0.0
     for j in range(data.h.size):
-        data.h[j] += torque[j]
-        power += torque[j] * data.v[j]
-    data.power[slots[POWER]] = power
+        data.h[j] += friction.torque[j]
+        power += friction.torque[j] * data.v[j]
+    set_power(struct, at, power)
     return 0
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of smooth friction."""
-    arrays = (context.stacked(spec.torque, friction_of), np.array([spec.smoothing_speed]))
-    return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, arrays, local=True)]
+    friction = SmoothFriction(context.stacked(spec.torque, friction_of), spec.smoothing_speed)
+    return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, friction, local=True)]
 
 
 def coulomb_kernel(joints: int) -> EffectKernel:
-    """The kernel of Coulomb friction; a mode writes the torques."""
-    arrays = (np.zeros(joints),)
+    """The kernel of Coulomb friction."""
+    friction = CoulombFriction(np.zeros(joints))
     return EffectKernel(
-        "joint_friction", add_coulomb_friction, PASSIVE, arrays, unilateral=True, local=True
+        "joint_friction", add_coulomb_friction, PASSIVE, friction, unilateral=True, local=True
     )

@@ -8,29 +8,38 @@ when it leaves it.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel
+from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, struct_at
+from multiarm.jit.structs import Floats1, struct_at
 from multiarm.scene import effort_limit_of
+
+
+class TorqueLimits(NamedTuple):
+    """Limits of the drives, each (n,) [N m, N]."""
+
+    limits: Floats1
+    margins: Floats1  # of the command, positive where it exceeds its limit
+
+
+open_limits = view_of_effect(TorqueLimits)
 
 
 @cfunc
 def limit_torques(address, size, at, _t):
-    """Own arrays: limits; margins, positive where the command exceeds them."""
+    """Limit the commands, and write their margins."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    limits, margins = floats1(struct, int(at) + 1), floats1(struct, int(at) + 2)
-    torque = data.torque
+    torque, drives = open_data(struct).torque, open_limits(struct, at)
     for j in range(torque.size):
-        command = abs(torque[j])
-        margins[j] = command - (1.0 + 1e-9) * limits[j]  # less is a rounding error
-        if command > limits[j]:
-            torque[j] = math.copysign(limits[j], torque[j])
+        command, limit = abs(torque[j]), drives.limits[j]
+        drives.margins[j] = command - (1.0 + 1e-9) * limit  # less is a rounding error
+        if command > limit:
+            torque[j] = math.copysign(limit, torque[j])
     return 0
 
 
@@ -38,13 +47,13 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of limited drives."""
     limits = context.stacked(spec, effort_limit_of, default=math.inf)
     margins = np.full_like(limits, -math.inf)
-    watched = tuple((1, int(j)) for j in np.flatnonzero(np.isfinite(limits)))
+    watched = tuple(("margins", int(j)) for j in np.flatnonzero(np.isfinite(limits)))
     return [
         EffectKernel(
             "torque_limits",
             limit_torques,
             ACTUATOR,
-            (limits, margins),
+            TorqueLimits(limits, margins),
             works=False,
             watched=watched,
             local=True,

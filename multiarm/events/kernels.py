@@ -39,18 +39,11 @@ import numpy as np
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE, depth_in_patch
 from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_coupled, open_data, open_system
 from multiarm.dynamics.equations import (
-    add_torques,
-    applied_forces,
-    control_torques,
-    drift_terms,
     imbalance,
-    load_gravity_torque,
-    passive_forces,
     renew_kinematics,
     update_rows,
     write_wrenches,
 )
-from multiarm.dynamics.kinematics import arm_rows, load_inertia
 from multiarm.dynamics.solver.node import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
@@ -167,28 +160,6 @@ def mode_struct(arrays: ModeArrays, reactions: ReactionWork | None) -> np.ndarra
 
 # Views of a mode's struct: its own arrays, and those of the node algorithm with friction.
 open_mode, open_reactions = view(ModeArrays), view(ReactionWork, len(ModeArrays._fields))
-
-
-@cfunc
-def forces_by_model(address, size, alpha, beta):
-    """Right-hand sides of a mode; its control uses the model with all contacts."""
-    model, data, work = open_system(struct_at(address, size))
-    mode = open_mode(struct_at(data.modes.guards, 0))
-    data.power[mode.numbers.power] = 0.0
-    passive_forces(address, size, model, data, work)
-    power = 0.0
-    if model.control.shape[0] > 0:
-        closed = struct_at(data.modes.closed, 0)
-        constants, own, theirs = open_system(closed)
-        for i in range(own.pointers.shape[0]):
-            arm_rows(i, closed, constants, own, theirs)
-            load_inertia(i, own, theirs)
-        load_gravity_torque(own, theirs)
-        control_torques(data.modes.closed, 0, model, own)
-        power = add_torques(address, size, model, data)
-    applied_forces(address, size, model, data, power)
-    drift_terms(data, alpha, beta)
-    return CALLBACK_FAILED if data.status.failed else OK
 
 
 @cfunc

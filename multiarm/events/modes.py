@@ -32,7 +32,6 @@ from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
     check_guards,
-    forces_by_model,
     mode_struct,
     record_forces,
     solve_held,
@@ -55,9 +54,8 @@ GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
 # Largest gap or penetration of contacts that touch without force [m].
 REST = 1e-9
 
-# Effects whose arrays a mode writes; indices of the second one's: active springs, their forces.
+# Effects whose arrays a mode writes.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
-ACTIVE, FORCE = 4, 5
 
 
 class Guard(NamedTuple):
@@ -203,7 +201,6 @@ class Modes:
         )
         held.replace_arrays(modes=structs, shown=full.arrays.shown)
         functions = held.arrays.functions
-        functions.forces = address_of(forces_by_model)
         functions.solve = address_of(solve_sliding if sliding else solve_held)
         functions.contact_forces = address_of(record_forces)
         functions.guards = address_of(check_guards)
@@ -264,7 +261,7 @@ class Modes:
             Wr=np.zeros((len(rows), 6)),
             prestress=np.zeros(len(rows)),
             springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
-            spring_force=np.zeros(0) if springs is None else full.effect(COMPLIANCE)[FORCE],
+            spring_force=np.zeros(0) if springs is None else full.effect(COMPLIANCE).force,
         )
 
 
@@ -284,15 +281,15 @@ def set_constraint_forces(full: Data, choice: Choice) -> None:
     assert unilateral is not None
     dry = [constraint for constraint in unilateral.constraints if constraint.kind == DRY_JOINT]
     if dry:
-        full.effect(DRY_FRICTION)[0][:] = 0.0
+        full.effect(DRY_FRICTION).torque[:] = 0.0
     for constraint, state in zip(unilateral.constraints, choice.states, strict=True):
         if constraint.compliant:
             assert unilateral.compliant is not None, "a compliant contact is a spring"
-            active = full.effect(COMPLIANCE)[ACTIVE]
+            active = full.effect(COMPLIANCE).active
             active[unilateral.compliant.number(constraint.row)] = state != OPEN
         if constraint.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
             torque = -constraint.bound if state == FORWARD else constraint.bound
-            full.effect(DRY_FRICTION)[0][constraint.joint] = torque
+            full.effect(DRY_FRICTION).torque[constraint.joint] = torque
 
 
 def _reactions(held: Data) -> ReactionWork:

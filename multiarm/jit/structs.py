@@ -274,6 +274,23 @@ def view(holder: type, at: int = 0) -> Callable[[Any], Any]:
     return open_view
 
 
+def view_at(holder: type) -> Callable[[Any, Any], Any]:
+    """Function of kernels ``(struct, at) -> view``: as :func:`view`, at a place that is data."""
+    kind = View(holder, 0)
+    twin = _python_view(kind)
+
+    @generated(lambda struct, at: twin(struct[WIDTH * at :]))
+    def open_view(typing_context, struct, at):
+        def generate(context, builder, signature, arguments):
+            array = context.make_array(signature.args[0])(context, builder, arguments[0])
+            first = builder.mul(arguments[1], ir.IntType(64)(8 * WIDTH))
+            return builder.add(builder.ptrtoint(array.data, ir.IntType(64)), first)
+
+        return kind(struct, types.int64), generate
+
+    return open_view
+
+
 class _PythonView:
     """A view where kernels are interpreted; its fields are properties of a subclass."""
 

@@ -17,7 +17,7 @@ from repository import ROOT, SCENES
 from timing import slope_burst
 
 import multiarm as ma
-from multiarm.dynamics.arrays import OWN_ARRAYS
+from multiarm.dynamics.arrays import EFFECTS
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
 BARE = RING.replace(gravity=None, control={"kind": "none"})
@@ -67,7 +67,7 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
     assert system.model.constants.effects.shape == (0, 2)
     constants = system.model.constants
     assert constants.passive_end == constants.actuator_end == constants.applied_end == 0
-    assert array_count(system) == OWN_ARRAYS
+    assert array_count(system) == EFFECTS
     assert data_of(system).arrays.inner.size == 0
     assert data_of(system).arrays.power.size == 1, "of the control"
     assert set(data_of(system).callbacks) == {
@@ -83,8 +83,11 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
 
 def test_an_effect_has_its_arrays_and_no_other_one_has():
     system = ma.compile_system(BARE.replace(effects={"joint_damping": 1.0}))
-    assert array_count(system) == OWN_ARRAYS + 2
-    assert data_of(system).effect("joint_damping")[0].tolist() == [1.0] * system.model.layout.joints
+    assert array_count(system) == EFFECTS + 2
+    assert (
+        data_of(system).effect("joint_damping").coefficients.tolist()
+        == [1.0] * system.model.layout.joints
+    )
 
 
 def test_an_evaluation_calls_of_pinocchio_what_the_effects_need(pinocchio_calls):

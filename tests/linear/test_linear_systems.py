@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -30,11 +31,16 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.cli import app
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import ACTUATOR, STATE, EffectKernel
+from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.effect_kernels import (
+    ACTUATOR,
+    EffectKernel,
+    first_state,
+    view_of_effect,
+)
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.jit.structs import Float, Floats1, struct_at
 from multiarm.linear import equilibrium as equilibrium_module
 from multiarm.linear.equilibrium import _Search
 from multiarm.linear.motion import modes_trajectory
@@ -345,14 +351,22 @@ def test_drives_that_do_not_start_at_rest_are_refused(cart):
         ma.find_equilibrium(system)
 
 
+class Pump(NamedTuple):
+    parts: Floats1  # two parts of its pressure
+    time_constant: Float
+
+
+open_pump = view_of_effect(Pump)
+
+
 @cfunc
 def leaking_pressure(address, size, at, _t):
-    """Own array: two parts of the pressure of the pump, and the time constant."""
+    """A pump whose pressure leaks."""
     struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    state, numbers = ints1(struct, int(at))[STATE], floats1(struct, int(at) + 1)
+    data, pump, state = open_data(struct), open_pump(struct, at), first_state(struct, at)
     data.torque[0] += data.inner[state]
-    data.inner_rate[state] = (numbers[0] + numbers[1] - data.inner[state]) / numbers[2]
+    pressure = pump.parts[0] + pump.parts[1]
+    data.inner_rate[state] = (pressure - data.inner[state]) / pump.time_constant
     return 0
 
 
@@ -364,8 +378,8 @@ class LeakingCylinder(ma.Effect):
 
     def build(self, context):
         more = {"states": 1, "start": lambda arrays: np.array([self.spec.start]), "works": False}
-        numbers = np.array([0.1, 0.2, 0.05])
-        return [EffectKernel(self.name, leaking_pressure, ACTUATOR, (numbers,), **more)]
+        pump = Pump(np.array([0.1, 0.2]), 0.05)
+        return [EffectKernel(self.name, leaking_pressure, ACTUATOR, pump, **more)]
 
 
 def test_states_of_own_effects_may_start_at_rest_but_for_roundings(cart):
