@@ -67,7 +67,8 @@ from timing import (
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.node import ELIMINATED, make_work
+from multiarm.dynamics.solver.node import make_work
+from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.jit.kernels import kernel
 from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK
@@ -380,7 +381,7 @@ class CompiledNode:
 
     def burst(self, count: int) -> None:
         """Eliminate and solve that many times."""
-        if _node_often(self._work, *self._matrices, *self._solution, count) != ELIMINATED:
+        if _node_often(self._work, *self._matrices, *self._solution, count) != OK:
             raise SolverError("an arm of the study is singular; put it in a regular posture")
 
     def solve(self) -> Solution:
@@ -401,7 +402,7 @@ def assembly_burst(s: Coefficients) -> Burst:
 @kernel
 def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
     """Load, eliminate, solve."""
-    status = ELIMINATED
+    status = OK
     for _ in range(count):
         for i in range(M.shape[0]):
             for a in range(M.shape[1]):
@@ -410,7 +411,7 @@ def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
                 for b in range(W.shape[2]):
                     work.Y[i, a, b] = W[i, a, b]
         status = solve_batched(work, Wo, M_o, h_o, h, c, q_o, q, force)
-        if status != ELIMINATED:
+        if status != OK:
             return status
     return status
 

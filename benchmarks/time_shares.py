@@ -40,12 +40,13 @@ from timing import (
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.loop_closure import projection_tolerance
-from multiarm.dynamics.arrays import OK, open_data
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import load_chart, write_chart_slope
 from multiarm.dynamics.equations import finite
 from multiarm.dynamics.evaluation import evaluate
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.integration.projection import project

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel

@@ -41,11 +41,11 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.table import KIND, TANGENT
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.coordinates import difference, retracted
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 
 CLOSED, STUCK, FAR = "closed", "stuck", "far"

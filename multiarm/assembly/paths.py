@@ -16,10 +16,10 @@ from multiarm.assembly.start import joint_names
 from multiarm.contacts.kernel import GAP
 from multiarm.control.object_control import pose_of, route
 from multiarm.control.program import JointPath
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import ControlError
 from multiarm.integration.projection import project_positions

@@ -38,12 +38,12 @@ from multiarm.assembly.loop_closure import (
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, Constraint
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.diagnosis import failure_text, lost_contact
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.integration.monitors import contacts_off_patch

@@ -48,12 +48,13 @@ from multiarm.control.recorded import (
 )
 from multiarm.control.tables import read_table
 from multiarm.control.user_control import Control
-from multiarm.dynamics.arrays import CARRYING, LOCAL, OK, OPEN_LOOP, open_system
+from multiarm.dynamics.arrays import CARRYING, LOCAL, OPEN_LOOP, open_system
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan, Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import INTS, Kernel, cfunc, clear, kernel
 from multiarm.jit.structs import struct_at

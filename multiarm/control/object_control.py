@@ -46,11 +46,12 @@ from multiarm.contacts.internal_forces import internal_forces
 from multiarm.contacts.kernel import GAP_BIAS
 from multiarm.control.force_distribution import share_load, static_forces
 from multiarm.control.null_space import hold_pose, nearest_accelerations
-from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError, GraspError
 from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import struct_at

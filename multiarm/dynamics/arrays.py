@@ -32,9 +32,6 @@ from multiarm.jit.structs import (
 
 # Numbers of a tip in ``Variables.tips``.
 TIP_WIDTH = 13
-# Results of an evaluation; k >= 0: the elimination failed at arm k, or at the object where k is the
-# number of arms.
-OK, CALLBACK_FAILED, PROJECTION_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -3, -4, -5
 # What the torques of an arm's drives depend on: the time, also the state of this arm, also its
 # share of the weight of the object where gravity compensation is the last law, anything.
 OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
@@ -91,6 +88,7 @@ class Status(Numbers):
     """How the equations were solved last."""
 
     failed: Flag  # a Python function that compiled code called has raised an exception
+    ambiguous: Flag  # with friction: other accelerations meet the equations, too
     rank: Int  # of the constraints
     coupled_arms: Int  # arms in the coupled system
     residual: Float  # largest constraint residual, relative to the largest term
@@ -151,7 +149,7 @@ class ModeStructs(Numbers):
     closed: Int  # with all contacts of the joints closed, as controllers assume
     full: Int  # with all rows
     tangents: Int  # with the tangents of the sliding contacts
-    guards: Int  # guards of the mode, see multiarm.events
+    mode: Int  # the mode's own numbers, slides and guards, see multiarm.events
 
 
 class Variables(NamedTuple):

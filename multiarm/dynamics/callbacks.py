@@ -220,6 +220,7 @@ def dense_solver(
         b.qdd[:] = np.concatenate(solution.joint_accelerations)
         b.force[:] = np.concatenate(solution.contact_forces)
         b.status.rank, b.status.coupled_arms = solution.rank, 0
+        b.status.ambiguous = not solution.motion_unique
 
     return solve
 

@@ -36,11 +36,11 @@ from multiarm.contacts.table import (
     TIP_RADIUS,
 )
 from multiarm.contacts.unilateral import Constraint
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SceneError
 from multiarm.geometry.records import (
     CYLINDER,

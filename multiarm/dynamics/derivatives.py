@@ -42,7 +42,6 @@ from functools import partial
 import numpy as np
 
 from multiarm.contacts.table import KIND, TANGENT
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.equation_derivatives import (
     differentiate_equations,
@@ -55,6 +54,7 @@ from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
+from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 
 # Derivatives of F_o by a wrench on the object.

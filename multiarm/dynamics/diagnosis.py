@@ -22,11 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import CONTRADICTION, NOT_FINITE, PROJECTION_FAILED
 from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
 from multiarm.dynamics.model import Data, Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NO_INERTIA
+from multiarm.dynamics.status import CONTRADICTION, NOT_FINITE, PROJECTION_FAILED
 from multiarm.geometry.records import Contact
 from multiarm.notation import count_of
 
@@ -96,6 +96,16 @@ def contradiction_text(data: Data) -> str:
         f"contradict each other, or the chains are in a singular posture with a velocity that none "
         f"of their further motions has, and the motion is undetermined; take smaller steps, start "
         f"elsewhere, or remove redundant contacts"
+    )
+
+
+def ambiguity_text(data: Data) -> str:
+    """That the last solution is one of several; empty where it is the only one."""
+    if not data.arrays.status.ambiguous:
+        return ""
+    return (
+        "friction leaves the motion open: other accelerations meet the equations, too; these are "
+        "those of the least contact forces"
     )
 
 

@@ -31,7 +31,7 @@ from multiarm.arms.derivatives import (
     write_motions,
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
-from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_derivatives import (
     SCRATCH_ROWS,
     SLOPES_WIDTH,
@@ -43,12 +43,10 @@ from multiarm.dynamics.contact_derivatives import (
 from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import INTS, NUMBERS, TABLE, TRUTH, clear, copy, inlined, kernel
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
 from multiarm.jit.vectors import add_cross, cross, put, sub, times, vec
-
-# Result of the solution where a matrix is singular.
-SINGULAR = -10
 
 
 class EquationWork(NamedTuple):

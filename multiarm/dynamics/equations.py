@@ -30,14 +30,7 @@ from multiarm.contacts.kernel import (
     GAP_RATE,
     write_row,
 )
-from multiarm.dynamics.arrays import (
-    CALLBACK_FAILED,
-    NOT_FINITE,
-    OK,
-    open_coupled,
-    open_data,
-    open_system,
-)
+from multiarm.dynamics.arrays import open_coupled, open_data, open_system
 from multiarm.dynamics.kinematics import (
     arm_rows,
     arm_terms,
@@ -47,8 +40,9 @@ from multiarm.dynamics.kinematics import (
 )
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.factors import norm
-from multiarm.dynamics.solver.node import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
+from multiarm.dynamics.solver.node import IMBALANCE_BOUND, eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
+from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import broadcast, load_pack, store_pack
@@ -229,7 +223,7 @@ def solve(address, size, _a, _b):
         work, data.Wo, data.inertia, data.h_o, data.h, data.c, data.q_o,
         data.qdd, data.force,
     )  # fmt: skip
-    if result == ELIMINATED:
+    if result == OK:
         open_coupled(struct).status.arms = 0
         data.status.imbalance = imbalance(data, work, data.Wo)
         if data.status.imbalance <= IMBALANCE_BOUND:
@@ -306,7 +300,7 @@ def solve_deficient(address, size, decompose_all, _b):
 def solve_by_arms(data, work, coupled, decompose_all):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
     failed = eliminate_arms(work, data.Wo)
-    if failed != ELIMINATED:
+    if failed != OK:
         return failed
     pivot = couple(work, coupled, data.Wo, data.inertia, decompose_all)
     work.pivot[data.pointers.shape[0]] = pivot

@@ -22,7 +22,7 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
-from multiarm.dynamics.arrays import OK, Variables
+from multiarm.dynamics.arrays import Variables
 from multiarm.dynamics.contact_geometry import (
     constraint_matrix,
     contact_terms,
@@ -31,6 +31,7 @@ from multiarm.dynamics.contact_geometry import (
     relative_motion,
 )
 from multiarm.dynamics.diagnosis import (
+    ambiguity_text,
     contradiction_text,
     failure_text,
     lost_contact_text,
@@ -44,6 +45,7 @@ from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import PART_TOLERANCE, CoupledWork, loose_rows
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
 from multiarm.notation import numbers
@@ -423,7 +425,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         },
         rank=b.status.rank,
         coupled_arms=coupled,
-        message="" if solved else contradiction_text(data),
+        message=ambiguity_text(data) if solved else contradiction_text(data),
         effect_state_rates=b.inner_rate.copy(),
         contact_states={},
         _held=snapshot,

@@ -11,10 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.arms.terms import BIAS_AT
-from multiarm.dynamics.arrays import OK, OPEN_LOOP, open_data, open_system
+from multiarm.dynamics.arrays import OPEN_LOOP, open_data, open_system
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
 from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, TABLE, TRUTH, clear, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import floats_at

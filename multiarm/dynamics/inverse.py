@@ -30,7 +30,6 @@ import numpy as np
 
 from multiarm.contacts.internal_forces import InternalForces, distribute
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.equations import update_kinematics
@@ -38,6 +37,7 @@ from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.notation import count_of

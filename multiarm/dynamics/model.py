@@ -40,7 +40,6 @@ from multiarm.contacts.table import (
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import (
     ALWAYS,
-    CALLBACK_FAILED,
     COUPLED,
     FUNCTIONS,
     HELD,
@@ -61,6 +60,7 @@ from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
 from multiarm.dynamics.state import State, require_same_joints
+from multiarm.dynamics.status import CALLBACK_FAILED
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
@@ -477,6 +477,7 @@ class Data:
         b.margins[:] = np.nan
         b.event_count[0] = 0
         b.status.rank = b.status.coupled_arms = 0
+        b.status.ambiguous = False
         b.status.residual = b.status.imbalance = 0.0
         b.status.position_change = b.status.velocity_change = 0.0
         b.lost[:] = 0

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import OK, open_coupled, open_system
+from multiarm.dynamics.arrays import open_coupled, open_system
 from multiarm.dynamics.equations import (
     AT_REST,
     evaluate_state,
@@ -27,6 +27,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.node import COUPLED_BELOW
+from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, NUMBERS, cfunc, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at

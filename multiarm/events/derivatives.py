@@ -62,7 +62,7 @@ def derivatives(
             found = evaluation.evaluate(data, t, state)
             return differentiate(data, found, closed_loop, parameters)
         mode = mode_at(data, t, state)
-        if len(mode.arrays.slides):
+        if mode.slides.row.size:
             raise SolverError(
                 "derivatives: contacts slide with friction at this state, whose direction turns "
                 "with the slip; take a state where they stick, or leave friction out"

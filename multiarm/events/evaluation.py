@@ -14,7 +14,6 @@ import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import constraint_matrix, contact_places
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.evaluation import Evaluation, Residuals, Snapshot, rows_by_owner
@@ -22,10 +21,11 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.event_detection import touching_constraints
-from multiarm.events.kernels import HELD, TANGENT_OF_ALL, THRESHOLD, start_guards
+from multiarm.events.kernels import start_guards
 from multiarm.events.modes import STATE_NAMES, Mode, Modes
 from multiarm.events.transition import Transition
 
@@ -82,7 +82,7 @@ def mode_at(data: Data, t: float, state: State) -> Mode:
     if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
         mode.data.reraise()
     start_guards(mode.data.struct)
-    if np.any(mode.arrays.values < -mode.arrays.levels[:, THRESHOLD]):
+    if np.any(mode.guards.value < -mode.guards.threshold):
         mode.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
     return mode
 
@@ -126,20 +126,19 @@ def _all_forces(full: Data, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
     """Forces of all rows [N], and which of them are unique."""
     count = full.model.layout.contacts
     forces, unique = np.zeros(count), np.ones(count, dtype=bool)
-    arrays, own = mode.arrays, mode.data.arrays.force
-    forces[arrays.held] = own
+    arrays, slides, of_held = mode.arrays, mode.slides, mode.data.arrays.force
+    forces[arrays.held] = of_held
     columns = _columns(full)
     reactions = columns[:, arrays.held]
-    for s, slide in enumerate(arrays.slides):
-        first, drag = slide[TANGENT_OF_ALL], -arrays.slide_mu[s] * arrays.turning[s]
-        forces[first : first + 2] = drag * own[slide[HELD]]
-        reactions[:, slide[HELD]] += columns[:, first : first + 2] @ drag
+    for s, (row, first) in enumerate(zip(slides.row, slides.tangent_of_all, strict=True)):
+        drag = -slides.mu[s] * slides.turning[s]
+        forces[first : first + 2] = drag * of_held[row]
+        reactions[:, row] += columns[:, first : first + 2] @ drag
     forces[arrays.springs] = arrays.spring_force
     if arrays.held.size:
         unique[arrays.held] = null_space(reactions).untouched
-    for slide in arrays.slides:
-        first = slide[TANGENT_OF_ALL]
-        unique[first : first + 2] = unique[arrays.held[slide[HELD]]]
+    for row, first in zip(slides.row, slides.tangent_of_all, strict=True):
+        unique[first : first + 2] = unique[arrays.held[row]]
     return forces, unique
 
 

@@ -19,13 +19,15 @@ from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
-from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.coordinates import load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.events.kernels import QUIET, spring_length, write_guards
+from multiarm.dynamics.status import OK
+from multiarm.events.guards import QUIET, spring_length
+from multiarm.events.kernels import write_guards
 from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
 from multiarm.integration.dense_output import interpolate
 from multiarm.integration.step import open_step
@@ -149,13 +151,13 @@ class GuardValues:
         """Values of all guards; NaN where the state cannot be evaluated."""
         if theta not in self._known:
             status = evaluate_in_step(*self._call, theta)
-            values = self._mode.arrays.values.copy()
+            values = self._mode.guards.value.copy()
             self._known[theta] = values if status == OK else np.full_like(values, np.nan)
         return self._known[theta]
 
 
 def first_event(
-    values: Callable[[float], np.ndarray], found: np.ndarray, levels: np.ndarray
+    values: Callable[[float], np.ndarray], results: np.ndarray, levels: np.ndarray
 ) -> tuple[float, list[int]]:
     """Fraction of the step at which the first guard changes its sign, and all that do so there.
 
@@ -163,8 +165,8 @@ def first_event(
     ----------
     values : callable
         All guards as a function of the fraction.
-    found : ndarray of int
-        Result of each guard for the step, see :mod:`multiarm.events.kernels`.
+    results : ndarray of int
+        Result of each guard for the step, see :mod:`multiarm.events.guards`.
     levels : ndarray
         Smaller values are zero: a guard may begin there, and grow before it falls.
 
@@ -176,7 +178,7 @@ def first_event(
     """
     samples = np.array([values(theta) for theta in GRID])
     roots: dict[int, float] = {}
-    for g in map(int, np.flatnonzero(found != QUIET)):
+    for g in map(int, np.flatnonzero(results != QUIET)):
         root = _root(values, g, samples[:, g], float(levels[g]))
         if root is not None:
             roots[g] = root

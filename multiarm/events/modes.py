@@ -14,21 +14,21 @@ from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
-from multiarm.events.kernels import (
+from multiarm.events.guards import (
     CONE_GUARD,
     GAP_GUARD,
-    GUARD_WIDTH,
     HOLD_GUARD,
-    LEVEL_WIDTH,
     LIFT_GUARD,
     ONSET_GUARD,
     PATCH_GUARD,
     PUSH_GUARD,
     RATE_GUARD,
     REST_GUARD,
-    SLIDE_WIDTH,
     SLIP_GUARD,
     SPRING_GUARD,
+    Guards,
+)
+from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
     check_guards,
@@ -37,6 +37,7 @@ from multiarm.events.kernels import (
     solve_held,
     solve_sliding,
 )
+from multiarm.events.sliding import Slides
 from multiarm.jit.pointers import address_of
 from multiarm.results.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
 
@@ -59,14 +60,14 @@ DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 
 
 class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.events.kernels`."""
+    """A guard of one constraint, see :mod:`multiarm.events.guards`."""
 
     kind: int
-    a: int
+    watched: int
     parameter: float = 0.0
     threshold: float = 0.0
-    b: int = -1
-    c: int = -1
+    tangents: tuple[int, int] = (-1, -1)
+    sign: int = 1
 
 
 @dataclass(frozen=True)
@@ -117,11 +118,15 @@ class Mode:
     data : Data
         With the held rows; its forces, guards and sliding contacts are those of the mode.
     arrays : ModeArrays
+    slides : Slides
+    guards : Guards
     """
 
     choice: Choice
     data: Data
     arrays: ModeArrays
+    slides: Slides
+    guards: Guards
     _kept: tuple[object, ...]  # objects that kernels access by address
 
     def set_prestress(self, forces: dict[int, float]) -> None:
@@ -174,12 +179,11 @@ class Modes:
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
         """The mode of a choice, with directions of slip, at its beginning."""
         mode = self.mode(choice)
-        arrays = mode.arrays
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
-            arrays.direction[s] = directions[u]
-        arrays.armed[:] = 0
-        arrays.numbers.muted = arrays.numbers.stressed = False
-        arrays.least[:] = np.inf
+            mode.slides.direction[s] = directions[u]
+        mode.guards.armed[:] = 0
+        mode.guards.least[:] = np.inf
+        mode.arrays.numbers.muted = mode.arrays.numbers.stressed = False
         set_constraint_forces(self.full, choice)
         return mode
 
@@ -189,15 +193,16 @@ class Modes:
         sliding = choice.sliding(constraints)
         held = _select(full, rows)
         tangents = [t for u in sliding for t in constraints[u].tangents]
-        aside = _select(full, tangents) if sliding else self._nothing
-        arrays = self._arrays(choice, rows, sliding)
+        sideways = _select(full, tangents) if sliding else self._nothing
+        arrays, slides = self._arrays(choice, rows), self._slides(choice, rows, sliding)
+        guards = self._guards(choice, rows, sliding)
         reactions = _reactions(held) if sliding else None
-        struct = mode_struct(arrays, reactions)
+        struct = mode_struct(arrays, slides, guards, reactions)
         structs = ModeStructs(
             closed=self.closed.struct.ctypes.data,
             full=full.struct.ctypes.data,
-            tangents=aside.struct.ctypes.data,
-            guards=struct.ctypes.data,
+            tangents=sideways.struct.ctypes.data,
+            mode=struct.ctypes.data,
         )
         held.replace_arrays(modes=structs, shown=full.arrays.shown)
         functions = held.arrays.functions
@@ -206,35 +211,16 @@ class Modes:
         functions.guards = address_of(check_guards)
         if reactions is not None:
             held.replace_dense_solver((arrays.Wr, reactions.Yr))
-        return Mode(choice, held, arrays, (aside, struct, reactions, self.closed, full))
+        by_address = sideways, struct, reactions, self.closed, full
+        return Mode(choice, held, arrays, slides, guards, by_address)
 
-    def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
+    def _arrays(self, choice: Choice, rows: np.ndarray) -> ModeArrays:
         constraints, full = self.unilateral.constraints, self.full
         springs, effects = self.unilateral.compliant, full.model.effects
         # of sliding friction; without the effect, a power that stays zero
         slot = effects.slot(
             "contact_friction" if "contact_friction" in effects.works else "impacts"
         )
-        place = {int(row): k for k, row in enumerate(rows)}
-        slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
-        for s, u in enumerate(sliding):
-            arm = int(np.searchsorted(full.model.layout.rows, constraints[u].row, side="right")) - 1
-            slides[s] = place[constraints[u].row], arm, 2 * s, constraints[u].tangents[0]
-        guards, levels, patches = [], [], []
-        for u, constraint in enumerate(constraints):
-            patch = patch_of(full.model, constraint)
-            found = _guards(u, constraint, choice, place, sliding, self.slow)
-            if constraint.compliant:
-                sign = 1 if choice.states[u] == OPEN else -1
-                row, lag = constraint.row, constraint.lag
-                found = [Guard(SPRING_GUARD, row, lag, GAP_THRESHOLD, c=sign)]
-            elif patch is not None:
-                found = _patch_guards(u, constraint, choice, found)
-            for guard in found:
-                guards.append([guard.kind, guard.a, guard.b, guard.c, u])
-                levels.append([guard.parameter, guard.threshold])
-                patches.append(patch if guard.kind == PATCH_GUARD else np.zeros(18))
-        g = len(guards)
         states = [
             STICKING if state == AT_BOUND else state
             for state, constraint in zip(choice.states, constraints, strict=True)
@@ -243,25 +229,71 @@ class Modes:
         return ModeArrays(
             numbers=ModeNumbers(slow=self.slow, power=slot),
             held=rows,
-            slides=slides,
-            slide_mu=np.array([choice.side(u) * constraints[u].mu for u in sliding]),
-            direction=np.zeros((len(sliding), 2)),
-            turning=np.zeros((len(sliding), 2)),
-            speed=np.zeros(len(sliding)),
             states=np.array(states, dtype=float),
-            guards=np.array(guards, dtype=np.int64).reshape(-1, GUARD_WIDTH),
-            levels=np.array(levels).reshape(-1, LEVEL_WIDTH),
-            values=np.zeros(g),
-            before=np.zeros(g),
-            rates=np.zeros(g),
-            least=np.full(g, np.inf),
-            armed=np.zeros(g, dtype=np.int64),
-            found=np.zeros(g, dtype=np.int64),
-            patches=np.array(patches).reshape(-1, 18),
             Wr=np.zeros((len(rows), 6)),
             prestress=np.zeros(len(rows)),
             springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
             spring_force=np.zeros(0) if springs is None else full.effect(COMPLIANCE).force,
+        )
+
+    def _slides(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> Slides:
+        chosen, count = [self.unilateral.constraints[u] for u in sliding], len(sliding)
+        normals = [constraint.row for constraint in chosen]
+        bounds = self.full.model.layout.rows
+        return Slides(
+            row=np.searchsorted(rows, normals).astype(np.int64),
+            arm=np.searchsorted(bounds, normals, side="right").astype(np.int64) - 1,
+            tangent=2 * np.arange(count, dtype=np.int64),
+            tangent_of_all=np.array([c.tangents[0] for c in chosen], dtype=np.int64),
+            mu=np.array([choice.side(u) * self.unilateral.constraints[u].mu for u in sliding]),
+            direction=np.zeros((count, 2)),
+            turning=np.zeros((count, 2)),
+            speed=np.zeros(count),
+        )
+
+    def _guards(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> Guards:
+        place = {int(row): k for k, row in enumerate(rows)}
+        guards: list[Guard] = []
+        owners: list[int] = []
+        patches: list[np.ndarray] = []
+        for u, constraint in enumerate(self.unilateral.constraints):
+            patch = patch_of(self.full.model, constraint)
+            of_constraint = _guards(u, constraint, choice, place, sliding, self.slow)
+            if constraint.compliant:
+                sign, row, lag = (
+                    1 if choice.states[u] == OPEN else -1, constraint.row, constraint.lag,
+                )  # fmt: skip
+                of_constraint = [Guard(SPRING_GUARD, row, lag, GAP_THRESHOLD, sign=sign)]
+            elif patch is not None:
+                of_constraint = _patch_guards(u, constraint, choice, of_constraint)
+            guards += of_constraint
+            owners += [u] * len(of_constraint)
+            patches += [
+                patch if guard.kind == PATCH_GUARD and patch is not None else np.zeros(18)
+                for guard in of_constraint
+            ]
+        g = len(guards)
+        integers = {
+            name: np.array([getattr(guard, name) for guard in guards], dtype=np.int64)
+            for name in ("kind", "watched", "sign")
+        }
+        numbers = {
+            name: np.array([getattr(guard, name) for guard in guards], dtype=float)
+            for name in ("parameter", "threshold")
+        }
+        tangents = [guard.tangents for guard in guards]
+        return Guards(
+            **integers,
+            **numbers,
+            tangents=np.array(tangents, dtype=np.int64).reshape(-1, 2),
+            constraint=np.array(owners, dtype=np.int64),
+            patch=np.array(patches).reshape(-1, 18),
+            value=np.zeros(g),
+            before=np.zeros(g),
+            rate=np.zeros(g),
+            least=np.full(g, np.inf),
+            armed=np.zeros(g, dtype=np.int64),
+            result=np.zeros(g, dtype=np.int64),
         )
 
 
@@ -331,7 +363,7 @@ def _guards(
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
             mu = side * constraint.mu
-            guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, *tangents))
+            guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, (tangents[0], tangents[1])))
     resting = constraint.bilateral and u not in sliding
     if state == AT_BOUND or (resting and not all(t in place for t in constraint.tangents)):
         guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
@@ -345,9 +377,9 @@ def _patch_guards(
 ) -> list[Guard]:
     """The guards of a contact that is on its patch, over it, off it or below it."""
     off = u in choice.off_patch
-    edge = Guard(PATCH_GUARD, constraint.row, threshold=GAP_THRESHOLD, c=-1 if off else 1)
+    edge = Guard(PATCH_GUARD, constraint.row, threshold=GAP_THRESHOLD, sign=-1 if off else 1)
     if off:
         return [edge]
     if u in choice.below_patch:  # a spring without damping: its extension is the gap
-        return [edge, Guard(SPRING_GUARD, constraint.row, threshold=GAP_THRESHOLD, c=-1)]
+        return [edge, Guard(SPRING_GUARD, constraint.row, threshold=GAP_THRESHOLD, sign=-1)]
     return [*guards, edge]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.coordinates import retracted
 from multiarm.dynamics.equations import (
     evaluate_state,
@@ -22,6 +21,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.events.modes import Modes
 

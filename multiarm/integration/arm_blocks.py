@@ -56,16 +56,7 @@ import numpy as np
 
 from multiarm.arms.terms import BIAS_AT
 from multiarm.control.force_distribution import write_wrench_products
-from multiarm.dynamics.arrays import (
-    CALLBACK_FAILED,
-    CARRYING,
-    HELD,
-    NOT_FINITE,
-    OK,
-    open_coupled,
-    open_data,
-    open_system,
-)
+from multiarm.dynamics.arrays import CARRYING, HELD, open_coupled, open_data, open_system
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import (
     drift_terms,
@@ -76,6 +67,7 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
+from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
 from multiarm.integration.projection import greatest
 from multiarm.integration.step import Step
 from multiarm.jit.kernels import clear, copy, inlined, kernel

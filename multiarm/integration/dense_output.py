@@ -6,7 +6,7 @@ Each tableau has one of four forms: a cubic through both ends (HERMITE), a polyn
 
 from __future__ import annotations
 
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.status import OK
 from multiarm.integration.step import add_slopes, combine, slope_at
 from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.tableaus import HERMITE, POLYNOMIAL, QUARTIC

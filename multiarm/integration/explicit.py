@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from multiarm.dynamics.arrays import OK, open_data
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import chart_places
+from multiarm.dynamics.status import OK
 from multiarm.integration.step import combine, open_step, slope_at
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import struct_at

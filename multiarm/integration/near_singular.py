@@ -22,10 +22,11 @@ from __future__ import annotations
 
 import math
 
-from multiarm.dynamics.arrays import OK, open_coupled, open_system
+from multiarm.dynamics.arrays import open_coupled, open_system
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.solver_monitor import believable, constraint_residual
+from multiarm.dynamics.status import OK
 from multiarm.integration.projection import greatest, project
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc

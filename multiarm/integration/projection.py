@@ -23,9 +23,10 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import OK, PROJECTION_FAILED, open_coupled, open_system
+from multiarm.dynamics.arrays import open_coupled, open_system
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import largest, solve_constrained, update_kinematics
+from multiarm.dynamics.status import OK, PROJECTION_FAILED
 from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, kernel
 
 # alpha = beta = FEEDBACK_RATIO / step

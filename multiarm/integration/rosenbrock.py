@@ -41,9 +41,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import NOT_FINITE, OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
+from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.arm_blocks import (
     TIME_CHANGE,
     ArmBlocks,

@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import NOT_FINITE, OK, open_data
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import load_chart, store_chart, write_chart_slope
 from multiarm.dynamics.equations import finite
 from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, copy, inlined, kernel

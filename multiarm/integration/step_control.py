@@ -21,17 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import CONTRADICTION, OK, open_coupled, open_system
+from multiarm.dynamics.arrays import open_coupled, open_system
 from multiarm.dynamics.solver_monitor import believable
+from multiarm.dynamics.status import CONTRADICTION, LARGE_CORRECTION, OK, STEP_TOO_SMALL
 from multiarm.integration.projection import FEEDBACK_RATIO, near_loss
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.structs import Flag, Float, Floats1, Int, Numbers, view
-
-# Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
-FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
-STEP_TOO_SMALL, DIVERGED, SOLVER_CHANGED, LARGE_CORRECTION, STIFF = -13, -14, -15, -16, -17
-# An event lies within the step just made, which was not accepted; the run reached its stop.
-EVENT, STOPPED = -19, -20
 
 # Kinds of stabilization.
 NONE, FEEDBACK, PROJECTION = 0, 1, 2
@@ -102,6 +97,7 @@ class Clock(Numbers):
     control_samples: Int  # number of the next one, from the beginning
     cause: Int  # why the last step was rejected
     coupled_steps: Int  # steps that ended with deficient arms
+    ambiguous_steps: Int  # steps at whose end friction left the motion open
     lowest_rank: Int
     highest_rank: Int
     solver_changes: Int  # of rank or of deficient arms, that Python has not logged yet

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE, OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.coordinates import (
     chart_places,
     copy_works,
@@ -27,6 +27,20 @@ from multiarm.dynamics.coordinates import (
     write_chart_slope,
 )
 from multiarm.dynamics.equations import finite, largest
+from multiarm.dynamics.status import (
+    BLOCK_FULL,
+    BUDGET_USED,
+    CALLBACK_FAILED,
+    DIVERGED,
+    EVENT,
+    FINISHED,
+    NOT_FINITE,
+    OK,
+    SOLVER_CHANGED,
+    STEP_TOO_SMALL,
+    STIFF,
+    STOPPED,
+)
 from multiarm.integration.dense_output import interpolate, prepare_dense
 from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
@@ -34,17 +48,8 @@ from multiarm.integration.projection import near_loss, project
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import error_estimate, open_step, slope_at
 from multiarm.integration.step_control import (
-    BLOCK_FULL,
-    BUDGET_USED,
-    DIVERGED,
-    EVENT,
     FEEDBACK,
-    FINISHED,
-    SOLVER_CHANGED,
-    STEP_TOO_SMALL,
-    STIFF,
     STIFF_AFTER,
-    STOPPED,
     accept_step,
     breakpoint_at,
     check_solution,
@@ -332,6 +337,7 @@ def count_solution(struct, clock):
     clock.highest_rank = max(clock.highest_rank, status.rank)
     if status.coupled_arms > 0:
         clock.coupled_steps += 1
+    clock.ambiguous_steps += status.ambiguous
     clock.worst_residual = max(clock.worst_residual, status.residual)
     clock.worst_correction = max(
         clock.worst_correction, status.position_change, status.velocity_change

@@ -45,19 +45,17 @@ import numpy as np
 from multiarm.arms.terms import M_AT, M_STRIDE
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
-from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import CALLBACK_FAILED, NOT_CONVERGED, OK
 from multiarm.integration.projection import greatest
 from multiarm.integration.step import METHOD_WORK, Step, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at, view
 from multiarm.spatial import write_chart_rate
-
-# Status of a step whose iteration does not converge.
-NOT_CONVERGED = -18
 
 
 class VariationalWork(NamedTuple):

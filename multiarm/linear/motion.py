@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.linear.linearisation import LinearSystem

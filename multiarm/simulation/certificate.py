@@ -45,12 +45,12 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError
 from multiarm.notation import number
 from multiarm.results.trajectory import ENERGIES, Trajectory

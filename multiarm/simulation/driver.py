@@ -15,27 +15,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE
 from multiarm.dynamics.coordinates import read_chart
 from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
-from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
-from multiarm.integration.methods import make_stepping
-from multiarm.integration.monitors import collect_events
-from multiarm.integration.step_control import (
+from multiarm.dynamics.status import (
     BLOCK_FULL,
     BUDGET_USED,
+    CALLBACK_FAILED,
     DIVERGED,
     EVENT,
     LARGE_CORRECTION,
+    NOT_CONVERGED,
+    NOT_FINITE,
     SOLVER_CHANGED,
     STEP_TOO_SMALL,
     STIFF,
     STOPPED,
 )
+from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
+from multiarm.integration.methods import make_stepping
+from multiarm.integration.monitors import collect_events
 from multiarm.integration.time_loop import advance, observe
-from multiarm.integration.variational import NOT_CONVERGED
 from multiarm.jit.structs import struct_of
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.setup import Run, set_tolerance

@@ -16,11 +16,11 @@ import numpy as np
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.event_detection import (
     GuardValues,
@@ -30,16 +30,8 @@ from multiarm.events.event_detection import (
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.kernels import (
-    CONSTRAINT,
-    GUARD_KIND,
-    PATCH_GUARD,
-    PUSH_GUARD,
-    RATE_GUARD,
-    SLIP_GUARD,
-    THRESHOLD,
-    start_guards,
-)
+from multiarm.events.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
+from multiarm.events.kernels import start_guards
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
 from multiarm.integration.methods import make_stepping
@@ -140,19 +132,19 @@ class EventHandler:
 
     def locate(self, run: Run) -> str:
         """Locate the first event in the last step, and let the loop stop there."""
-        arrays, t = self.mode.arrays, run.clock.t
-        begin, end = arrays.numbers.begin, arrays.numbers.end
+        numbers, guards, t = self.mode.arrays.numbers, self.mode.guards, run.clock.t
+        begin, end = numbers.begin, numbers.end
         struct = run.data.struct
         probe = GuardValues(struct, run.stepping.struct, self.mode, begin, end)
-        theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
-        arrays.least[:] = np.inf
-        arrays.numbers.muted = True
-        if not guards:  # no root: the step is repeated and accepted
+        theta, changed = first_event(probe, guards.result.copy(), guards.threshold)
+        guards.least[:] = np.inf
+        numbers.muted = True
+        if not changed:  # no root: the step is repeated and accepted
             return ""
         self._last_length = end - begin
         self._usual_length = max(self._usual_length, end - begin)
         time = begin + theta * (end - begin)
-        self._pending = Pending(time, guards)
+        self._pending = Pending(time, changed)
         if time - t <= 1e-13 * max(1.0, t):
             return self.cross(run)
         run.clock.stop = time
@@ -165,15 +157,15 @@ class EventHandler:
         t, step = run.clock.t, run.stepping.step
         before = self.mode.choice
         self._load(run)
-        guards = self.mode.arrays.guards[pending.guards]
+        kinds, owners = self._of_guards(pending)
         participants = _Participants(
             self._touching(pending),
             self._at_rest(pending),
-            {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] == PUSH_GUARD},
+            set(owners[kinds == PUSH_GUARD].tolist()),
             off_patch_constraints(
                 self.modes,
                 before,
-                {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] == PATCH_GUARD},
+                set(owners[kinds == PATCH_GUARD].tolist()),
             ),
         )
         decision = self._decide_mode(t, participants)
@@ -186,16 +178,16 @@ class EventHandler:
 
     def _at_rest(self, pending: Pending) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
-        constraints, guards = self.modes.unilateral.constraints, self.mode.arrays.guards
+        constraints = self.modes.unilateral.constraints
         rates, speeds = self.modes.full.arrays.contacts[:, GAP_RATE], {}
         of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
-        for g in pending.guards:
-            if guards[g, GUARD_KIND] in (SLIP_GUARD, RATE_GUARD):
-                constraint = constraints[guards[g, CONSTRAINT]]
+        for kind, u in zip(*self._of_guards(pending), strict=True):
+            if kind in (SLIP_GUARD, RATE_GUARD):
+                constraint = constraints[u]
                 speed = float(np.linalg.norm(rates[list(constraint.tangents or (constraint.row,))]))
                 # faster slip has only turned around
                 if speed <= 1e3 * max(of_step, SLOWEST) or self._tolerance is None:
-                    speeds[int(guards[g, CONSTRAINT])] = HIT_SHARE * speed
+                    speeds[int(u)] = HIT_SHARE * speed
         return speeds
 
     def _decide_mode(self, t: float, participants: _Participants) -> Decision:
@@ -227,12 +219,12 @@ class EventHandler:
 
     def _holds(self) -> bool:
         """Whether no guard of the mode is violated at the state in its data."""
-        struct, arrays = self.mode.data.struct, self.mode.arrays
+        struct, guards = self.mode.data.struct, self.mode.guards
         if evaluate_state(struct, 0.0, 0.0) != OK:
             self.mode.data.reraise()
             return False
         start_guards(struct)
-        return bool(np.all(arrays.values >= -arrays.levels[:, THRESHOLD]))
+        return bool(np.all(guards.value >= -guards.threshold))
 
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
@@ -244,11 +236,15 @@ class EventHandler:
             bare.reraise()
         update_rows(self.modes.full.struct)
 
+    def _of_guards(self, pending: Pending) -> tuple[np.ndarray, np.ndarray]:
+        """Kinds and constraints of the guards of an event."""
+        return self.mode.guards.kind[pending.guards], self.mode.guards.constraint[pending.guards]
+
     def _touching(self, pending: Pending) -> set[int]:
         """Constraints that touch at an event: those that were closed, and those that close."""
         constraints, choice = self.modes.unilateral.constraints, self.mode.choice
-        guards = self.mode.arrays.guards[pending.guards]
-        closing = {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] != PATCH_GUARD}
+        kinds, owners = self._of_guards(pending)
+        closing = set(owners[kinds != PATCH_GUARD].tolist())
         closed = {
             u
             for u, constraint in enumerate(constraints)

@@ -25,12 +25,12 @@ from typing import Literal
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, failure_text
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact

@@ -23,7 +23,6 @@ import numpy as np
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import (
     ContactTerms,
@@ -36,6 +35,7 @@ from multiarm.dynamics.evaluation import (
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate

@@ -13,11 +13,13 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from multiarm.dynamics.status import BLOCK_FULL, FINISHED
 from multiarm.dynamics.system import System
 from multiarm.errors import TrajectoryError
 from multiarm.integration.samples import sample_columns
-from multiarm.integration.step_control import BLOCK_FULL, FINISHED, STIFF_AFTER
+from multiarm.integration.step_control import STIFF_AFTER
 from multiarm.jit.compilation import compile_time, running_time
+from multiarm.notation import count_of
 from multiarm.results.event_log import EventLog
 from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
@@ -118,7 +120,7 @@ def carry_out(
         statistics = run_statistics(driver, task, 0.0, compile_time() - compiled_before)
         run.sink.finish("failed", f"{where_of(run)}: {error!r}", statistics, log.all())
         raise
-    message = ended.message + _stiffness_remark(run)
+    message = ended.message + _stiffness_remark(run) + _ambiguity_remark(run)
     message += log.summary(MESSAGE_LENGTH - len(message))
     statistics = run_statistics(driver, task, wall, compile_time() - compiled_before)
     trajectory = run.sink.finish(ended.status, message, statistics, log.all())
@@ -207,6 +209,18 @@ def _stiffness_remark(run: Run) -> str:
         return ""
     since = f"stiff from t = {clock.stiff_since:.3g} s"
     return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"
+
+
+def _ambiguity_remark(run: Run) -> str:
+    """For the message of a run whose equations of motion have several solutions; else empty."""
+    steps = run.clock.ambiguous_steps
+    if not steps:
+        return ""
+    return (
+        f"; {count_of(steps, 'step')} ended where friction leaves the motion open: the equations "
+        f"have several solutions there, and that of the least forces was taken; lessen the "
+        f"friction of contacts that press against each other"
+    )
 
 
 def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:
@@ -323,6 +337,7 @@ def run_statistics(driver: Driver, task: Task, wall: float, compilation: float) 
         "start_time_s": settings.begin,
         "simulated_s": simulated,
         "steps": clock.steps,
+        "ambiguous_steps": clock.ambiguous_steps,
         "rejected_steps": clock.rejected,
         "evaluations": clock.evaluations,
         "projections": clock.projections,

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SceneError, SolverError
 from multiarm.integration.methods import Stepping, make_stepping

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.state import State, fill_by_arm
+from multiarm.dynamics.status import BLOCK_FULL, FINISHED, OK
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
-from multiarm.integration.step_control import BLOCK_FULL, FINISHED
 from multiarm.jit.compilation import compile_time, running_time
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of

@@ -34,9 +34,9 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equation_derivatives import write_derivatives
 from multiarm.dynamics.force_derivatives import differentiate_forces
+from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.ahead import argument_types
 from multiarm.spatial import retract

@@ -22,7 +22,6 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import contact_terms
 from multiarm.dynamics.diagnosis import (
     LITTLE,
@@ -32,6 +31,7 @@ from multiarm.dynamics.diagnosis import (
     lost_motions,
 )
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.status import OK
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 STRETCHED = [0.2, -1.0, 0.0, -0.7, -1.3, 0.4]  # a UR5's elbow

@@ -41,19 +41,14 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.node import (
-    COUPLED_BELOW,
-    DEFICIENT,
-    ELIMINATED,
-    eliminate_arms,
-    make_work,
-)
+from multiarm.dynamics.solver.node import COUPLED_BELOW, eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import (
     couple,
     loose_rows,
     make_coupled,
     solve_coupled,
 )
+from multiarm.dynamics.status import DEFICIENT, OK
 from multiarm.problems import HARD_CASES
 from multiarm.problems.postures import STRETCHED
 
@@ -85,7 +80,7 @@ def eliminated(system):
     status = solve_batched(work, object_rows(system), system.M_o, system.h_o, h, c, *found)
     if status == DEFICIENT:
         failed = eliminate_arms(work, object_rows(system))
-        status = DEFICIENT if failed == ELIMINATED else failed
+        status = DEFICIENT if failed == OK else failed
     return work, coupled, status, found
 
 
@@ -100,7 +95,7 @@ def solved(system, force_coupling=()):
     """
     work, coupled, status, (q_o, q, force) = eliminated(system)
     h, c = np.concatenate(system.h), np.concatenate(system.c)
-    rank, solvable = c.size, status == ELIMINATED
+    rank, solvable = c.size, status == OK
     if force_coupling:
         eliminate_arms(work, object_rows(system))
         work.pivot[list(force_coupling)] = 0.0
@@ -228,7 +223,7 @@ def test_regular_systems_are_those_of_the_exact_solution_too(seed, shapes):
     for W in system.W:
         W[:] = np.linalg.qr(W)[0]
     work, _, status, _ = eliminated(system)
-    assert status == ELIMINATED and np.all(work.pivot > COUPLED_BELOW)
+    assert status == OK and np.all(work.pivot > COUPLED_BELOW)
     exact, node = least_norm(*stacked(system)), solved(system)
     assert relative(node.x, exact.x) < 1e-12 and relative(node.force, exact.force) < 1e-12
     assert node.coupled.status.arms == 0
@@ -358,7 +353,7 @@ def test_both_paths_give_one_solution_as_far_as_the_linear_one_goes(share):
     turn, _ = np.linalg.qr(rng.standard_normal((4, 3)))
     system.W[0][:] = turn * [1.0, 0.8, share]
     work, _, status, _ = eliminated(system)
-    assert status == ELIMINATED and work.pivot[0] > COUPLED_BELOW
+    assert status == OK and work.pivot[0] > COUPLED_BELOW
     linear, coupled = solved(system), solved(system, force_coupling=[0])
     assert (linear.coupled.status.arms, coupled.coupled.status.arms) == (0, 1)
     assert coupled.coupled.status.unknowns == (1 if share < 1e-2 else 0)

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 import multiarm.arms.backends
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.near_singular import evaluate_on_branch
 

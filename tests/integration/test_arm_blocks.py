@@ -20,7 +20,8 @@ from repository import SCENES as SCENE_FILES
 from steps import coupled, derivatives_of, step_of_the_package
 
 import multiarm as ma
-from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, OK, OPEN_LOOP
+from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, OPEN_LOOP
+from multiarm.dynamics.status import OK
 from multiarm.integration.step import Stage, evaluate_slope
 from multiarm.problems import ring_of_arms
 from multiarm.scene.control import BUILT_IN as CONTROLS

@@ -14,8 +14,8 @@ from linkages import LINKAGES, STEP, compiled, state_on
 from mechanics import data_of
 
 import multiarm as ma
-from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.status import OK
 from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
 from multiarm.problems import loops
 from multiarm.problems.postures import stretched_and_released_scene

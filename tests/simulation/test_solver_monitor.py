@@ -21,7 +21,7 @@ from mechanics import (
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.solver.node import COUPLED_BELOW
 from multiarm.dynamics.solver_monitor import (
@@ -31,6 +31,7 @@ from multiarm.dynamics.solver_monitor import (
     RESIDUAL_BOUND,
     constraint_residual,
 )
+from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import kernel
 from multiarm.problems import HARD_CASES, loops
 from multiarm.problems.postures import stretched_and_released_scene

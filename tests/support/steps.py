@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from mechanics import data_of
 
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.status import OK
 from multiarm.jit.pointers import CFUNC_PROTOTYPE
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Task, prepare, run_spec

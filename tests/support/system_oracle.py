@@ -39,7 +39,7 @@ from scipy.linalg import block_diag
 
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
-from multiarm.dynamics.solver.node import ELIMINATED, IMBALANCE_BOUND, eliminate_arms, make_work
+from multiarm.dynamics.solver.node import IMBALANCE_BOUND, eliminate_arms, make_work
 from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
     make_reaction_work,
@@ -54,6 +54,7 @@ from multiarm.dynamics.solver.singular import (
     make_coupled,
     solve_coupled,
 )
+from multiarm.dynamics.status import OK
 
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
 BAND = (1e-12, 1e-5)
@@ -131,13 +132,13 @@ def solve_by_node(system: System) -> NodeSolution:
     work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
     loads, Wo = loads_of(system), np.ascontiguousarray(np.hstack(system.W_o).T)
     load_arms(system, work, {"Y": system.W})
-    eliminated = solve_batched(work, Wo, system.M_o, *loads) == ELIMINATED
+    eliminated = solve_batched(work, Wo, system.M_o, *loads) == OK
     if eliminated and balanced(system, loads):
         return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):
         load_arms(system, work, {"Y": system.W})
         failed = eliminate_arms(work, Wo)
-        if failed != ELIMINATED or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
+        if failed != OK or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
             raise ValueError("the node algorithm takes an inertia for indefinite")
         solve_coupled(work, coupled, *loads)
         if balanced(system, loads):

@@ -37,8 +37,6 @@ from multiarm.dynamics.solver.node import (
     CONTACTS,
     COUNT,
     COUPLED_BELOW,
-    DEFICIENT,
-    ELIMINATED,
     FACTORS_AT,
     FIRST_ARM,
     JOINTS,
@@ -49,6 +47,7 @@ from multiarm.dynamics.solver.node import (
     START,
     WIDTH,
 )
+from multiarm.dynamics.status import DEFICIENT, OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import (
     LANES,
@@ -80,7 +79,7 @@ def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
     Returns
     -------
     int
-        ``ELIMINATED``; or ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
+        ``OK``; or ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
         digits would be lost, or an inertia is not positive definite: then nothing is solved, and
         the arms must be eliminated one by one.  The pivots are in ``work.pivot``.
     """
@@ -96,7 +95,7 @@ def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
     for g in range(work.groups.shape[0]):
         substitute_group(work.groups[g], work)
         scatter_unknowns(work.groups[g], work, q, force)
-    return ELIMINATED
+    return OK
 
 
 @inlined

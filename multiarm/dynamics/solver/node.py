@@ -43,6 +43,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns
+from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
@@ -59,8 +60,6 @@ MOBILITY_WEIGHT = COUPLED_BELOW / IMMOBILE_BELOW
 # Largest residual of the object's equation of motion, relative to the largest force in it.  Arms
 # that are eliminated as a whole leave eleven digits, of which two are for cancellation.
 IMBALANCE_BOUND = 1e-9
-# Results: all arms were eliminated; some cannot be.
-ELIMINATED, DEFICIENT = -1, -6
 # Pivot of an arm whose inertia matrix is not positive definite.
 NO_INERTIA = -2.0
 
@@ -258,7 +257,7 @@ def add_to_node(i, work):
 def eliminate_arms(work, Wo):
     """Factor all arms, one after the other; the data are on entry as in :func:`eliminate_arm`.
 
-    Returns ``ELIMINATED``, or the number of the arm whose inertia failed.  The pivots are left in
+    Returns ``OK``, or the number of the arm whose inertia failed.  The pivots are left in
     ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
     """
     work.factored[0] = 1
@@ -266,7 +265,7 @@ def eliminate_arms(work, Wo):
         work.pivot[i] = eliminate_arm(i, work, Wo)
         if work.pivot[i] == NO_INERTIA:
             return i
-    return ELIMINATED
+    return OK
 
 
 @inlined

@@ -1,0 +1,107 @@
+r"""Sliding contacts: the direction of slip, and the reaction matrices with friction.
+
+A sliding contact has a normal force, and friction against its slip: with the slip velocity
+:math:`s = |s|\,d` in its two tangents, the force on them is :math:`-\mu\lambda_n d`, so that its
+columns of the reaction matrices are
+
+.. math:: \tilde W = W_n - \mu\,(d_1 W_{t1} + d_2 W_{t2}),
+
+of object and arm alike, while its constraint stays along the normal (thesis, footnote to 4.9).  Its
+power is :math:`-\mu\lambda_n |s|`.  A contact that holds both ways has the friction
+:math:`\mu|\lambda_n|`: while its force pulls, :math:`-\mu` stands for :math:`\mu`.
+
+Where slip comes to rest the direction of :math:`s` reverses.  Within a step the force must be
+smooth, so that the step can pass that point and the time be located: of :math:`\pm s` the one
+nearer to the last step's direction :math:`d_0` is taken.  Where slip begins, velocities orthogonal
+to it decay at the rate :math:`\mu a_n / |s|`, which no method can follow.  With
+:math:`s = a d_0 + p`, p orthogonal to :math:`d_0`, and a speed :math:`s_0` that depends on the
+accuracy of the run, the direction is therefore that of
+
+.. math:: \sqrt{a^2 + s_0^2}\; d_0 + \frac{a}{\sqrt{a^2 + s_0^2}}\; p ,
+
+which is :math:`\pm s` except for speeds near :math:`s_0`.  The force has full size at any speed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from multiarm.contacts.kernel import GAP_RATE
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.equations import update_rows
+from multiarm.jit.kernels import kernel
+from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at
+
+
+class Slides(NamedTuple):
+    """Sliding contacts, s of them."""
+
+    row: Ints1  # among the held rows
+    arm: Ints1
+    tangent: Ints1  # first of two, among the rows of the tangents
+    tangent_of_all: Ints1  # the same among all rows
+    mu: Floats1  # coefficient of friction; negative where the force pulls
+    # (s, 2) direction of slip at the end of the last step, and at the state evaluated last
+    direction: Floats2
+    turning: Floats2
+    speed: Floats1  # along the latter [m/s]
+
+
+@kernel
+def write_direction(slides, s, slow, first, second):
+    """Direction of slip from its two components, near to the last step's; ``slow`` is ``s_0``."""
+    d0, d1 = slides.direction[s, 0], slides.direction[s, 1]
+    along = first * d0 + second * d1
+    p0, p1 = first - along * d0, second - along * d1
+    root = math.sqrt(along * along + slow * slow)
+    e0, e1 = root * d0 + along / root * p0, root * d1 + along / root * p1
+    size = math.sqrt(e0 * e0 + e1 * e1)
+    d0, d1 = e0 / size, e1 / size
+    slides.turning[s, 0], slides.turning[s, 1] = d0, d1
+    slides.speed[s] = first * d0 + second * d1
+
+
+@kernel
+def write_reactions(data, work, Wr, slides, slow, reactions):
+    """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Yr``."""
+    struct = struct_at(data.modes.tangents, 0)
+    update_rows(struct)
+    _, sideways, tangents = open_system(struct)
+    for k in range(data.Wo.shape[0]):
+        for l in range(6):  # noqa: E741
+            Wr[k, l] = data.Wo[k, l]
+    for i in range(work.dofs.size - 1):
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            for a in range(work.rows[i + 1] - work.rows[i]):
+                reactions.Yr[i, j, a] = work.Y[i, j, a]
+    for s in range(slides.row.size):
+        row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
+        rates = sideways.contacts[t, GAP_RATE], sideways.contacts[t + 1, GAP_RATE]
+        write_direction(slides, s, slow, rates[0], rates[1])
+        first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
+        for k in range(6):
+            Wr[row, k] -= first * sideways.Wo[t, k] + second * sideways.Wo[t + 1, k]
+        column, tangent = row - work.rows[i], t - tangents.rows[i]
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            pull = first * tangents.Y[i, j, tangent] + second * tangents.Y[i, j, tangent + 1]
+            reactions.Yr[i, j, column] -= pull
+
+
+@kernel
+def friction_power(slides, force):
+    """Power of sliding friction [W] for the forces of the held rows."""
+    power = 0.0
+    for s in range(slides.row.size):
+        power -= slides.mu[s] * force[slides.row[s]] * slides.speed[s]
+    return power
+
+
+@kernel
+def follow_slip(slides, slow, contacts):
+    """Make the direction at the end of a step that of the next; ``contacts`` are of all rows."""
+    for s in range(slides.row.size):
+        t = slides.tangent_of_all[s]
+        write_direction(slides, s, slow, contacts[t, GAP_RATE], contacts[t + 1, GAP_RATE])
+        slides.direction[s, 0] = slides.turning[s, 0]
+        slides.direction[s, 1] = slides.turning[s, 1]
