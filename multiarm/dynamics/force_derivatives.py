@@ -29,6 +29,7 @@ from multiarm.dynamics.equations import (
     command_torques,
     control_torques,
     load_gravity_torque,
+    passive_forces,
     update_kinematics,
 )
 from multiarm.dynamics.kinematics import object_terms
@@ -180,7 +181,10 @@ def act(struct, differences, k, model, data, work):
     if k != CONTROL:
         clear(data.generalised_forces)
         call_cfunc(model.effects[k, 0], struct, float(model.effects[k, 1]), data.time.now)
-    elif differences.laws == model.control.shape[0]:
+        return
+    object_terms(model, data)  # laws may compensate the forces before them
+    passive_forces(struct, model, data, work)
+    if differences.laws == model.control.shape[0]:
         command_torques(struct, model, data, work)
     else:
         load_gravity_torque(data, work)
