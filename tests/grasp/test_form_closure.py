@@ -20,9 +20,9 @@ from scipy.optimize import OptimizeResult, linprog
 from scipy.spatial import ConvexHull
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, LEAST_MARGIN, evenest
+from multiarm.grasp.closure.balances import BAND, LEAST_MARGIN, evenest
+from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
 from multiarm.grasp.contacts import Contacts, wrenches_of
-from multiarm.grasp.form_closure import closed_many, is_form_closure
 
 # Seven contacts on a box: two of them 2e-10 m apart; normals that are off by 1e-7.
 HARD = json.loads((DATA / "hard_contacts.json").read_text())
@@ -613,7 +613,7 @@ def test_many_decisions_in_parts_are_those_of_the_whole(rng, monkeypatch):
     points = rng.normal(size=(50, 4, 2))
     normals = -points / np.linalg.norm(points, axis=2, keepdims=True)
     whole = closed_many(points, normals)
-    monkeypatch.setattr("multiarm.grasp.form_closure.CHUNK", 7)
+    monkeypatch.setattr("multiarm.grasp.closure.form_closure.CHUNK", 7)
     assert np.array_equal(closed_many(points, normals).closed, whole.closed)
 
 
@@ -906,7 +906,7 @@ def test_seven_contacts_are_decided_without_scipy():
     code = (
         "import sys, numpy as np\n"
         "from multiarm.grasp.contacts import Contacts\n"
-        "from multiarm.grasp.form_closure import is_form_closure\n"
+        "from multiarm.grasp.closure.form_closure import is_form_closure\n"
         "p = np.random.default_rng(0).normal(size=(7, 3))\n"
         "is_form_closure(Contacts.along(p, -p)).closed\n"
         "print('scipy' in sys.modules)\n"

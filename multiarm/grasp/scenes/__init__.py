@@ -30,9 +30,9 @@ from multiarm.assembly.bases import Stand
 from multiarm.contacts.internal_forces import distribute, internal_forces
 from multiarm.control.object_control import packed_path, reference_motion
 from multiarm.errors import GraspError
+from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import FaceContacts
-from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import (
     Progress,
     UnreachableError,

@@ -29,10 +29,10 @@ from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.errors import GraspError
-from multiarm.grasp.face import frame_of
+from multiarm.grasp.body.face import frame_of
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.designs.grippers import clearest_approach
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.reachability import clearest_approach
 from multiarm.scene import ArmSpec, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 

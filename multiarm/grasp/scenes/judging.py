@@ -22,17 +22,17 @@ from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.records import Contact
-from multiarm.grasp.balances import LEAST_MARGIN
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.balances import LEAST_MARGIN
+from multiarm.grasp.closure.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import Gripper
-from multiarm.grasp.force_distribution import distribute_forces
-from multiarm.grasp.form_closure import FormClosure, is_form_closure
+from multiarm.grasp.forces.force_distribution import distribute_forces
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.independent_contacts import independence
-from multiarm.grasp.object_frame import object_frame_on_body
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, region_of
-from multiarm.grasp.stability import configuration_stability
+from multiarm.grasp.pose.object_frame import object_frame_on_body
+from multiarm.grasp.seventh_contact.contact_region import ContactRegion, region_of
+from multiarm.grasp.six_contacts.independent_contacts import independence
+from multiarm.grasp.stability.configuration_stability import configuration_stability
 from multiarm.scene import ObjectSpec
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.spatial import quaternion_to_matrix
