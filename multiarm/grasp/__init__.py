@@ -24,8 +24,7 @@ package              content                                                   t
 ``scenes``           a grasp as a scene with arms, the grasp in a scene
 ===================  ========================================================  ==================
 
-Points are in metres,
-in the body's frame; a contact's normal is a unit vector *into* the body.
+Points are in metres, in the body's frame; a contact's normal is a unit vector *into* the body.
 """
 
 from __future__ import annotations
