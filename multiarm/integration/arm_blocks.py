@@ -55,7 +55,6 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.terms import BIAS_AT
-from multiarm.control.force_distribution import write_wrench_products
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
     CARRYING,
@@ -72,6 +71,7 @@ from multiarm.dynamics.equations import (
     update_kinematics,
     update_rows,
 )
+from multiarm.dynamics.forces.compiled import write_wrench_products
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows

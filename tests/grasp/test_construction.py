@@ -29,6 +29,7 @@ from multiarm.grasp.designs.drawn_contacts import search_grasp
 from multiarm.grasp.designs.grippers import clearest_approach, hands_reach, two_groups
 from multiarm.grasp.designs.parallel_bodies import (
     ParallelDesign,
+    centred_corner,
     design_parallel_grasp,
     parallel_design,
 )
@@ -191,6 +192,21 @@ def test_a_small_gripper_holds_a_block_a_thousand_times_its_size():
         grasp = design_block_grasp(np.array([1000.0, 800.0, 1200.0]) * offset, offset=offset)
         assert largest_gripper(grasp) < 3.0 * offset
         assert grasp.closure
+
+
+@pytest.mark.parametrize("faces", [(0, 1, 2), (1, 0, 2), (3, 4, 2), (5, 1, 0)])
+def test_a_block_is_the_square_case_of_parallel_faces(faces):
+    """p_x = -(l_x - A)(l_z - A), p_y = -(l_y - A)(l_z - A), Q = A - E, with either handedness."""
+    A, E = 0.12, 0.05
+    opposite = tuple((face + 3) % 6 for face in faces)
+    l_x, l_y, l_z = 0.5 * np.array([1.2, 1.0, 0.8])[np.mod(faces, 3)]
+    depths = [[A, A, A], [A, A, A], [E, A, A]]
+    pattern = centred_corner(BOX, faces, opposite).at_depths(depths)
+    expected = np.array([-(l_x - A), -(l_y - A)]) * (l_z - A)
+    np.testing.assert_allclose(pattern.direction * [1.0, np.cos(pattern.beta)], expected, atol=TOL)
+    assert pattern.reach == pytest.approx(A - E, abs=TOL)
+    designed = design_block_grasp(BOX, offset=A, seventh=E, faces=faces)
+    np.testing.assert_allclose(pattern.points, designed.contacts.points[:3], atol=TOL)
 
 
 @pytest.mark.slow

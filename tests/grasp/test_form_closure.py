@@ -165,7 +165,7 @@ def balanced_set(rng, count, d):
             return chosen
         force = -total[:2]
         arm = np.array([-force[1], force[0]]) * Fraction(-total[2], force @ force)
-        return Contacts.along([*chosen.given[0], tuple(arm)], [*chosen.given[1], tuple(force)])
+        return Contacts.along([*chosen.written[0], tuple(arm)], [*chosen.written[1], tuple(force)])
     return concurrent_set(rng, count, d)
 
 
@@ -310,7 +310,7 @@ def test_the_margin_of_a_unique_balance_is_its_smallest_push_without_rounding(na
     contacts = hard(name)
     rows = list(zip(*given_columns(contacts), strict=True))
     balance = plane_normals(rows)[0]  # orthogonal to the six rows of W: the null vector
-    sizes = np.linalg.norm(np.array(contacts.given[1]), axis=1)
+    sizes = np.linalg.norm(np.array(contacts.written[1]), axis=1)
     pushes = [push * Fraction(size) for push, size in zip(balance, sizes, strict=True)]
     t = min(push / sum(pushes) for push in pushes)
     # the sum of a null vector of length 1 is known to some 1e-16

@@ -146,8 +146,8 @@ def roundness(body: Polyhedron) -> Roundness:
     .. math::  |a \cdot (p \times n)| \, / \, |a \times n| .
     """
     axes = np.linalg.eigh(body.mass_properties(1.0).inertia)[1].T
-    found = [_roundness(body, axis) for axis in axes]
-    return min(found, key=lambda one: one.distance / one.radius)
+    candidates = [_roundness(body, axis) for axis in axes]
+    return min(candidates, key=lambda candidate: candidate.distance / candidate.radius)
 
 
 def _roundness(body: Polyhedron, axis: np.ndarray) -> Roundness:
@@ -174,7 +174,7 @@ def _angle(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _triples(normals: np.ndarray, chosen: list[int]) -> tuple[Triple, ...]:
-    found = []
+    triples = []
     for three in combinations(chosen, 3):
         N = normals[list(three)].T
         if abs(np.linalg.det(N)) <= DEPENDENT:
@@ -182,8 +182,8 @@ def _triples(normals: np.ndarray, chosen: list[int]) -> tuple[Triple, ...]:
         kappa = np.linalg.solve(N, normals[chosen].T)  # (3, F)
         opposed = [m for m, k in zip(chosen, kappa.T, strict=True) if k.max() <= DEPENDENT]
         if len(opposed) >= 2:
-            found.append(Triple(three, tuple(opposed)))
-    return tuple(found)
+            triples.append(Triple(three, tuple(opposed)))
+    return tuple(triples)
 
 
 def _kind(
@@ -213,9 +213,9 @@ def _words(
     if kind == "wider class":
         first = triples[0]
         three = ", ".join(names[k] for k in first.faces)
-        others = " and ".join(names[k] for k in first.opposed)
+        opposed = " and ".join(names[k] for k in first.opposed)
         return (
-            f"of the wider class: the normals of {others} are combinations of those of {three} "
+            f"of the wider class: the normals of {opposed} are combinations of those of {three} "
             f"with no positive coefficient ({len(triples)} such triples)"
         )
     if kind == "tetrahedron":

@@ -49,9 +49,9 @@ def hull(points: Any) -> tuple[np.ndarray, Loops]:
         raise GraspError(str(error)) from error
     middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
     scaled = (cloud - middle) / np.ptp(cloud, axis=0).max()
-    kept, numbers = np.unique(triangles, return_inverse=True)
-    faces = faces_of_triangles(scaled[kept], numbers.reshape(triangles.shape), PLANE_TOLERANCE)
-    return _compacted(cloud[kept], faces)
+    used, numbers = np.unique(triangles, return_inverse=True)
+    faces = faces_of_triangles(scaled[used], numbers.reshape(triangles.shape), PLANE_TOLERANCE)
+    return _compacted(cloud[used], faces)
 
 
 def halfspaces(normals: Any, offsets: Any) -> tuple[np.ndarray, Loops]:
@@ -195,10 +195,10 @@ def faces_of_triangles(vertices: np.ndarray, triangles: np.ndarray, tolerance: f
     faces = [_loops(vertices, triangles[group]) for group in groups]
     meeting = Counter(v for face in faces for v in {v for loop in face for v in loop})
     thin = [[[v for v in loop if meeting[v] > 2] for loop in face] for face in faces]
-    kept = [[loop for loop in face if len(loop) > 2] for face in thin]
-    if not all(kept):
+    faces_without_middles = [[loop for loop in face if len(loop) > 2] for face in thin]
+    if not all(faces_without_middles):
         raise GraspError(TOO_THIN)
-    return kept
+    return faces_without_middles
 
 
 def _connected(count: int, pairs: np.ndarray) -> np.ndarray:
@@ -247,14 +247,14 @@ class _Sheet:
         total, weights = self.areas[group].sum(axis=0), self.sizes[group]
         n = total / np.linalg.norm(total)
         middle = weights @ self.corners[group].mean(axis=1) / weights.sum()
-        found, seen, ahead = {seed}, {seed}, [seed]
+        inside, seen, ahead = {seed}, {seed}, [seed]
         while ahead:
             for t in self.neighbours[ahead.pop()]:
                 if t not in seen and free[t] and self._in_plane(t, n, middle):
-                    found.add(t)
+                    inside.add(t)
                     ahead.append(t)
                 seen.add(t)
-        return sorted(found)
+        return sorted(inside)
 
     def _in_plane(self, t: int, n: np.ndarray, middle: np.ndarray) -> bool:
         if np.abs((self.corners[t] - middle) @ n).max() > self.tolerance:
@@ -359,11 +359,11 @@ def triangles_of(
     faces: Sequence[Face], loops_of_faces: Sequence[Sequence[Sequence[int]]]
 ) -> np.ndarray:
     """Numbers of corners (T, 3) of triangles that make up a body's faces, normals outward."""
-    made: list[list[int]] = []
+    triangles: list[list[int]] = []
     for face, loops in zip(faces, loops_of_faces, strict=True):
         numbers = [v for loop in loops for v in loop]
-        made.extend([[numbers[k] for k in tri] for tri in face_triangles(face)])
-    return np.array(made)
+        triangles.extend([[numbers[k] for k in tri] for tri in face_triangles(face)])
+    return np.array(triangles)
 
 
 def face_triangles(face: Face) -> list[tuple[int, int, int]]:
@@ -374,14 +374,14 @@ def face_triangles(face: Face) -> list[tuple[int, int, int]]:
     if len(corners) == 3:
         return [(0, 1, 2)]
     cut = shapely.constrained_delaunay_triangles(face.shape)
-    made = []
+    triangles = []
     for piece in cut.geoms:
         ring = np.array(piece.exterior.coords)[:3]
         if not piece.exterior.is_ccw:
             ring = ring[::-1]
         a, b, c = (int(np.argmin(np.abs(corners - at).max(axis=1))) for at in ring)
-        made.append((a, b, c))
-    return made
+        triangles.append((a, b, c))
+    return triangles
 
 
 def _joined(

@@ -247,10 +247,10 @@ def cut_face(face: Face, half_planes: np.ndarray, middle: np.ndarray) -> Pieces:
     middle : ndarray, shape (2,)
         Face coordinates of a point in the middle [m].
     """
-    own = face.outline - middle
-    size = float(np.ptp(own, axis=0).max())
-    low, high = own.min(axis=0), own.max(axis=0)
-    polygon = own if face.convex else _rectangle(low - size, high + size)
+    outline = face.outline - middle
+    size = float(np.ptp(outline, axis=0).max())
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    polygon = outline if face.convex else _rectangle(low - size, high + size)
     for row in half_planes:
         polygon = clipped(polygon, row, SAME_CORNER * size)
     if not _signed_area(polygon) > NO_AREA * face.area:
@@ -275,14 +275,14 @@ def clipped(polygon: np.ndarray, row: np.ndarray, same: float = 0.0) -> np.ndarr
         return polygon
     over = polygon @ row[:2] - row[2]
     over[np.abs(over) <= same] = 0.0
-    kept: list[np.ndarray] = []
+    corners: list[np.ndarray] = []
     for k in range(len(polygon)):
         a, b = over[k - 1], over[k]
         if (a < 0.0 < b) or (b < 0.0 < a):
-            kept.append(polygon[k - 1] + a / (a - b) * (polygon[k] - polygon[k - 1]))
+            corners.append(polygon[k - 1] + a / (a - b) * (polygon[k] - polygon[k - 1]))
         if b <= 0.0:
-            kept.append(polygon[k])
-    apart = [p for k, p in enumerate(kept) if np.abs(p - kept[k - 1]).max() > same]
+            corners.append(polygon[k])
+    apart = [p for k, p in enumerate(corners) if np.abs(p - corners[k - 1]).max() > same]
     return np.array(apart).reshape(-1, 2)
 
 

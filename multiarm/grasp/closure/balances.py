@@ -35,12 +35,12 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.dynamics.forces.distribution import ForceFamily, smallest_load
 from multiarm.grasp.contacts import Contacts
 from multiarm.programs import (
     EPS,
     ROUNDINGS,
     least_distance,
-    linear_program,
     nonnegative_least_squares,
 )
 
@@ -133,9 +133,9 @@ def balance(W: np.ndarray, floor: float) -> Balance:
     """Decide scaled wrenches, shape (n, N), whose entries may be off by ``floor``."""
     n, count = W.shape
     if count == n + 1:
-        found = _simplex(W, BAND + floor)
-        if found is not None:
-            return found
+        simplex = _simplex(W, BAND + floor)
+        if simplex is not None:
+            return simplex
     U, s, Vt = np.linalg.svd(W, full_matrices=count < n)
     tolerance = BAND + floor
     rank = int(np.count_nonzero(s > tolerance * s[0]))
@@ -194,11 +194,9 @@ def _highest(base: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, np.ndarray
     count, free = ways.shape
     if not free:
         return base, (np.arange(count) == np.argmin(base)).astype(float)
-    rows = np.column_stack([-ways, np.ones(count)])
-    solved = linear_program(np.append(np.zeros(free), -1.0), at_most=(rows, base), signed=free + 1)
-    if solved.x is None:
-        return base, None
-    return base + ways @ solved.x[:-1], solved.prices
+    entries = -np.eye(count), np.zeros(count)
+    best = smallest_load(ForceFamily(base, ways), entries)
+    return (base, None) if best.forces is None else (best.forces, best.load_prices)
 
 
 def balance_inverses(W: np.ndarray) -> np.ndarray:

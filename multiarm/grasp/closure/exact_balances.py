@@ -64,17 +64,17 @@ def exact_balance(contacts: Contacts) -> ExactBalance:
     pairs = zip(contacts.exact_points, contacts.exact_directions, strict=True)
     columns = [_wrench([x - c for x, c in zip(p, about, strict=True)], e) for p, e in pairs]
     scales = [lcm(*(x.denominator for x in column)) for column in columns]
-    whole = [[int(x * s) for x in column] for column, s in zip(columns, scales, strict=True)]
-    rows = [list(row) for row in zip(*whole, strict=True)]
+    integers = [[int(x * s) for x in column] for column, s in zip(columns, scales, strict=True)]
+    rows = [list(row) for row in zip(*integers, strict=True)]
     rank, resting = eliminate(rows)
     if resting is not None:
         return ExactBalance(rank, None, tuple(map(Fraction, resting)), about)
     pushes, motion = positive_balance(rows)
     if pushes is None:
         return ExactBalance(rank, None, motion, about)
-    given = [push * s for push, s in zip(pushes, scales, strict=True)]
-    total = sum(given)
-    return ExactBalance(rank, tuple(push / total for push in given), None, about)
+    along_directions = [push * s for push, s in zip(pushes, scales, strict=True)]
+    total = sum(along_directions)
+    return ExactBalance(rank, tuple(push / total for push in along_directions), None, about)
 
 
 def eliminate(rows: Table) -> tuple[int, list[int] | None]:
@@ -83,10 +83,10 @@ def eliminate(rows: Table) -> tuple[int, list[int] | None]:
     table = [[*row, *(int(i == k) for k in range(n))] for i, row in enumerate(rows)]
     rank, last = 0, 1
     for column in range(width):
-        found = next((i for i in range(rank, n) if table[i][column]), None)
-        if found is None:
+        pivot_row = next((i for i in range(rank, n) if table[i][column]), None)
+        if pivot_row is None:
             continue
-        table[rank], table[found] = table[found], table[rank]
+        table[rank], table[pivot_row] = table[pivot_row], table[rank]
         _clear(table, range(rank + 1, n), rank, column, last)
         last, rank = table[rank][column], rank + 1
         if rank == n:
@@ -135,10 +135,10 @@ def _shortest(table: Table, basis: list[int], entering: int) -> int:
     return min(rows, key=lambda i: (Fraction(table[i][-1], table[i][entering]), basis[i]))
 
 
-def _clear(table: Table, others: Sequence[int], row: int, column: int, last: int) -> None:
+def _clear(table: Table, targets: Sequence[int], row: int, column: int, last: int) -> None:
     """Make a column zero in the other rows; division by the last pivot leaves no remainder."""
     pivot, source = table[row][column], table[row]
-    for i in others:
+    for i in targets:
         factor = table[i][column]
         table[i] = [(x * pivot - factor * y) // last for x, y in zip(table[i], source, strict=True)]
 

@@ -188,44 +188,44 @@ def is_form_closure(contacts: Contacts | HeldByContacts, *, exact: bool = False)
     """
     contacts = as_contacts(contacts)
     floor = floor_of(contacts)
-    found = balance(contacts.scaled_wrenches, floor)
+    verdict = balance(contacts.scaled_wrenches, floor)
     closure = FormClosure(
         contacts=contacts,
-        closed=found.closed,
-        coefficients=found.pushes,
-        motion=None if found.direction is None else twist_of(contacts, found.direction),
-        rank=found.rank,
-        distance=found.distance,
+        closed=verdict.closed,
+        coefficients=verdict.pushes,
+        motion=None if verdict.direction is None else twist_of(contacts, verdict.direction),
+        rank=verdict.rank,
+        distance=verdict.distance,
         tolerance=BAND + floor,
-        borderline=found.borderline,
+        borderline=verdict.borderline,
     )
     return _exactly(closure) if exact else closure
 
 
 def _exactly(rounded: FormClosure) -> FormClosure:
     """The same decision without rounding; floats in the result are those nearest to the proof."""
-    contacts, found = rounded.contacts, exact_balance(rounded.contacts)
+    contacts, proof = rounded.contacts, exact_balance(rounded.contacts)
     coefficients = motion = None
-    if found.pushes is not None:
+    if proof.pushes is not None:
         sizes = [float(sum(x * x for x in along)) ** 0.5 for along in contacts.exact_directions]
-        coefficients = np.array([float(push) for push in found.pushes]) * sizes
+        coefficients = np.array([float(push) for push in proof.pushes]) * sizes
         coefficients /= coefficients.sum()
-    if found.motion is not None:
-        largest = max(abs(x) for x in found.motion)
-        direction = np.array([float(x / largest) for x in found.motion])
+    if proof.motion is not None:
+        largest = max(abs(x) for x in proof.motion)
+        direction = np.array([float(x / largest) for x in proof.motion])
         direction[contacts.dimension :] *= contacts.length
         motion = twist_of(contacts, direction)
-    closed = found.pushes is not None
+    closed = proof.pushes is not None
     return replace(
         rounded,
         closed=closed,
         coefficients=coefficients,
         motion=motion,
-        rank=found.rank,
+        rank=proof.rank,
         borderline=rounded.borderline or closed != rounded.closed,
         exact=True,
-        exact_coefficients=found.pushes,
-        exact_motion=found.motion_about_origin,
+        exact_coefficients=proof.pushes,
+        exact_motion=proof.motion_about_origin,
     )
 
 
@@ -287,9 +287,9 @@ def closed_many(points: Any, normals: Any) -> ManyClosures:
         else:
             doubtful = np.arange(len(W))
         for j in doubtful:
-            found: Balance = balance(W[j], float(floors[j]))
-            closed[first + j], borderline[first + j] = found.closed, found.borderline
-            distances[first + j] = found.distance
+            verdict: Balance = balance(W[j], float(floors[j]))
+            closed[first + j], borderline[first + j] = verdict.closed, verdict.borderline
+            distances[first + j] = verdict.distance
     return ManyClosures(closed, distances, borderline)
 
 
@@ -298,7 +298,9 @@ def _checked(points: Any, normals: Any) -> tuple[np.ndarray, np.ndarray]:
         "M sets of N contacts have points and normals of finite numbers, of shape (M, N, 3) in "
         "space or (M, N, 2) in the plane"
     )
-    p, e = (numbers_of(given, needed, (None, -1, 3), (None, -1, 2)) for given in (points, normals))
+    p, e = (
+        numbers_of(values, needed, (None, -1, 3), (None, -1, 2)) for values in (points, normals)
+    )
     if p.shape != e.shape:
         raise GraspError(f"{needed}, not {p.shape} and {e.shape}")
     return p, unit_vectors(e)

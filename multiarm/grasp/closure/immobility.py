@@ -32,6 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multiarm.dynamics.forces.distribution import pressed
 from multiarm.grasp.closure.balances import tolerance_of
 from multiarm.grasp.contacts import Contacts
 from multiarm.programs import LinearSolution, linear_program
@@ -81,8 +82,11 @@ class _GaveUp(Exception):
 def _second_order(contacts: Contacts) -> Immobility:
     W = contacts.scaled_wrenches
     tolerance = tolerance_of(contacts)
-    rows = _spaces(W, tolerance)[0]
-    carrying = _carrying(rows) > NOTHING + tolerance
+    rows, internal = _spaces(W, tolerance)
+    shares = pressed(internal.T)
+    if shares is None:
+        raise _GaveUp
+    carrying = shares > NOTHING + tolerance
     if not carrying.any():
         return Immobility(0, True, None)
     free = _spaces(W[:, carrying].T, tolerance)[1]
@@ -109,20 +113,9 @@ def _forms(contacts: Contacts) -> np.ndarray:
 
 def _spaces(A: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal rows that span those of A, and rows that span what A takes to zero."""
-    _, s, Vt = np.linalg.svd(A, full_matrices=A.shape[0] < A.shape[1] <= 6)
+    _, s, Vt = np.linalg.svd(A)
     rank = int(np.count_nonzero(s > tolerance * s[0]))
     return Vt[:rank], Vt[rank:]
-
-
-def _carrying(rows: np.ndarray) -> np.ndarray:
-    """Largest sum of ``min(lam_j, 1)`` over balanced pushes: 0 where one never takes part."""
-    count = rows.shape[1]
-    solved = linear_program(
-        np.append(-np.ones(count), np.zeros(count)),
-        equal=(np.hstack([rows, rows]), np.zeros(len(rows))),
-        bounds=[(0.0, 1.0)] * count + [(0.0, None)] * count,
-    )
-    return _answer(solved)[:count]
 
 
 def _blocking(rows: np.ndarray, forms: np.ndarray) -> tuple[np.ndarray | None, list[np.ndarray]]:

@@ -121,12 +121,12 @@ def crosses(grasp: Grasp, point_at: Callable[[float], np.ndarray], bound: float)
     bound : float
         The distance beyond which the grasp is closed [m].
     """
-    given, e7 = grasp.contacts.subset(range(6)), grasp.contacts.normals[6]
+    six, e7 = grasp.contacts.subset(range(6)), grasp.contacts.normals[6]
 
     def closed(distance: float) -> bool:
-        seven = given.joined(Contacts.along([point_at(distance)], [e7]))
-        found = is_form_closure(seven)
-        return is_form_closure(seven, exact=True).closed if found.borderline else found.closed
+        seven = six.joined(Contacts.along([point_at(distance)], [e7]))
+        closure = is_form_closure(seven)
+        return is_form_closure(seven, exact=True).closed if closure.borderline else closure.closed
 
     return closed((1.0 + ACROSS) * bound) and not closed((1.0 - ACROSS) * bound)
 
@@ -169,7 +169,7 @@ def size_of_gripper(value: Any) -> float | None:
     return size
 
 
-def sized(made: Callable[[float], Grasp], depth: float, gripper_size: float | None) -> Grasp:
+def sized(at_depth: Callable[[float], Grasp], depth: float, gripper_size: float | None) -> Grasp:
     """The grasp ``made(depth)``, or the one whose largest gripper has the wanted size.
 
     Raises
@@ -179,15 +179,15 @@ def sized(made: Callable[[float], Grasp], depth: float, gripper_size: float | No
     """
     gripper_size = size_of_gripper(gripper_size)
     if gripper_size is None:
-        return made(depth)
+        return at_depth(depth)
     deep = BEGINNING * depth
-    grasp = made(deep)
+    grasp = at_depth(deep)
     for _ in range(ROUNDS):
         size = largest_gripper(grasp)
         if abs(size - gripper_size) <= SIZE_TOLERANCE * gripper_size:
             break
         deep *= gripper_size / size
-        grasp = made(deep)
+        grasp = at_depth(deep)
     return grasp
 
 

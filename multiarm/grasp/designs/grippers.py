@@ -51,7 +51,7 @@ def convex_corner(body: Polyhedron, vertex: int) -> bool:
     return True
 
 
-def opposite_corner(found: BodyClass, body: Polyhedron, faces: Sequence[int]) -> Three:
+def opposite_corner(body_class: BodyClass, body: Polyhedron, faces: Sequence[int]) -> Three:
     """The faces opposite to three that meet at a corner, of a body with parallel faces.
 
     Raises
@@ -61,9 +61,9 @@ def opposite_corner(found: BodyClass, body: Polyhedron, faces: Sequence[int]) ->
     """
     if len(faces) != 3 or shared_corner(body, faces) is None:
         raise GraspError(f"faces {faces} do not meet at a corner; each of the pairs gives one")
-    other = dict(found.pairs) | {j: i for i, j in found.pairs}
+    across = dict(body_class.pairs) | {j: i for i, j in body_class.pairs}
     i, j, k = faces
-    return other[i], other[j], other[k]
+    return across[i], across[j], across[k]
 
 
 def shared_corner(body: Polyhedron, faces: Sequence[int]) -> int | None:

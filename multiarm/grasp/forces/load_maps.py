@@ -91,9 +91,11 @@ def worst_force(
     contacts, loads = as_contacts(contacts), _listed(wrenches)
     if not loads:
         raise GraspError("the worst of no loads is none: give at least one wrench")
-    found = tuple(distribute_forces(contacts, w, minimum=minimum, limit=limit) for w in loads)
-    load = int(np.argmax([one.value for one in found]))
-    return WorstForce(found[load].value, load, found)
+    distributions = tuple(
+        distribute_forces(contacts, w, minimum=minimum, limit=limit) for w in loads
+    )
+    load = int(np.argmax([distribution.value for distribution in distributions]))
+    return WorstForce(distributions[load].value, load, distributions)
 
 
 def load_capacity(contacts: Contacts | HeldByContacts, wrenches: Any, limit: Any) -> LoadCapacity:
@@ -155,10 +157,10 @@ def liftable(
     GraspError
         Two directions that are parallel, a limit that is infinite, numbers of the wrong kind.
     """
-    contacts, given = as_contacts(contacts), _listed(directions)
-    if len(given) != 2:
-        raise GraspError(f"a map has two directions of wrenches, not {len(given)}")
-    rows = np.array([wrench_of(contacts, direction) for direction in given])
+    contacts, axes = as_contacts(contacts), _listed(directions)
+    if len(axes) != 2:
+        raise GraspError(f"a map has two directions of wrenches, not {len(axes)}")
+    rows = np.array([wrench_of(contacts, direction) for direction in axes])
     sizes = np.linalg.norm(rows, axis=1)
     if not sizes.all():
         raise GraspError("a direction of the map is zero: it adds nothing to the load")

@@ -405,8 +405,8 @@ class SevenTouches:
 
     def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Random placements (count, 7, 2), more of them near the corners of the regions."""
-        each = [rng.dirichlet(np.full(len(c), 0.5), count) @ c for c in self.inner]
-        return np.stack(each, axis=1)
+        places = [rng.dirichlet(np.full(len(c), 0.5), count) @ c for c in self.inner]
+        return np.stack(places, axis=1)
 
 
 def seven_touches(regions: Sequence[TouchRegion], middle: np.ndarray, size: float) -> SevenTouches:

@@ -205,10 +205,10 @@ def object_frame_on_body(
 
 
 def _integers(faces: Sequence[int]) -> np.ndarray:
-    given = np.asarray(list(faces))
-    if given.ndim != 1 or given.dtype.kind not in "iuf" or np.any(given != np.round(given)):
+    numbers = np.asarray(list(faces))
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iuf" or np.any(numbers != np.round(numbers)):
         raise GraspError(f"faces are whole numbers, one for each contact, not {list(faces)!r}")
-    return given.astype(int)
+    return numbers.astype(int)
 
 
 def _pairs(faces: Sequence[int], points: np.ndarray) -> np.ndarray:
@@ -389,14 +389,14 @@ def _candidates(
     """Poses that fit about as well as the best, best first; residuals count by their weights."""
     L = data.length
     equations = RotationEquations.of(data.points / L, data.normals, data.offsets / L, weights)
-    found = []
+    poses = []
     for R in rotations_of(equations, known):
         x = data.position(R, weights)
         gaps = np.abs(data.residuals(R, x))
         pose = FrameCandidate(R, x, float(gaps.max()), outside(data, R, x))
-        found.append((float((weights * gaps).max()), pose))
-    found.sort(key=lambda pair: pair[0])
-    best, pose = found[0]
+        poses.append((float((weights * gaps).max()), pose))
+    poses.sort(key=lambda pair: pair[0])
+    best, pose = poses[0]
     expected = CONTRADICTION * L if data.covariance is None else noise
     limit = tolerance if tolerance is not None else max(expected, ROUNDING * L)
     if best > limit:
@@ -407,7 +407,7 @@ def _candidates(
             f"tolerance for noisy points"
         )
     limit = max(AS_GOOD * best, noise, ROUNDING * L)
-    return tuple(pose for misfit, pose in found if misfit <= limit)
+    return tuple(pose for misfit, pose in poses if misfit <= limit)
 
 
 def _choice(

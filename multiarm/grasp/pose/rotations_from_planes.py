@@ -211,18 +211,18 @@ def _polygons(
     return tuple(table_of(polygon, "corners of a face") - origin for polygon in polygons)
 
 
-def _covariances(given: Any, count: int) -> np.ndarray | None:
+def _covariances(deviations: Any, count: int) -> np.ndarray | None:
     """Covariance of every point (N, 3, 3) from a deviation, one per point, or matrices."""
-    if given is None:
+    if deviations is None:
         return None
     needed = (
         f"point_covariance is one standard deviation, one for each of the {count} points, or "
         f"covariances of shape (3, 3) or ({count}, 3, 3)"
     )
-    value = numbers_of(given, needed, (), (count,), (3, 3), (count, 3, 3))
+    value = numbers_of(deviations, needed, (), (count,), (3, 3), (count, 3, 3))
     if value.ndim < 2:
-        each = np.broadcast_to(value, (count,))
-        matrices = each[:, None, None] ** 2 * np.eye(3)
+        spread = np.broadcast_to(value, (count,))
+        matrices = spread[:, None, None] ** 2 * np.eye(3)
     else:
         matrices = np.broadcast_to(value, (count, 3, 3)).copy()
     largest = float(np.abs(matrices).max())
@@ -312,12 +312,14 @@ def rotations_of(equations: RotationEquations, known: np.ndarray | None = None) 
     from scipy.spatial.transform import Rotation
 
     starts = intersections(equations.quadrics())
-    found = refined(equations, Rotation.from_quat(starts).as_matrix())
-    exact = len(found) and np.abs(equations.residuals(found[:1])).max() < EXACT * _size(equations)
+    rotations = refined(equations, Rotation.from_quat(starts).as_matrix())
+    exact = len(rotations) and np.abs(equations.residuals(rotations[:1])).max() < EXACT * _size(
+        equations
+    )
     if not exact or len(starts) < 8:
         more = cube_rotations() if known is None else known
-        found = refined(equations, np.concatenate([found, more]))
-    return found
+        rotations = refined(equations, np.concatenate([rotations, more]))
+    return rotations
 
 
 def intersections(quadrics: np.ndarray) -> np.ndarray:
@@ -402,11 +404,11 @@ def _size(equations: RotationEquations) -> float:
 
 def _different(R: np.ndarray) -> np.ndarray:
     """The first of every group of equal rotations."""
-    kept: list[int] = []
+    distinct: list[int] = []
     for k in range(len(R)):
-        if not kept or angle_between(R[kept], R[k]).min() > SAME_ROTATION:
-            kept.append(k)
-    return R[kept]
+        if not distinct or angle_between(R[distinct], R[k]).min() > SAME_ROTATION:
+            distinct.append(k)
+    return R[distinct]
 
 
 def _axial(M: np.ndarray) -> np.ndarray:

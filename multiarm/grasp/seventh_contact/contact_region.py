@@ -238,9 +238,9 @@ def region_of(contacts: Contacts, number: int, face: Face | Any) -> ContactRegio
         None where the others are dependent, or nearly: wherever it is, it cannot close the grasp.
     """
     plane = as_face(face)
-    others = [j for j in range(contacts.count) if j != number]
+    remaining = [j for j in range(contacts.count) if j != number]
     try:
-        return seventh_contact_region(contacts.subset(others), plane)
+        return seventh_contact_region(contacts.subset(remaining), plane)
     except GraspError:  # a rank below 6, or a cone too flat to have an inside
         return None
 
@@ -254,8 +254,8 @@ def _rows(cone: WrenchCone, plane: Face, method: str) -> np.ndarray:
         sizes = np.linalg.norm(cone.facets, axis=1)
         return np.column_stack([*slope, -level]) / sizes[:, None]
     if method == "moments":
-        found = moment_half_planes(cone.contacts, plane)
-        return np.array([[0.0, 0.0, -1.0]]) if found is None else found
+        half_planes = moment_half_planes(cone.contacts, plane)
+        return np.array([[0.0, 0.0, -1.0]]) if half_planes is None else half_planes
     raise GraspError(f'method {method!r} is unknown; methods are "inverse" and "moments"')
 
 

@@ -96,7 +96,7 @@ def _check_normals(contacts: Contacts) -> None:
 def basic_solutions(e: np.ndarray, target: np.ndarray) -> np.ndarray:
     """All ``D >= 0`` of three contacts at most with ``e D = target``; shape (S, N)."""
     n = e.shape[1]
-    found = []
+    solutions = []
     for triple in combinations(range(n), 3):
         if abs(np.linalg.det(e[:, triple])) <= FLAT:
             continue
@@ -104,14 +104,14 @@ def basic_solutions(e: np.ndarray, target: np.ndarray) -> np.ndarray:
         if D.min() >= -ZERO * np.abs(D).max():
             row = np.zeros(n)
             row[list(triple)] = _cleared(D, ZERO * D.max())
-            found.append(row)
-    return distinct(np.array(found).reshape(-1, n))
+            solutions.append(row)
+    return distinct(np.array(solutions).reshape(-1, n))
 
 
 def circuits(e: np.ndarray) -> np.ndarray:
     """All ``C >= 0`` of four contacts at most with ``e C = 0``, largest entry 1; shape (S, N)."""
     n = e.shape[1]
-    found = []
+    balances = []
     for four in combinations(range(n), 4):
         _, s, Vt = np.linalg.svd(e[:, four])
         if s[2] <= FLAT:
@@ -120,8 +120,8 @@ def circuits(e: np.ndarray) -> np.ndarray:
         if C.min() >= -ZERO / s[2]:
             row = np.zeros(n)
             row[list(four)] = _cleared(C, ZERO / s[2])
-            found.append(row)
-    return distinct(np.array(found).reshape(-1, n))
+            balances.append(row)
+    return distinct(np.array(balances).reshape(-1, n))
 
 
 def _section(generators: np.ndarray, sizes: np.ndarray, e7: np.ndarray) -> np.ndarray | None:
@@ -145,15 +145,15 @@ def _facets(rows: np.ndarray) -> np.ndarray | None:
     rows = distinct(rows / np.linalg.norm(rows, axis=1)[:, None])
     if np.linalg.matrix_rank(rows, tol=FLAT) < 3:
         return None
-    found = []
+    normals = []
     for k in range(len(rows)):
         across = np.cross(rows[k], rows)
         lengths = np.linalg.norm(across, axis=1)
         across = across[lengths > FLAT] / lengths[lengths > FLAT, None]
         sides = across @ rows.T  # (S, S)
-        found.append(across[sides.min(axis=1) >= -1e2 * ZERO])
-        found.append(-across[sides.max(axis=1) <= 1e2 * ZERO])
-    return distinct(np.vstack(found))
+        normals.append(across[sides.min(axis=1) >= -1e2 * ZERO])
+        normals.append(-across[sides.max(axis=1) <= 1e2 * ZERO])
+    return distinct(np.vstack(normals))
 
 
 def _cleared(values: np.ndarray, zero: float) -> np.ndarray:

@@ -111,7 +111,7 @@ class WrenchCone:
     def _wrenches(self, points: Any, normals: Any) -> np.ndarray:
         """Scaled wrenches (6, ...) of candidates."""
         needed = "points and normals are arrays (..., 3) of finite numbers"
-        at, along = (numbers_of(given, needed, (..., 3)) for given in (points, normals))
+        at, along = (numbers_of(values, needed, (..., 3)) for values in (points, normals))
         try:
             at, along = np.broadcast_arrays(at, along)
         except ValueError as error:

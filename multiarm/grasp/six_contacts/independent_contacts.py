@@ -100,9 +100,9 @@ def block_inverse(contacts: Contacts | HeldByContacts) -> BlockInverse:
         Not six contacts in space, or dependent ones; the message says why.
     """
     contacts = contacts_in_space(contacts, 6, 6)
-    found = independence(contacts)
-    if not found:
-        raise GraspError(f"{found.message}: there is no inverse")
+    verdict = independence(contacts)
+    if not verdict:
+        raise GraspError(f"{verdict.message}: there is no inverse")
     order = _leading_order(contacts.normals)
     picked = list(order)
     e, m = contacts.normals[picked].T, np.cross(contacts.points, contacts.normals)[picked].T

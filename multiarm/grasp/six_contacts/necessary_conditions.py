@@ -69,14 +69,14 @@ def violated_conditions(contacts: Contacts | HeldByContacts) -> tuple[Violation,
     lines = _Lines(contacts)
     crowds = [*_crowds(contacts, lines)]
     crowded = [set(crowd.contacts) for crowd in crowds]
-    found = list(crowds)
+    violations = list(crowds)
     for three in combinations(range(6), 3):
         if any(set(three) <= crowd for crowd in crowded):
             continue
-        others = tuple(j for j in range(6) if j not in three)
-        found += _around_point(contacts, lines, three, others)
-        found += _around_plane(contacts, lines, three, others)
-    return tuple(sorted(found, key=lambda violation: violation.condition))
+        remaining = tuple(j for j in range(6) if j not in three)
+        violations += _around_point(contacts, lines, three, remaining)
+        violations += _around_plane(contacts, lines, three, remaining)
+    return tuple(sorted(violations, key=lambda violation: violation.condition))
 
 
 def incidence(points: np.ndarray, length: float) -> float:
@@ -149,7 +149,7 @@ def _crowds(contacts: Contacts, lines: _Lines) -> Iterator[Violation]:
 
 
 def _around_point(
-    contacts: Contacts, lines: _Lines, three: tuple[int, ...], others: tuple[int, ...]
+    contacts: Contacts, lines: _Lines, three: tuple[int, ...], remaining: tuple[int, ...]
 ) -> Iterator[Violation]:
     """Conditions 4 and 5, for three lines that meet at X, perhaps at infinity."""
     X = lines.point(three)
@@ -158,12 +158,12 @@ def _around_point(
     parallel = lines.at_infinity(X)
     meet = "are parallel" if parallel else f"meet at {lines.place(X)}"
     who = f"the normal lines of {named(contacts, three)} {meet}"
-    Y = lines.point(others)
+    Y = lines.point(remaining)
     if Y is not None:
         theirs = "are parallel" if lines.at_infinity(Y) else f"meet at {lines.place(Y)}"
         condition = 5 if parallel else 4
-        yield Violation(condition, (*three, *others), f"{who}, and the other three {theirs}")
-    for pair in combinations(others, 2):
+        yield Violation(condition, (*three, *remaining), f"{who}, and the other three {theirs}")
+    for pair in combinations(remaining, 2):
         if lines.plane(pair, X) is not None:
             spot = "parallel to them" if parallel else "with that point"
             words = f"{who}, and those of {named(contacts, pair)} lie in a plane {spot}"
@@ -171,13 +171,13 @@ def _around_point(
 
 
 def _around_plane(
-    contacts: Contacts, lines: _Lines, three: tuple[int, ...], others: tuple[int, ...]
+    contacts: Contacts, lines: _Lines, three: tuple[int, ...], remaining: tuple[int, ...]
 ) -> Iterator[Violation]:
     """Condition 6, for three lines in a plane."""
     plane = lines.plane(three)
     if plane is None:
         return
-    for pair in combinations(others, 2):
+    for pair in combinations(remaining, 2):
         point = lines.point(pair)
         if point is not None and abs(float(plane @ point)) <= lines.tolerance:
             who = f"the normal lines of {named(contacts, three)} lie in a plane"

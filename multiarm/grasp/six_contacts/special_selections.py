@@ -180,9 +180,9 @@ def _check_normals(three: Contacts, case: str, what: str) -> None:
 
 
 def _check_moments(three: Contacts, about: np.ndarray, case: str) -> None:
-    found = three_moments(three, about)
-    if not found:
-        broken = "; ".join(f"rule {v.condition}: {v.words}" for v in found.violations)
+    moments = three_moments(three, about)
+    if not moments:
+        broken = "; ".join(f"rule {v.condition}: {v.words}" for v in moments.violations)
         point = ", ".join(f"{x:.4g}" for x in about)
         raise GraspError(
             f"{case}: the moments of {named(three, (0, 1, 2))} about ({point}) are dependent "
@@ -262,9 +262,9 @@ def meeting_point(
     """
     middle = points.mean(axis=0)
     arms = points - middle
-    found, off = nearest_to_lines(arms, normals)
-    size = max(float(np.abs(arms).max()), float(np.abs(found).max()))
-    return found + middle if np.abs(off).max() <= tolerance * size else None
+    nearest, off = nearest_to_lines(arms, normals)
+    size = max(float(np.abs(arms).max()), float(np.abs(nearest).max()))
+    return nearest + middle if np.abs(off).max() <= tolerance * size else None
 
 
 def _broken(

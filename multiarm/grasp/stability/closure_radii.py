@@ -204,8 +204,8 @@ def _of_subsets(contacts: Contacts, tangents: np.ndarray, shape: str) -> Closure
     best = 0.0
     for number in order[verdicts.closed[order]]:
         chosen = list(sets[number])
-        found = closure_radius(contacts.subset(chosen), shape=shape, axes=tangents[chosen])
-        best = max(best, found.lower)
+        radius = closure_radius(contacts.subset(chosen), shape=shape, axes=tangents[chosen])
+        best = max(best, radius.lower)
     words = f"seven of the contacts hold the body while all slide by {best:.4g} m or less"
     if best == 0.0:
         words = "no seven of these contacts hold the body by themselves, so no radius is known"

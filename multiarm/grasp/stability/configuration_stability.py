@@ -227,16 +227,16 @@ def own_regions(grasp: Grasp) -> tuple[ContactRegion | None, ...]:
     )
 
 
-def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
+def displacements_of(displacement: Any, contacts: Contacts) -> np.ndarray:
     """Largest displacement of each contact [m], shape (N,)."""
-    value = DISPLACEMENT * contacts.length if given is None else given
+    value = DISPLACEMENT * contacts.length if displacement is None else displacement
     needed = (
         f"displacement is one length or one for each of the {contacts.count} contacts, finite and "
         f"at least 0"
     )
     delta = numbers_of(value, needed, (), (contacts.count,))
     if np.any(delta < 0.0):
-        raise GraspError(f"{needed}, not {given}")
+        raise GraspError(f"{needed}, not {displacement}")
     return np.broadcast_to(delta, (contacts.count,)).copy()
 
 
@@ -352,8 +352,8 @@ def monte_carlo_stability(
     along = np.stack([far * np.cos(angle), far * np.sin(angle)], axis=-1)
     points = contacts.points + np.einsum("mja,jax->mjx", along, tangents_of(contacts))
     normals = np.broadcast_to(contacts.normals, points.shape)
-    kept = int(np.count_nonzero(closed_many(points, normals).closed))
-    interval = binomtest(kept, samples).proportion_ci(confidence, method="wilson")
+    closed = int(np.count_nonzero(closed_many(points, normals).closed))
+    interval = binomtest(closed, samples).proportion_ci(confidence, method="wilson")
     return DrawnStability(
-        kept / samples, float(interval.low), float(interval.high), kept, samples, confidence
+        closed / samples, float(interval.low), float(interval.high), closed, samples, confidence
     )

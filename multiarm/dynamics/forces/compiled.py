@@ -75,7 +75,7 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
         centre of mass, its axes).  Only their internal part remains.
     force : (N,), written
     """
-    desired, rest = np.empty(offsets.size), np.empty(6)
+    desired, remaining = np.empty(offsets.size), np.empty(6)
     copy(offsets, desired)
     for i in range(rows.size - 1):
         on_object, any_pressing = pressing[6 * i : 6 * i + 6], False
@@ -90,10 +90,10 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
             static_forces(Wo[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]
-    copy(wrench, rest)
+    copy(wrench, remaining)
     for k in range(desired.size):
         for i in range(6):
-            rest[i] -= Wo[k, i] * desired[k]
-    static_forces(Wo, rest, force)
+            remaining[i] -= Wo[k, i] * desired[k]
+    static_forces(Wo, remaining, force)
     for k in range(desired.size):
         force[k] += desired[k]

@@ -16,7 +16,7 @@ from repository import WORKED
 from scipy.optimize import nnls
 
 import multiarm as ma
-from multiarm.contacts.internal_forces import FORMS, decompose, distribute, internal_forces
+from multiarm.dynamics.forces.internal_forces import FORMS, decompose, distribute, internal_forces
 from multiarm.errors import GraspError
 
 BLOCK = WORKED["two_arm_block_system"]["expected"]

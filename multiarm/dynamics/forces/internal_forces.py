@@ -29,6 +29,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multiarm.dynamics.forces.distribution import (
+    ForceFamily,
+    forces_for,
+    pressed,
+    smallest_load,
+)
 from multiarm.errors import GraspError
 from multiarm.geometry.screws import (
     COUPLE_TOLERANCE,
@@ -42,7 +48,6 @@ from multiarm.geometry.screws import (
     wrench_matrix,
 )
 from multiarm.notation import count_of
-from multiarm.programs import linear_program
 
 FORMS = ("orthonormal", "nonnegative", "echelon")
 # A combination presses all contacts when the weakest has this part of the strongest.
@@ -177,7 +182,8 @@ def distribute(
     screws = screw_system(W_o)
     scale, norms = row_scale(screws.length), column_norms(W_o, screws.length)
     scaled = scale[:, None] * W_o / norms
-    some = np.linalg.lstsq(scaled, scale * wrench, rcond=RANK_TOLERANCE)[0] / norms
+    family, _ = forces_for(scaled, scale * wrench, RANK_TOLERANCE)
+    some = family.least_norm / norms
     missing = wrench - W_o @ some
     if np.linalg.norm(scale * missing) > 1e-9 * np.linalg.norm(scale * wrench):
         raise GraspError(
@@ -255,11 +261,11 @@ def _nonnegative(A: np.ndarray, labels: list[str]) -> np.ndarray:
             f"there are no internal forces that could press; add contacts"
         )
     pressing = _pressing(A, labels)
-    others = A - np.outer(pressing, pressing @ A) / (pressing @ pressing)
+    across = A - np.outer(pressing, pressing @ A) / (pressing @ pressing)
     # the basis without its part along `pressing`, one column fewer
-    others = canonical_basis(np.linalg.svd(others)[0][:, : A.shape[1] - 1])
+    across = canonical_basis(np.linalg.svd(across)[0][:, : A.shape[1] - 1])
     columns = [pressing]
-    for column in others.T:
+    for column in across.T:
         # as little of the pressing column as keeps every contact from pulling
         least = np.max(-column / pressing, initial=0.0)
         columns.append(np.maximum(column + least * pressing, 0.0))
@@ -274,27 +280,13 @@ def _pressing(A: np.ndarray, labels: list[str]) -> np.ndarray:
     even = A @ A.sum(axis=0)
     if np.min(even) > PRESSING_TOLERANCE * np.max(np.abs(even)):
         return even
-    count, size = A.shape
-    # lambda = A y: maximise t, where t <= lambda_j <= 1
-    weakest = linear_program(
-        np.append(np.zeros(size), -1.0),
-        at_most=(
-            np.block([[-A, np.ones((count, 1))], [A, np.zeros((count, 1))]]),
-            np.append(np.zeros(count), np.ones(count)),
-        ),
-        signed=size + 1,
-    )
-    if weakest.x is not None and weakest.x[-1] > PRESSING_TOLERANCE:
-        return A @ weakest.x[:-1]
-    # maximise the sum of t_j <= min(lambda_j, 1): 0 where a contact can never be pressed
-    each = linear_program(
-        np.append(-np.ones(count), np.zeros(size)),
-        at_most=(np.block([np.eye(count), -A]), np.zeros(count)),
-        bounds=(0.0, 1.0),
-        signed=size,
-    )
-    pressed = each.x[:count] if each.x is not None else np.ones(count)
-    idle = np.flatnonzero(pressed < PRESSING_TOLERANCE)
+    # forces up to 1 of which the weakest is as large as can be
+    eye, family = np.eye(len(A)), ForceFamily(np.zeros(len(A)), A)
+    strongest = smallest_load(family, (-eye, np.zeros(len(A))), (eye, np.ones(len(A))))
+    if strongest.forces is not None and -strongest.largest > PRESSING_TOLERANCE:
+        return strongest.forces
+    shares = pressed(A)
+    idle = [] if shares is None else np.flatnonzero(shares < PRESSING_TOLERANCE).tolist()
     raise GraspError(
         f"no combination of internal forces presses all contacts at once: "
         f"{', '.join(labels[j] for j in idle) or 'some'} would have to pull; the contacts do not "
