@@ -52,6 +52,7 @@ from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.errors import ControlError, GraspError
+from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import add_scaled, scale, sub, vec
@@ -63,7 +64,6 @@ from multiarm.spatial import (
     matrix_to_quaternion,
     retracted,
     rotation_between,
-    skew,
     write_chart_rate,
 )
 

@@ -49,8 +49,8 @@ class Contacts:
 
     Notes
     -----
-    :meth:`along` takes directions of any length.  Numbers may be ``fractions.Fraction``; they are
-    kept as they are for decisions in exact arithmetic (``exact_points``, ``exact_directions``).
+    :meth:`along` takes directions of any length.  Numbers may be ``fractions.Fraction``: decisions
+    in exact arithmetic use them without rounding (``exact_points``, ``exact_directions``).
     """
 
     points: np.ndarray
@@ -65,7 +65,7 @@ class Contacts:
 
     @classmethod
     def along(cls, points: Any, directions: Any, names: Sequence[str] | None = None) -> Contacts:
-        """Contacts whose inward normals are given as directions of any length but zero.
+        """Contacts with inward directions of any length but zero in place of unit normals.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class Contacts:
 
     @property
     def freedoms(self) -> int:
-        """Freedoms of the body: 6 in space, 3 in the plane; so many rows have the wrenches."""
+        """Freedoms of the body, and rows of a wrench: 6 in space, 3 in the plane."""
         return 6 if self.dimension == 3 else 3
 
     @cached_property
@@ -230,7 +230,7 @@ def as_contacts(holder: Contacts | HeldByContacts) -> Contacts:
 def contacts_in_space(
     holder: Contacts | HeldByContacts, least: int = 1, most: int | None = None
 ) -> Contacts:
-    """Contacts in space, or those of a grasp: at least and at most so many.
+    """Contacts in space, or those of a grasp, of a number from ``least`` to ``most``.
 
     Raises
     ------
@@ -285,7 +285,7 @@ def _numbered(count: int) -> tuple[str, ...]:
 # --- Input of users -------------------------------------------------------------------------------
 
 Shape = tuple[Any, ...]
-# Arrays of so many numbers are shown in messages; of larger ones the shape.
+# Messages show arrays of up to this many numbers, and the shape of larger ones.
 SHOWN = 7
 
 
@@ -296,12 +296,12 @@ def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False)
     ----------
     values : array-like
     needed : str
-        What they should be, as the message says it.
+        What they should be; the message begins with it.
     *shapes : tuple
-        Those that will do.  A length -n stands for n or more, None for any; an ellipsis in front
-        for any number of lengths.
+        Allowed shapes.  A length -n stands for n or more, None for any; an ellipsis in front for
+        any number of lengths.
     infinite : bool
-        Whether infinite numbers will do, too.
+        Whether numbers may be infinite.
 
     Raises
     ------

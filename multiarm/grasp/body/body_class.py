@@ -33,10 +33,10 @@ Kind = Literal["block", "three pairs of parallel faces", "wider class", "tetrahe
 PARALLEL = 1e-6
 # Normals with a smaller determinant are dependent, coefficients below it are zero.
 DEPENDENT = 1e-6
-# Triples are sought among so many of the largest faces; their number grows with the third power.
+# Only so many of the largest faces are searched for triples: their number grows with its cube.
 MOST_FACES = 40
-# A body whose normal lines all pass its axis within this part of its radius is one of revolution: a
-# prism of 32 sides or more.  One within the second number, of 16 sides or more, may be.
+# A body whose normal lines all pass its axis within this part of its radius counts as one of
+# revolution, such as a prism of 32 sides; within the second number, 16 sides, it may be one.
 ROUND, NEARLY_ROUND = 0.1, 0.2
 # A face whose normal is along the axis, within this angle [rad], has no part in that.
 LEVEL = 1e-3

@@ -137,7 +137,7 @@ def positive(values: Any, count: int, what: str) -> np.ndarray:
 # --- One solid, and plane faces from its triangles ------------------------------------------------
 
 Edge = tuple[int, int]
-# Fits of a plane before its face is taken as it is; two are nearly always enough.
+# Fits of a plane to one face, at most; two are nearly always enough.
 FITS = 5
 # A triangle is of a face only if its normal is within 60 degrees of the face's: two sides of a thin
 # sheet are two faces.

@@ -204,6 +204,12 @@ def frame_of(z: np.ndarray, along: np.ndarray, origin: np.ndarray) -> np.ndarray
     return pose + 0.0  # no -0
 
 
+def across(z: np.ndarray) -> np.ndarray:
+    """A unit vector across another, (3,): across the axis that it is least along, too."""
+    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    return x / np.linalg.norm(x)
+
+
 def area_vector(loop: np.ndarray) -> np.ndarray:
     """Area of a closed loop (K, 3) times its unit normal, shape (3,)."""
     return 0.5 * np.cross(loop, np.roll(loop, -1, axis=0)).sum(axis=0)
@@ -228,9 +234,9 @@ def _fixed(array: np.ndarray) -> np.ndarray:
 
 # Pieces below this part of the face's area are dropped: no finger could be placed on them.
 NO_AREA = 1e-9
-# Corners closer than this, in face sizes, are one.
+# Corners closer than this, in face sizes, are the same.
 SAME_CORNER = 1e-12
-# Rows of numbers of the size of 1 that agree to so many digits are one.
+# Rows, with numbers of the size of 1, that agree to this many digits are equal.
 DIGITS = 10
 
 Pieces = tuple[tuple[np.ndarray, ...], tuple[tuple[np.ndarray, ...], ...]]

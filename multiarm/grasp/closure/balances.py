@@ -8,8 +8,8 @@ For the wrenches ``W = [w_1 ... w_N]`` of the contacts, each of :math:`n` number
     W^T v \ge 0, \;\; v \ne 0
 
 has a solution (thesis, 2.1; the alternative is Stiemke's).  The pushes prove form closure, the
-motion proves that there is none.  This module finds one or the other for scaled wrenches, that is
-wrenches about the middle of the contacts, moments over their spread.
+motion proves that there is none.  This module finds one or the other for scaled wrenches: about the
+middle of the contacts, with moments over their spread.
 
 Geometrically, closure says that the origin is inside the convex hull of the wrenches.  How far
 inside is the ``distance``: closure survives every change of each wrench by less than it.
@@ -22,9 +22,9 @@ inside is the ``distance``: closure survives every change of each wrench by less
   non-negative least squares problem  min ``|W lam|`` over ``lam >= 1``  has either the residual 0,
   and ``lam`` are the pushes, or a residual ``r`` with ``W^T r >= 0``, and ``v = r``
   (Lawson and Hanson 1974).  The distance is then at least ``t sigma_n / sqrt(1 + (N - 1) t^2)``,
-  with ``t`` the smallest push (of sum 1) and ``sigma_n`` the smallest singular value.  For a unit
-  ``v`` has ``|W^T v| >= sigma_n``; if it approaches no contact faster than s, the others recede
-  with a sum of rates of s / t at most, since the pushes do no work.  Only where that bound is in
+  with ``t`` the smallest push (of sum 1) and ``sigma_n`` the smallest singular value: a
+  unit ``v`` has ``|W^T v| >= sigma_n``, and if no gap closes faster than s, the rates at which the
+  others open have a sum of s / t at most, since the pushes do no work.  Only where that bound is in
   the band, the facets of the hull are enumerated (up to 30 wrenches).
 """
 
@@ -44,16 +44,16 @@ from multiarm.programs import (
     nonnegative_least_squares,
 )
 
-# Part of the unit wrench by which closure must be inside.  Normals and points that were computed
-# are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
-# Singular values below this part of the largest count as zero: the package has one rank.
+# The origin must be farther inside the hull than this.  Computed normals and points are off by some
+# 1e-16 to 1e-12, and a grasp that hangs on less than this is not reliable.  Singular values below
+# this part of the largest count as zero, in all modules.
 BAND = 1e-10
 # Motions whose nearness to an axis differs by less than this are equally near: the first is taken.
 EQUAL = 1e-6
-# Least smallest push, of pushes of sum 1, that counts: below it every balance nearly cancels.
+# Lower bound of the margin: below it, pushes of sum 1 are differences of nearly equal numbers.
 LEAST_MARGIN = -1.0 / BAND
-# Of sets with a determinant below the first, or an inverse with an entry above the second, no
-# balance is computed in batches: it would be rounding.
+# Batches compute no balance of sets with a determinant below the first number, or an inverse with
+# an entry above the second: it would be rounding.
 FLAT, STEEPEST = 1e-14, 1e12
 # Facets of the hull of this many wrenches are enumerated within milliseconds.
 ENUMERATED = 30

@@ -15,8 +15,8 @@ seven at a time is not enough.  The margin is
 
 Every answer carries its proof: the pushes :math:`\lambda`, or a motion of the body that no
 contact resists.  Wrenches are taken about the middle of the contacts, moments over their spread, so
-that neither size nor place of the body matters.  What closes by less than the tolerance (see
-:class:`FormClosure`) is called open, and borderline.
+that neither size nor place of the body matters.  A grasp that closes by less than the tolerance
+(see :class:`FormClosure`) counts as open, and borderline.
 
 **Many sets at once**, for searches and for random changes: the same decision as
 :func:`is_form_closure`, without the proofs.  For
@@ -79,9 +79,9 @@ class FormClosure:
     tolerance : float
         Bound that ``distance`` must exceed: 1e-10, and the rounding of points far from the origin.
     borderline : bool
-        Open, but within the tolerance of closure (or closed by less than it): a change of
-        the points or normals that small may decide otherwise.  Wrenches whose rank is missing
-        but for rounding are plainly open.
+        Open, but within the tolerance of closure (or closed by less than it): so small a change
+        of points or normals may close it.  Wrenches that lack rank except for rounding are open
+        without doubt.
     exact : bool
         Decided in rational arithmetic, without tolerance.
     exact_coefficients, exact_motion : tuple of Fraction, or None

@@ -51,11 +51,11 @@ class Immobility:
     ----------
     order : int
         1: form closure.  2: immobile, but only because turning presses the fingers into the
-        faces; the faces may give way a little.  0: movable, or with several free motions not
-        proven to be immobile.
+        faces, which may yield a little.  0: movable, or several free motions without a proof of
+        immobility.
     proven : bool
-        False when order 0 means only that no proof of order 2 was found, be it that a linear
-        program gave up: contacts whose rank hangs on normals that differ by 1e-7 are hard for it.
+        False when order 0 means only that the search found no proof of order 2, or that a linear
+        program gave up, as it may where the rank hangs on normals that differ by 1e-7.
     pushes : ndarray, shape (N,), or None
         Balanced pushes of sum 1 that block every free motion; of order 2.
     """
@@ -66,7 +66,7 @@ class Immobility:
 
 
 def immobility(contacts: Contacts, closed: bool) -> Immobility:
-    """Order of immobility of contacts of which form closure is decided already."""
+    """Order of immobility of contacts whose form closure is known."""
     if closed:
         return Immobility(1, True, None)
     try:

@@ -38,10 +38,7 @@ def twist_of(contacts: Contacts, direction: np.ndarray) -> np.ndarray:
 
 
 def about_origin(contacts: Contacts, direction: np.ndarray) -> np.ndarray:
-    """Twist about the frame's origin of scaled coordinates, as long as it is.
-
-    What is dual to wrenches transforms so: prices of force and moment, too.
-    """
+    """Scaled coordinates of a twist, or of prices of force and moment, about the frame's origin."""
     linear, angular = _split(contacts, direction)
     return np.concatenate([linear - _across(angular, contacts.centre), angular])
 

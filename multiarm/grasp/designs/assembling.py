@@ -1,8 +1,8 @@
 r"""From places on faces to a grasp that is known to hold: assembly and verification.
 
-A designed grasp is never taken on trust.  It has to pass the test of form closure, and its last
-contact is moved across the bound that the design's formula gives: just beyond the bound the grasp
-must be closed, just before it open.
+Every designed grasp is verified.  It has to pass the test of form closure, and its last contact is
+moved across the bound that the design's formula gives: just beyond the bound the grasp must be
+closed, just before it open.
 
 **How evenly seven contacts balance**, for many choices at once.  Seven wrenches of rank 6 have one
 balance of sum 1,
@@ -28,6 +28,7 @@ from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.closure.balances import balance_inverses
 from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.designs.corner_pattern import CornerPattern
 from multiarm.grasp.designs.grippers import Three, gripper_frame
 from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.grasp import Grasp
@@ -83,17 +84,42 @@ def at_two_corners(
     body: Polyhedron,
     first: Three,
     second: Three,
-    points: np.ndarray,
+    six: np.ndarray,
+    pattern: CornerPattern,
     top: int,
+    distance: float,
+    bound: float,
     notes: Sequence[str],
 ) -> Grasp:
-    """A grasp of grippers at the corners of faces of contacts 1, 2, 3 and of 4, 5, 6.
+    """A grasp of grippers at two corners, which opens where contact 7 comes nearer than its bound.
 
-    Contact 7 is on the face ``top``, the third of one of them, and carried by that gripper.
+    The gripper with the pattern carries contact 7, too.
+
+    Parameters
+    ----------
+    body : Polyhedron
+    first, second : (int, int, int)
+        Faces of contacts 1, 2, 3 and of 4, 5, 6.
+    six : ndarray, shape (6, 3)
+        These contacts [m].
+    pattern : CornerPattern
+        The contacts 1, 2, 3 or 4, 5, 6.
+    top : int
+        The face of the pattern's third contact and of contact 7.
+    distance, bound : float
+        Of contact 7 from the pattern's third contact, and the one at which the grasp opens [m].
+    notes : sequence of str
+
+    Raises
+    ------
+    GraspError
+        A contact outside its face; a grasp that hangs on rounding.
     """
+    points = np.vstack([six, pattern.last_point(distance)])
     split = [(0, 1, 2, 6), (3, 4, 5)] if top == first[2] else [(0, 1, 2), (3, 4, 5, 6)]
     frames = [gripper_frame(body, first, points[:3]), gripper_frame(body, second, points[3:6])]
-    return assembled(body, points, (*first, *second, top), split, frames, notes)
+    grasp = assembled(body, points, (*first, *second, top), split, frames, notes)
+    return proven(grasp, crosses(grasp, pattern.last_point, bound))
 
 
 def proven(grasp: Grasp, crosses_bound: bool, remedy: str = OTHER_LENGTHS) -> Grasp:

@@ -31,10 +31,10 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.body.body_class import classify
 from multiarm.grasp.body.polyhedron import Polyhedron
-from multiarm.grasp.designs.assembling import length_of
+from multiarm.grasp.designs.assembling import at_two_corners, length_of
 from multiarm.grasp.designs.corner_pattern import CornerPattern, corner_pattern
 from multiarm.grasp.designs.grippers import Three, opposite_corner
-from multiarm.grasp.designs.parallel_bodies import centred_corner, mirrored_grasp
+from multiarm.grasp.designs.parallel_bodies import centred_corner
 from multiarm.grasp.grasp import Grasp
 
 # By default: A as a part of the shortest edge, E as a part of A, and the last contact at
@@ -138,8 +138,17 @@ class BlockDesign:
         chosen, opposite = _faces(block, faces)
         pattern = self._at(centred_corner(block, chosen, opposite))
         self._check(2.0 * pattern.normals @ pattern.corner)
-        bound = self.minimum_distance
-        return mirrored_grasp(block, chosen, opposite, pattern, self.distance, bound, self._notes())
+        return at_two_corners(
+            block,
+            chosen,
+            opposite,
+            pattern.with_mirror_images,
+            pattern,
+            chosen[2],
+            self.distance,
+            self.minimum_distance,
+            self._notes(),
+        )
 
     def _at(self, corner: CornerPattern) -> CornerPattern:
         """Contacts 1, 2, 3 at a corner."""

@@ -177,6 +177,11 @@ class CornerPattern:
         """Contacts 1, 2, 3 in the body's frame, shape (3, 3) [m]."""
         return self.in_body(self._in_frame)
 
+    @property
+    def with_mirror_images(self) -> np.ndarray:
+        """The contacts, then their images in the origin of Sigma_0, body's frame, (6, 3) [m]."""
+        return np.vstack([self.points, 2.0 * self.frame[:3, 3] - self.points])
+
     @cached_property
     def _in_frame(self) -> np.ndarray:
         """Contacts 1, 2, 3 in Sigma_0, shape (3, 3) [m]."""

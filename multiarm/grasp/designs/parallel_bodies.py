@@ -24,7 +24,7 @@ Blocks are the square case, with other offsets (:mod:`multiarm.grasp.designs.blo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -36,9 +36,7 @@ from multiarm.grasp.body.body_class import classify
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.designs.assembling import (
     at_two_corners,
-    crosses,
     length_of,
-    proven,
     size_of_gripper,
     sized,
 )
@@ -112,11 +110,13 @@ class ParallelDesign:
                 f"beyond 2 |Q| = {self.minimum_distance:.6g} m; more height (over "
                 f"{self.smallest_height:.6g} m) or a smaller G1 - G2 lowers the bound"
             )
-        return mirrored_grasp(
+        return at_two_corners(
             self.body,
             self.faces,
             self.opposite,
+            self.pattern.with_mirror_images,
             self.pattern,
+            self.faces[2],
             self.distance,
             self.minimum_distance,
             self._notes(),
@@ -219,29 +219,6 @@ def centred_corner(body: Polyhedron, faces: Three, opposite: Three) -> CornerPat
     levels, beyond = ([body.faces[k].offset for k in three] for three in (faces, opposite))
     centre = np.linalg.solve(n, 0.5 * np.subtract(levels, beyond))
     return corner_pattern(n, np.array(levels), centre)
-
-
-def mirrored_grasp(
-    body: Polyhedron,
-    faces: Three,
-    opposite: Three,
-    pattern: CornerPattern,
-    distance: float,
-    bound: float,
-    notes: Sequence[str],
-) -> Grasp:
-    """A pattern about the centre, its mirror image, and contact 7 at a distance beyond its bound.
-
-    Raises
-    ------
-    GraspError
-        Contacts outside their faces; a grasp that hangs on rounding.
-    """
-    centre = pattern.frame[:3, 3]
-    mirrored = 2.0 * centre - pattern.points
-    points = np.vstack([pattern.points, mirrored, pattern.last_point(distance)])
-    grasp = at_two_corners(body, faces, opposite, points, faces[2], notes)
-    return proven(grasp, crosses(grasp, pattern.last_point, bound))
 
 
 def usual_distance(body: Polyhedron, top: int, pattern: CornerPattern, factor: float) -> float:

@@ -21,8 +21,8 @@ opposed by three others.  Contacts 1, 2, 3 are the feet of one point O on the th
 4 and 5 share one opposed face, contact 6 is on another, and contact 7 is in the middle of its
 region on that one (see `seventh_contact`).
 
-O is where its feet are farthest from the edges of their faces.  Among places for the others, those
-are taken that balance most evenly (see `smallest_pushes`); only a few such choices are worked out.
+The feet of O are as far as possible from the edges of their faces.  The places of the others are
+those that balance most evenly (see `smallest_pushes`); only a few such choices are made grasps.
 """
 
 from __future__ import annotations
@@ -41,9 +41,7 @@ from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.designs.assembling import (
     assembled,
     at_two_corners,
-    crosses,
     crosses_border,
-    proven,
     size_of_gripper,
     sized,
     smallest_pushes,
@@ -66,7 +64,7 @@ from multiarm.terminal.progress import Progress, displayed
 
 # Depth of the patterns as a part of the shortest edge at their corners, and G1 - G2 as parts of it.
 USUAL_DEPTH, USUAL_STEPS = 0.2, (0.5, -0.5)
-# So many triples are worked out, those first whose three faces share a corner.
+# Triples that are tried, at most; those whose three faces share a corner come first.
 MOST_TRIPLES = 24
 
 
@@ -115,13 +113,22 @@ class WideDesign:
                 f"beyond |Q| = {self.minimum_distance:.6g} m"
             )
         first = feet(body, self.triple, p.frame[:3, 3])
-        points = np.vstack([first, p.points, p.last_point(self.distance)])
         note = (
             f"contact 7 is {self.distance:.6g} m from contact 6; the grasp is closed beyond "
             f"|Q| = {self.minimum_distance:.6g} m"
         )
-        grasp = at_two_corners(body, self.triple, self.faces, points, self.faces[2], (note,))
-        return proven(grasp, crosses(grasp, p.last_point, self.minimum_distance))
+        six = np.vstack([first, p.points])
+        return at_two_corners(
+            body,
+            self.triple,
+            self.faces,
+            six,
+            p,
+            self.faces[2],
+            self.distance,
+            self.minimum_distance,
+            (note,),
+        )
 
 
 def design_wide_grasp(
@@ -245,12 +252,11 @@ def _firmest(grasps: Iterator[Grasp]) -> Grasp | None:
 
 # --- The last contact anywhere in its region ------------------------------------------------------
 
-# Places on a face that are tried for contacts 4 to 7: its middle, and this part of the way from
-# there to each corner.
+# Contacts 4 to 7 are tried in the middle of a face, and this part of the way to each corner.
 TOWARD_CORNER = 0.7
-# Of so many corners at most, and of so many opposed faces, the largest.
+# Corners of a face that are tried, and opposed faces (the largest), at most.
 MOST_CORNERS, MOST_OPPOSED = 8, 5
-# So many choices with the largest smallest push are worked out.
+# Choices, with the largest smallest push, that are made grasps.
 FINISHED = 4
 
 

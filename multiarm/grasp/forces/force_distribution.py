@@ -172,7 +172,7 @@ def bounds_of(contacts: Contacts, minimum: Any, limit: Any) -> tuple[np.ndarray,
     Raises
     ------
     GraspError
-        Numbers that are none, negative, or of which the first exceeds the second.
+        No numbers, negative ones, or a minimum above its limit.
     """
     least = _each(contacts, minimum, "minimum")
     most = _each(contacts, np.inf if limit is None else limit, "limit")

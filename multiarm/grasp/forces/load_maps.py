@@ -8,8 +8,8 @@ polytope, :math:`\{W \lambda\}`.  Three questions about it (conventions of
   worst of finitely many loads is the worst of all their mixtures;
 - the largest multiple of each load that can be exerted;
 - the section of the polytope with a plane of loads, :math:`w_0 + x d_1 + y d_2`: a polygon.  A
-  linear program finds the point farthest in a direction; solving along the outward normal of every
-  edge found so far, until no edge gives way, yields all corners (exactly, but for rounding).
+  linear program yields the point farthest in a direction; repeated along the outward normal of
+  every known edge, until no edge moves outward, it yields all corners (exact except for rounding).
 """
 
 from __future__ import annotations
@@ -256,7 +256,7 @@ def _without_straight(corners: np.ndarray) -> np.ndarray:
 
 # --- The map of a plane of loads ------------------------------------------------------------------
 
-# Part of the map's size by which an edge may give way and still count as found.
+# An edge that moves outward by less than this part of the map's size is final.
 CORNER = 1e-8
 
 

@@ -47,7 +47,7 @@ SAMPLED, DRAWN = 300, 40
 # Of these the best are evolved, and the best of those for longer: how many, from how many
 # placements, for how many generations.
 ROUNDS = ((40, 24, 25), (5, 40, 250))
-# Every so many choices quick bounds are renewed and ``progress`` is called.
+# Choices after which quick bounds are renewed and ``progress`` is called.
 REPORTED = 20
 # Choices that are bounded together: memory stays small.
 CHUNK = 2000

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.body.face import frame_of
+from multiarm.grasp.body.face import across, frame_of
 from multiarm.grasp.contacts import Contacts, numbers_of
 from multiarm.grasp.optimisation.face_search import Limits, Search
 from multiarm.grasp.optimisation.placements import FaceChoices, face_choices, touch_regions
@@ -112,20 +112,20 @@ def optimise_grasp(
     fingers : tuple of int
         Contacts of the two grippers; together seven.
     places : array-like, shape (M, 3), optional
-        Where a gripper may sit, in the body's frame [m]; the corners of the body by themselves.
+        Where a gripper may sit, in the body's frame [m]; by default the corners of the body.
     faces : iterable of int, or dict, optional
-        Faces that may be touched, all by themselves; a dict also says where: the corners (K, 3) of
-        a polygon in the face, or None for all of it.
+        Faces that may be touched, by default all; a dict also says where: the corners (K, 3) of a
+        polygon in the face, or None for all of it.
     tip_radius : float
         Of a fingertip: contacts keep this distance from the edges of their faces [m].
     spacing : float, optional
-        Contacts keep this distance from each other [m]; twice ``tip_radius`` by itself.
+        Contacts keep this distance from each other [m]; by default twice ``tip_radius``.
     conditioning : float
         Floor of the smallest over the largest singular value of the scaled wrenches.
     gap : float
         The search ends when this is reached.
     nodes : int
-        It also ends after so many choices of faces.
+        It also ends after this number of choices of faces.
     seconds : float, optional
         And after this time; results then depend on the machine.
     progress : bool or callable, optional
@@ -218,7 +218,7 @@ def _grasp(
 def _frame(place: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """A frame at a place with its z axis into the body."""
     z = inward / np.linalg.norm(inward) if np.linalg.norm(inward) > 1e-9 else np.eye(3)[2]
-    return frame_of(z, np.cross(z, np.eye(3)[np.argmin(np.abs(z))]), place)
+    return frame_of(z, across(z), place)
 
 
 def _none_can_close(choices: FaceChoices) -> str:

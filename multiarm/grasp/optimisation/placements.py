@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.face import across
 from multiarm.grasp.contacts import numbers_of, wrenches_of
 from multiarm.grasp.designs.grippers import hand_reaches
 
@@ -319,7 +320,7 @@ def _few_parallel(normals: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 class _OfFaces:
-    """A question about the normals of a set of faces, asked once for each set."""
+    """A property of the normals of a set of faces, computed once for each set."""
 
     def __init__(
         self, regions: Sequence[TouchRegion], question: Callable[[np.ndarray], bool]
@@ -457,6 +458,5 @@ def _half_planes(polygons: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray
 
 def _tangents(e: np.ndarray) -> np.ndarray:
     """Axes in the face, so that polygons counter-clockwise from outside stay so."""
-    first = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
-    first /= np.linalg.norm(first)
+    first = across(e)
     return np.array([first, np.cross(-e, first)])

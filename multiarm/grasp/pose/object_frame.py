@@ -16,7 +16,7 @@ are no harder, and the result has all poses that fit.
 *Which pose.* Six contacts leave up to eight poses, seven in general one. A pose in which a contact
 lies beyond another touched face of a convex body, or outside the polygon of its own face, is
 dropped when another remains. Then the nearest to a previous pose is taken if there is one; else the
-best fit, and ``ambiguous`` is said.
+best fit, and the result is ``ambiguous``.
 
 *Accuracy.* With :math:`J` of rows :math:`-[n_k^T, ((p_k - p_o) \times n_k)^T]` (world axes), the
 residuals change by :math:`J [\delta p_o; \delta\theta] + n_k^T \delta p_k`. Residual k has the
@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.geometry.screws import skew
 from multiarm.grasp.contacts import numbers_of
 from multiarm.grasp.pose.rotations_from_planes import (
     ContactData,
@@ -258,21 +259,21 @@ def _far_enough(data: ContactData, numbers: np.ndarray, lengths: np.ndarray) -> 
 
 # --- Which pose, and how well it is known ---------------------------------------------------------
 
-# Largest residual that still is noise, over the size of the grasp, unless the caller says.
+# Largest residual that counts as noise, over the size of the grasp, by default.
 CONTRADICTION = 1e-2
 # Residuals of exact data over the size of the grasp: rounding, times what the equations amplify.
 ROUNDING = 1e-9
-# Poses whose residual is within so many times that of the best fit as well as the best.
+# Poses with a residual up to this multiple of the smallest fit as well as the best.
 AS_GOOD = 3.0
 # Standard deviations within which a residual is noise.
 DEVIATIONS = 5.0
-# A point without error counts as known so much better than the least known one.
+# A point without error counts as known by this factor better than the least known one.
 WITHOUT_ERROR = 1e-5
 # Smallest singular value of the scaled J, over the largest, of a locally unique pose.
 UNIQUE = 1e-7
 # A previous pose is rigid when R R^T is the identity to this.
 RIGID = 1e-6
-# The nearest pose to the previous one decides when the next is so much farther away.
+# The pose nearest to the previous one is chosen if the next is this factor farther away.
 NEARER = 1.5
 
 
@@ -289,7 +290,7 @@ class FrameCandidate:
     residual : float
         Largest distance of a contact from the plane of its face [m].
     outside : float
-        How far a contact lies outside the face it is said to touch [m]; 0 when all are inside.
+        How far a contact lies outside its face [m]; 0 when all are inside.
     """
 
     rotation: np.ndarray
@@ -456,7 +457,7 @@ def _certainty(data: ContactData, pose: FrameCandidate) -> tuple[float, np.ndarr
     G = scale[:, None] * np.linalg.pinv(w[:, None] * J) * w  # (6, N)
     lever = pose.position - data.centre
     moved = np.eye(6)  # from the middle of the contacts to the origin of the body's frame
-    moved[:3, 3:] = np.cross(np.eye(3), lever).T  # theta -> theta x lever
+    moved[:3, 3:] = -skew(lever)  # theta -> theta x lever
     G = moved @ G
     return conditioning, (G * variances) @ G.T
 

@@ -175,7 +175,7 @@ def contact_data(
 
 
 def outside(data: ContactData, R: np.ndarray, x: np.ndarray) -> float:
-    """How far some contact lies outside the face that it is said to touch [m]; 0: none does."""
+    """Largest distance of a contact from the inside of its face [m]; 0 when all are inside."""
     at = data.in_body(R, x)
     worst = 0.0
     if data.convex:
@@ -246,8 +246,8 @@ NULL_TOLERANCE = 1e-11
 EXACT = 1e-10
 # Two rotations [rad] this near are one solution.
 SAME_ROTATION = 1e-6
-# Levenberg-Marquardt ends when the step [rad] is below this, when even a heavily damped step makes
-# nothing better, or after so many steps.
+# Levenberg-Marquardt ends when the step [rad] is below this, when even a heavily damped step is no
+# better, or after this number of steps.
 SMALLEST_STEP = 1e-15
 LARGEST_DAMPING = 1e3
 STEPS = 60

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 # A half-plane whose border is farther away than 1 / FAR_BORDER face sizes holds everywhere or
 # nowhere on the face.
 FAR_BORDER = 1e-12
-# A half-plane whose levels are below so many times what counts as zero is so level on the face that
-# its border is drawn where the level is no longer zero.
+# Where a level stays below this multiple of what counts as zero all over the face, the border of
+# its half-plane is drawn where it is no longer zero.
 LEVEL = 1e5
-# How well the middle of a region is found, in sizes of the region.
+# Accuracy of the middle of a region, in sizes of the region.
 MIDDLE = 1e-4
 
 

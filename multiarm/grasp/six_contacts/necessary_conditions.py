@@ -27,9 +27,9 @@ from itertools import combinations
 
 import numpy as np
 
+from multiarm.geometry.screws import skew
 from multiarm.grasp.closure.balances import rounding
 from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space
-from multiarm.spatial import skew
 
 # Sine of an angle, or distance over the spread of the contacts, that counts as none.
 INCIDENCE = 1e-9
@@ -57,8 +57,8 @@ def violated_conditions(contacts: Contacts | HeldByContacts) -> tuple[Violation,
     """Necessary conditions 1 to 6 that six contacts do not meet, with the contacts concerned.
 
     Lines count as meeting, parallel or coplanar within 1e-9 (of the spread of the contacts, or as
-    the sine of an angle), and what rounding does to points far from the origin.  Of sets
-    in sets only the largest is reported, and 4 to 6 only where they do not follow from 1 to 3.
+    the sine of an angle) and the rounding of points far from the origin.  Only the largest set of
+    lines is reported, not its subsets, and 4 to 6 only where they do not follow from 1 to 3.
 
     Raises
     ------

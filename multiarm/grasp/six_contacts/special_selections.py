@@ -1,4 +1,4 @@
-r"""Six independent contacts by a look at three moments (thesis, 2.2.1, A.3 to A.5).
+r"""Six contacts whose independence three moments decide (thesis, 2.2.1, A.3 to A.5).
 
 * **Case I**: three contacts on faces of different directions, and the same three mirrored in the
   middle of a body with parallel faces.  Then :math:`T_1 = I`, :math:`a = 2 a_A`: independent when

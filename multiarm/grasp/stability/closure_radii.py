@@ -34,13 +34,14 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.face import across
 from multiarm.grasp.closure.balances import rank_of
 from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
 from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, numbers_of
 
 # Sides of the polygons that stand for a disc.
 SIDES = 8
-# Of more than seven contacts, so many of the best subsets of seven are looked at.
+# Subsets of seven of more contacts that are examined, the most firmly closed ones.
 SUBSETS = 40
 # Corners of a square of half width 1 for each of six contacts.
 SQUARE = np.tile([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]], (6, 1, 1))
@@ -83,14 +84,14 @@ def closure_radius(
     shape : {"disc", "square"}
         At most r in any direction, or at most r along each of two axes in the face.
     axes : array-like, shape (N, 2, 3), optional
-        Those axes, orthonormal and in the faces; by themselves the first points away from the
-        middle of the contacts.
+        Those axes, orthonormal and in the faces; by default the first points away from the middle
+        of the contacts.
 
     Returns
     -------
     ClosureRadius
         For seven contacts squares are exact and discs are between two bounds.  For more the lower
-        bound is the best of subsets of seven (any of which is enough), and no upper one is given.
+        bound is that of the best subset of seven (any subset is enough), and there is no upper one.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def tangents_of(contacts: Contacts) -> np.ndarray:
         k = int(np.argmax(np.linalg.norm(crossed, axis=1)))
         away[j] = crossed[k]
         if not np.linalg.norm(crossed[k]) > 0.0:  # all normals parallel: any axis will do
-            away[j] = np.cross(e[j], np.eye(3)[np.argmin(np.abs(e[j]))])
+            away[j] = across(e[j])
     first = away / np.linalg.norm(away, axis=1, keepdims=True)
     return np.stack([first, np.cross(e, first)], axis=1)
 
@@ -213,7 +214,7 @@ def _of_subsets(contacts: Contacts, tangents: np.ndarray, shape: str) -> Closure
 
 
 def _tangents(contacts: Contacts, shape: str, axes: Any) -> np.ndarray:
-    """Two axes in the plane of each contact, as given or by themselves, shape (N, 2, 3)."""
+    """Two axes in the plane of each contact, the caller's or the usual ones, shape (N, 2, 3)."""
     if shape not in ("disc", "square"):
         raise GraspError(f"shape is 'disc' or 'square', not {shape!r}")
     if axes is None:
@@ -233,7 +234,7 @@ def _tangents(contacts: Contacts, shape: str, axes: Any) -> np.ndarray:
 ACCURACY = 1e-12
 # Rounds of the descent; each takes every contact once.
 ROUNDS = 12
-# A radius of more than so many sizes of the grasp is called infinite.
+# A radius of more than this many sizes of the grasp counts as infinite.
 ENDLESS = 1e9
 
 

@@ -52,11 +52,11 @@ from multiarm.grasp.seventh_contact.contact_region import ContactRegion, region_
 from multiarm.grasp.six_contacts.independent_contacts import blocks_of
 from multiarm.grasp.stability.closure_radii import ClosureRadius, closure_radius, tangents_of
 
-# A measure should be at least so many times its largest change to first order.
+# A measure should be at least this multiple of its largest change to first order.
 ENOUGH = 2.0
-# Displacement when none is given, over the root mean square distance of the contacts.
+# Usual displacement over the root mean square distance of the contacts.
 DISPLACEMENT = 0.01
-# A contact whose rate is below this part of the largest one is not felt by a measure: rounding.
+# A measure does not depend on a contact whose rate is below this part of the largest: rounding.
 UNFELT = 1e-10
 # Three normals span space well enough to be divided by.
 SPANNING = 1e-3
