@@ -33,8 +33,8 @@ from multiarm.terminal.console import (
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
+    from multiarm.grasp.body.polyhedron import Polyhedron
     from multiarm.grasp.grasp import Grasp
-    from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
     from multiarm.scene import Scene
     from multiarm.simulation.holding import Carrying
@@ -456,7 +456,7 @@ def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
     if not 0.0 < scale < math.inf:
         raise MultiarmError(f"--scale: must be metres per unit, greater than 0, got {scale}")
     if Path(text).suffix.lower() in MESHES:
-        from multiarm.grasp.polyhedron import Polyhedron
+        from multiarm.grasp.body.polyhedron import Polyhedron
 
         return Polyhedron.mesh(Path(text).expanduser(), scale)
     kind, _, numbers = text.partition(":")
@@ -481,7 +481,7 @@ def _unknown(text: str) -> MultiarmError:
 
 
 def _built(kind: str, values: list[float]) -> Polyhedron:
-    from multiarm.grasp.polyhedron import Polyhedron
+    from multiarm.grasp.body.polyhedron import Polyhedron
 
     if kind == "box":
         return Polyhedron.box(values)

@@ -55,7 +55,6 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.terms import BIAS_AT
-from multiarm.control.force_distribution import write_wrench_products
 from multiarm.dynamics.arrays import CARRYING, HELD, open_coupled, open_data, open_system
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import (
@@ -64,6 +63,7 @@ from multiarm.dynamics.equations import (
     update_kinematics,
     update_rows,
 )
+from multiarm.dynamics.forces.compiled import write_wrench_products
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows

@@ -25,14 +25,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, PathPatch
 from matplotlib.path import Path
 
-from multiarm.grasp.seventh_contact import seventh_contact_region
+from multiarm.grasp.seventh_contact.contact_region import seventh_contact_region
 from multiarm.notation import count_of
 from multiarm.plots.style import INK, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multiarm.grasp.face import Face
+    from multiarm.grasp.body.face import Face
     from multiarm.grasp.grasp import Grasp
 
 

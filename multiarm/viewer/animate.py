@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
     from multiarm.contacts.joint import JointFrame
     from multiarm.dynamics.system import System
-    from multiarm.grasp.seventh_contact import ContactRegion
+    from multiarm.grasp.seventh_contact.contact_region import ContactRegion
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import JointSpec
 

@@ -19,8 +19,8 @@ from mechanics import (
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.control.force_distribution import static_forces
 from multiarm.control.laws import pack_path, path_point
+from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.errors import ControlError
 
 WELDS = ({"kind": "weld"}, {"kind": "weld"})

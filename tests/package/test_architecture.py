@@ -89,7 +89,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
-    "trimesh": ("grasp.boundaries", "scene.meshes", "scene.object"),
+    "trimesh": ("grasp.body.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "yaml": ("reports.report", "scene", "sweeps.spec"),

@@ -13,8 +13,8 @@ from mechanics import (
 
 import multiarm as ma
 from multiarm.assembly.loop_closure import projection_tolerance, scene_size
-from multiarm.control.force_distribution import static_forces
 from multiarm.dynamics.equations import largest
+from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.step import coefficients, error_estimate, make_step
