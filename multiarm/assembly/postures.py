@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.collisions import Contact, Placed, Surroundings, corners_of, nearest
+from multiarm.assembly.collisions import NearestPair, Placed, Surroundings, corners_of, nearest
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     WHOLE_STARTS,
@@ -216,7 +216,7 @@ def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> 
 
 def overlapping_links(
     scene: Scene, arms: Mapping[str, Arm], postures: Mapping[str, np.ndarray]
-) -> dict[str, Contact]:
+) -> dict[str, NearestPair]:
     """Of arms whose posture is left to the program, the link that overlaps an obstacle most."""
     open_arms = [name for name, spec in scene.arms.items() if spec.posture in (None, SOLVE)]
     if not open_arms:
@@ -224,9 +224,9 @@ def overlapping_links(
     surroundings, overlaps = Surroundings(scene, arms), {}
     for name in open_arms:
         links = surroundings.placed(name, postures[name], standing=False)
-        contact = nearest(links, surroundings.obstacles(name, postures))
-        if contact.distance < -OVERLAP:
-            overlaps[name] = contact
+        pair = nearest(links, surroundings.obstacles(name, postures))
+        if pair.distance < -OVERLAP:
+            overlaps[name] = pair
     return overlaps
 
 

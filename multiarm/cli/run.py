@@ -34,7 +34,7 @@ from multiarm.cli.options import (
     switch,
 )
 from multiarm.cli.show import show_replay
-from multiarm.errors import SceneError
+from multiarm.errors import Fault, SceneError
 from multiarm.jit.compilation import compile_time
 from multiarm.notation import count_of, number, numbers
 from multiarm.results.event_log import counts, who
@@ -116,11 +116,11 @@ def run(
     speed and range of each joint, 1 at the limit, their times in s; and the joints that use most),
     rank_lowest, rank_highest (independent constraints), coupled_steps (steps in which some arm
     could not be eliminated), integrator, stabilization, solver, arms (backend of each), accuracy,
-    tolerance, certificate (null where nothing was checked; else met, text, reason, asked,
-    estimated_error, by_output, over_time, checks, growth_rate_per_s, safety, attempts), events
-    (time, kind, text; arm, contact or joint, where in m, before and after as they apply),
-    compiled_kernels (also for the scene), and files
-    (result, replay, report). Numbers are finite, or null where there is none.
+    tolerance, certificate (null where nothing was checked; else met, text, verdict, details,
+    reason, asked, estimated_error, by_output, over_time, checks, growth_rate_per_s, safety,
+    attempts), events (time, kind, text; arm, contact or joint, where in m, before and after as
+    they apply), compiled_kernels (also for the scene), and files (result, replay, report). Numbers
+    are finite, or null where there is none.
     """
     from multiarm.results.trajectory_file import TrajectoryReader
 
@@ -180,7 +180,7 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
             + "; ".join(start.lines())
         )
     if trajectory.status == "completed":
-        remarks += trajectory.message.split("; ")[1:]
+        remarks += trajectory.remarks
     remarks += limit_warnings(peaks(joint_uses(trajectory)))
     if trajectory.certificate is not None and not trajectory.certificate["met"]:
         remarks.append(f"the accuracy is {trajectory.certificate['text']}")
@@ -221,15 +221,16 @@ def _simulate(
         return trajectory, system, compile_time() - compiled_before
 
 
-def _about_options(fault: str) -> str:
+def _about_options(fault: Fault) -> Fault:
     """A fault of the run's settings, under the name of the command's option."""
     from multiarm.scene.run import RunSpec
 
-    setting, _, text = fault.partition(":")
-    if setting == "run":
-        return f"the settings of the run:{text}"
-    name = setting.partition(".")[0]
-    return f"--{name.replace('_', '-')}:{text}" if name in RunSpec.model_fields else fault
+    if fault.place == "run":
+        return Fault(fault.problem, "the settings of the run")
+    setting = fault.parts[0] if fault.parts else None
+    if setting not in RunSpec.model_fields:
+        return fault
+    return Fault(fault.problem, f"--{str(setting).replace('_', '-')}")
 
 
 def _write_pages(
@@ -384,8 +385,8 @@ def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
     if certificate is None:
         return {"error": _error(figures)}
     style = "bold green" if certificate["met"] else "bold yellow"
-    verdict, _, rest = certificate["text"].partition(":")
-    rows: dict[str, RenderableType] = {"accuracy": Text.assemble((verdict, style), f":{rest}")}
+    accuracy_met = Text.assemble((certificate["verdict"], style), f": {certificate['details']}")
+    rows: dict[str, RenderableType] = {"accuracy": accuracy_met}
     checked = [row["wall_time_s"] or 0.0 for row in certificate["attempts"] if not row["returned"]]
     if checked:
         runs = count_of(len(checked), "more run")

@@ -26,6 +26,8 @@ START = "start"
 """Kind of the remarks on how a run was prepared; they are no events of the motion."""
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
+CLAUSE_SEPARATOR = "; "
+"""Between the clauses of a result's message."""
 # Kinds of events that the result's message mentions, and how.
 _MEANINGS = {
     "pulls": "contacts that can only push were pulled, where real ones would come apart",
@@ -130,12 +132,15 @@ class EventLog:
         """Events in order of time; the last one states how many more there were."""
         events = sorted(self.listed, key=lambda event: event["time"])
         if self.dropped:
-            events.append({"time": self._span[1], "kind": "not listed", "text": self._rest()})
+            events.append({"time": self._span[1], "kind": "not listed", "text": self._not_listed()})
         return events
 
-    def summary(self, room: int) -> str:
-        """Text for the result's message, of up to ``room`` characters; empty if it needs none."""
-        parts = [f"; {self._rest()}"] if self.dropped else []
+    def remarks(self, room: int) -> list[str]:
+        """Clauses for the result's message; one that is cut where they exceed ``room`` characters.
+
+        The separators count.
+        """
+        clauses = [self._not_listed()] if self.dropped else []
         for kind, meaning in _MEANINGS.items():
             first: dict[str, float] = {}
             for event in self.listed:
@@ -143,12 +148,13 @@ class EventLog:
                     first.setdefault(event["text"].replace(f" {kind}", ""), event["time"])
             if first:
                 names = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
-                parts.append(f"; {meaning}: {_some(names)}")
-        if not parts:
-            return ""
-        return shorten("".join(parts), max(room, 60), placeholder=" ... (see `events`)")
+                clauses.append(f"{meaning}: {_some(names)}")
+        text, most = CLAUSE_SEPARATOR.join(clauses), max(room, 60) - len(CLAUSE_SEPARATOR)
+        if len(text) <= most:
+            return clauses
+        return [shorten(text, most, placeholder=" ... (see `events`)")]
 
-    def _rest(self) -> str:
+    def _not_listed(self) -> str:
         """The events that are not listed, in words."""
         begin, end = self._span
         names = [

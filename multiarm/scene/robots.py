@@ -8,21 +8,23 @@ installed package, or at the top of a checkout); those of the installed distribu
 
 Each of the last is a module, such as ``iiwa14_description``, that says where its URDF is.  Its
 import clones the repository of the robot where the cache has none.  Nothing is downloaded unasked:
-a module is imported only if its repository is in the cache, and git may fetch nothing meanwhile.
+git may fetch nothing during the import, and robots are listed as usable only where the cache has a
+folder of their repository's name.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.metadata
-import importlib.util
+import io
 import os
-import re
 from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from multiarm.errors import USER_FAULTS, ModelError, SceneError
 from multiarm.scene.faults import unknown
@@ -105,10 +107,10 @@ def available_robots() -> dict[str, RobotEntry]:
     robots = _project_robots()
     for name, urdf in _example_files().items():
         robots.setdefault(name, RobotEntry(name, urdf, _DISTRIBUTION))
-    for name in described_robots():
-        local = local_urdf(name)
-        if local is not None:
-            robots.setdefault(name, RobotEntry(name, local, DESCRIPTIONS))
+    for name in _cached_descriptions():
+        if name not in robots:
+            with suppress(SceneError):
+                robots[name] = _described_robot(name)
     return {name: entry for name, entry in robots.items() if _is_usable(entry)}
 
 
@@ -127,11 +129,7 @@ def find_robot(name: str) -> RobotEntry:
         return RobotEntry(name, examples[name], _DISTRIBUTION)
     described = described_robots()
     if name in described:
-        urdf = local_urdf(name)
-        if urdf is None:
-            fetch = f"python -m {DESCRIPTIONS} pull {name}"
-            raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
-        return RobotEntry(name, urdf, DESCRIPTIONS)
+        return _described_robot(name)
     if name in {*_FILES, *_TIPS} and _share_folder() is None:
         message = f"robot {name!r} comes with {_DISTRIBUTION}; pip install {_DISTRIBUTION}"
     else:
@@ -163,26 +161,36 @@ def _is_arm(entry: RobotEntry) -> bool:
 
 def described_robots() -> tuple[str, ...]:
     """The robots with a URDF, whether they are on this machine or not; none without the package."""
-    return tuple(sorted(_sources()))
+    return tuple(sorted(_descriptions()))
 
 
-def local_urdf(name: str) -> Path | None:
-    """The URDF of a robot; None if it has to be downloaded first."""
-    cloned = re.search(r"clone_to_cache\(\s*[\"'](.+?)[\"']", _sources()[name])
-    before = os.environ.get(_TRANSPORTS)
+def _described_robot(name: str) -> RobotEntry:
+    """A robot of ``robot_descriptions`` that is on this machine.
+
+    Raises
+    ------
+    SceneError
+        If it has to be downloaded first, or has no URDF file.
+    """
+    before, output = os.environ.get(_TRANSPORTS), io.StringIO()
+    os.environ[_TRANSPORTS] = "none"
     try:
-        known = importlib.import_module(f"{DESCRIPTIONS}._repositories").REPOSITORIES
-        cache = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions"))
-        if cloned is None or not (cache.expanduser() / known[cloned[1]].cache_path).is_dir():
-            return None
-        os.environ[_TRANSPORTS] = "none"
-        path = Path(importlib.import_module(f"{DESCRIPTIONS}.{name}").URDF_PATH)
+        with redirect_stdout(output), redirect_stderr(output):  # "Cloning ...", and a progress bar
+            module = importlib.import_module(f"{DESCRIPTIONS}.{name}")
     except USER_FAULTS:  # something that it needs is not there; to pull it tells what
-        return None
+        fetch = f"python -m {DESCRIPTIONS} pull {name}"
+        message = f"robot {name!r} is not on this machine yet; fetch it: {fetch}"
+        raise SceneError(message) from None
     finally:
         os.environ.pop(_TRANSPORTS, None)
         os.environ.update({} if before is None else {_TRANSPORTS: before})
-    return path if path.is_file() else None
+    path = Path(getattr(module, "URDF_PATH", ""))
+    if not path.is_file():
+        raise SceneError(
+            f"{DESCRIPTIONS} has robot {name!r} as a xacro file; expand it (xacro), and give the "
+            "path of the URDF with 'urdf:'"
+        )
+    return RobotEntry(name, path, DESCRIPTIONS)
 
 
 def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...]:
@@ -253,14 +261,29 @@ def _named_files(folder: Path) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-@lru_cache(maxsize=1)
-def _sources() -> dict[str, str]:
-    """The texts of all modules that name a URDF, by name."""
-    spec = importlib.util.find_spec(DESCRIPTIONS)
-    folders = [] if spec is None else spec.submodule_search_locations or []
-    files = [file for folder in folders for file in Path(folder).glob(f"*{SUFFIX}.py")]
-    texts = {file.stem: file.read_text(encoding="utf-8") for file in files}
-    return {name: text for name, text in texts.items() if re.search(r"(?m)^URDF_PATH\b", text)}
+def _descriptions() -> dict[str, Any]:
+    """What the package says of its robots with a URDF, by name; nothing without the package."""
+    try:
+        package = importlib.import_module(DESCRIPTIONS)
+    except ImportError:
+        return {}
+    return {name: about for name, about in package.DESCRIPTIONS.items() if about.has_urdf}
+
+
+def _cached_descriptions() -> list[str]:
+    """The robots whose repository has a folder of its name in the cache of the package."""
+    cache = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions"))
+    folders = {_letters(folder.name) for folder in cache.expanduser().glob("*/")}
+    return [
+        name
+        for name, about in _descriptions().items()
+        if _letters(about.repository or "") in folders
+    ]
+
+
+def _letters(name: str) -> str:
+    """A repository's name as its folder's may be: case, '-' and '_' differ."""
+    return name.lower().replace("-", "_")
 
 
 def _is_usable(entry: RobotEntry) -> bool:

@@ -35,7 +35,16 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.scene.faults import Parts, explain, fault, listed, path_fault, shown, unknown
+from multiarm.scene.faults import (
+    Parts,
+    explain,
+    fault,
+    fault_at,
+    listed,
+    path_fault,
+    shown,
+    unknown,
+)
 from multiarm.scene.urdf import JointOutline
 
 if TYPE_CHECKING:
@@ -94,10 +103,11 @@ class Spec(BaseModel, metaclass=_DYNAMIC):  # type: ignore[misc]
         try:
             super().__setattr__(name, value)
         except ValidationError:
-            raise SceneError(
-                f"{type(self).__name__}.{name}: parts of a scene are not changed in place; another "
-                "scene is made by scene.replace, such as scene.replace({'object.mass': 20})"
-            ) from None
+            problem = (
+                "parts of a scene are not changed in place; another scene is made by "
+                "scene.replace, such as scene.replace({'object.mass': 20})"
+            )
+            raise SceneError([fault_at((name,), problem, type(self).__name__)]) from None
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:

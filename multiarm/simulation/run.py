@@ -18,7 +18,7 @@ from multiarm.errors import TrajectoryError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED, STIFF_AFTER
 from multiarm.jit.compilation import compile_time, running_time
-from multiarm.results.event_log import EventLog
+from multiarm.results.event_log import CLAUSE_SEPARATOR, EventLog
 from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
@@ -97,10 +97,10 @@ def carry_out(
         statistics = run_statistics(driver, task, 0.0, compile_time() - compiled_before)
         run.sink.finish("failed", f"{where_of(run)}: {error!r}", statistics, log.all())
         raise
-    message += _stiffness_remark(run)
-    message += log.summary(MESSAGE_LENGTH - len(message))
+    remarks = _stiffness_remarks(run)
+    remarks += log.remarks(MESSAGE_LENGTH - len(CLAUSE_SEPARATOR.join([message, *remarks])))
     statistics = run_statistics(driver, task, wall, compile_time() - compiled_before)
-    trajectory = run.sink.finish(status, message, statistics, log.all())
+    trajectory = run.sink.finish(status, message, statistics, log.all(), remarks=remarks)
     interrupt.deliver()
     return trajectory
 
@@ -175,18 +175,18 @@ class Pace:
         )
 
 
-def _stiffness_remark(run: Run) -> str:
-    """For the message of a stiff scene: what was done, or the remedy; else empty."""
+def _stiffness_remarks(run: Run) -> list[str]:
+    """For the message of a stiff scene: what was done, or the remedy; else none."""
     clock = run.clock
     if run.stepping.tableau.name == FOR_STIFF_SCENES and run.may_switch:
-        return (
-            f"; the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
-        )
+        return [
+            f"the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
+        ]
     explicit = run.stepping.tableau.kind == EXPLICIT and not run.may_switch
     if not explicit or clock.stiff_steps < STIFF_AFTER:
-        return ""
+        return []
     since = f"stiff from t = {clock.stiff_since:.3g} s"
-    return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"
+    return [f"the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"]
 
 
 def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:

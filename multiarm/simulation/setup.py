@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from numbers import Real
 
@@ -17,7 +16,7 @@ from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
-from multiarm.errors import SceneError, SolverError
+from multiarm.errors import Fault, SceneError, SolverError
 from multiarm.integration.rosenbrock import make_rosenbrock
 from multiarm.integration.samples import sample_width
 from multiarm.integration.step import (
@@ -44,7 +43,7 @@ from multiarm.jit.structs import struct_of
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
-from multiarm.scene.faults import shown
+from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
@@ -148,8 +147,11 @@ def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) 
     try:
         return RunSpec(**data)
     except SceneError as error:
-        faults = [re.sub(r"^RunSpec(\.|(?=:))", "", fault) for fault in error.faults]
-        raise SceneError([f"run{own}" if own[0] == ":" else own for own in faults]) from None
+        faults = [
+            Fault(fault.problem, place(fault.parts, "").removeprefix(".") or "run", fault.parts)
+            for fault in error.faults
+        ]
+        raise SceneError(faults) from None
 
 
 def increasing_times(values: ArrayLike, name: str = "output_times") -> np.ndarray:
@@ -226,7 +228,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
         fault = method_fault(name, with_states, with_events)
         if fault:
-            raise SceneError(f"integrator: {fault}")
+            raise SceneError([Fault(fault, "integrator", ("integrator",))])
     settings = _settings(task, tolerance)
     stepping = make_stepping(data, name, tolerance)
     step, feedback = stepping.step, gains(settings, settings.step)

@@ -31,6 +31,7 @@ from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
+from multiarm.sweeps.axes import is_integer
 from multiarm.terminal.progress import ManyRunsProgress, displayed
 
 
@@ -143,7 +144,7 @@ def _threads(threads: int | None, system: System, control: ControlFunction | Non
         return 1
     if threads is None:
         return processors()
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+    if not is_integer(threads) or threads < 1:
         raise ModelError(f"threads: must be a number from 1 on, got {threads!r}")
     return threads
 

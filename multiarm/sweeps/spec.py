@@ -14,10 +14,10 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 
-from multiarm.errors import SceneError, SweepError
+from multiarm.errors import Fault, SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
 from multiarm.scene.code import UserFunction, located
-from multiarm.scene.faults import explain, fault, shown, unknown
+from multiarm.scene.faults import explain, fault, fault_at, shown, unknown
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
@@ -254,14 +254,15 @@ def read_sweep(
     return _with(data, changes) if isinstance(data, Mapping) else data, folder
 
 
-def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
+def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[Fault]]:
     """The sweep that a table describes, without its faulty parts, and the faults.
 
     The sweep is None if too little is valid. Relative paths of functions start at ``folder``.
     """
     if not isinstance(data, Mapping):
         keys = ", ".join(SweepSpec.model_fields)
-        return None, [f"$: a sweep is a table with the keys {keys}; got {shown(data)}"]
+        problem = f"a sweep is a table with the keys {keys}; got {shown(data)}"
+        return None, [fault_at((), problem)]
     folder = folder.expanduser().resolve()
     reader = TypeAdapter(SweepSpec)
     try:
