@@ -159,8 +159,8 @@ def _posture(arm: ArmFacts) -> Text:
 
 
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
-    kept, dropped = freedom.smallest_kept, freedom.largest_dropped
-    cut = f"smallest relative singular value {number(kept)}"
+    smallest, dropped = freedom.smallest_kept, freedom.largest_dropped
+    cut = f"smallest relative singular value {number(smallest)}"
     if dropped is not None:
         cut += f", next {number(dropped)}"
     rows: dict[str, RenderableType] = {

@@ -36,7 +36,8 @@ from multiarm.cli.options import (
 from multiarm.cli.show import show_replay
 from multiarm.errors import Fault, SceneError
 from multiarm.jit.compilation import compile_time
-from multiarm.notation import count_of, number, numbers
+from multiarm.notation import count_of, number
+from multiarm.reports.run_facts import course_facts, figures_of, motion_facts
 from multiarm.results.event_log import counts, who
 from multiarm.terminal.console import (
     STATUS_STYLES,
@@ -275,14 +276,9 @@ def run_figures(
     compiled_kernels : bool
         Kernels were compiled, before the run or during it.
     """
-    keys = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
-    counted = trajectory.statistics
     return {
         "scene": name,
-        **trajectory.summary(),
-        **{key: counted.get(key) for key in keys},
-        "certificate": trajectory.certificate,
-        "events": trajectory.events,
+        **figures_of(trajectory),
         "compiled_kernels": compiled_kernels,
         "files": files,
     }
@@ -293,25 +289,12 @@ def summary_table(figures: dict[str, Any], compilation: float) -> Table:
     status = figures["status"]
     rows: dict[str, RenderableType] = {
         "status": Text(status, STATUS_STYLES[status]),
-        "simulated": f"{number(figures['duration_s'], 's')}, "
-        f"{count_of(figures['samples'], 'sample')}",
-        "method": _method(figures),
-        "steps": f"{number(figures['steps'])} ({number(figures['rejected_steps'])} rejected), "
-        f"{count_of(figures['evaluations'], 'evaluation')}",
-        "wall time": f"{number(figures['wall_time_s'], 's')}, "
-        f"{number(figures['realtime_factor'])} x real time",
-        **_compilation(compilation),
-        "largest gap (position drift)": number(figures["position_drift_max_m"], "m"),
-        "largest gap rate (velocity drift)": number(figures["velocity_drift_max_m_per_s"], "m/s"),
-        "largest energy balance error": number(figures["energy_balance_max_J"], "J"),
+        **course_facts(figures, compilation),
         **_exactness(figures),
+        **motion_facts(figures),
+        "joint limits used": _limits(figures["limit_use"]["largest"]),
+        **_events(figures["events"]),
     }
-    if figures["final_object_position"] is not None:
-        rows["object at the end"] = numbers(figures["final_object_position"], "m")
-    for arm, force in figures["contact_force_max_N"].items():
-        rows[f"largest forces, {arm}"] = _forces(figures["wrench_max"].get(arm), force)
-    rows["joint limits used"] = _limits(figures["limit_use"]["largest"])
-    rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
 
 
@@ -332,21 +315,6 @@ def _limits(largest: dict[str, dict[str, Any] | None]) -> RenderableType:
     )
 
 
-def _forces(wrench: dict[str, float | None] | None, contact_force: float | None) -> str:
-    """The largest force and moment on the object, and the largest force of a contact."""
-    at_contact = f"{number(contact_force, 'N')} at a contact"
-    if wrench is None:  # a result of an earlier version
-        return f"{at_contact} (the wrench on the object was not recorded)"
-    force, moment = (
-        f"{number(wrench[what], unit)} at {number(wrench[when], 's')}"
-        for what, unit, when in (
-            ("force_N", "N", "force_time_s"),
-            ("moment_N_m", "N m", "moment_time_s"),
-        )
-    )
-    return f"{force} and {moment} on the object; {at_contact}"
-
-
 def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
     """A line for each kind of event; the first of its kind is named with its time."""
     kinds = counts(events)
@@ -360,23 +328,6 @@ def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
     if len(kinds) > SHOWN_KINDS:
         lines.append(f"and {count_of(len(kinds) - SHOWN_KINDS, 'more kind')}")
     return {"events": "\n".join(lines)}
-
-
-def _method(figures: dict[str, Any]) -> str:
-    tolerance = figures["tolerance"]
-    steps = "" if tolerance is None else f" (tolerance of a step {number(tolerance)})"
-    return (
-        f"{figures['integrator']}{steps}, stabilization {figures['stabilization']}, "
-        f"solver {figures['solver']}, {_arms(figures['arms'])}"
-    )
-
-
-def _arms(terms: dict[str, str] | None) -> str:
-    """The backend of the arms; results of earlier versions do not name it."""
-    kinds = set((terms or {}).values())
-    if len(kinds) < 2:
-        return f"arms {kinds.pop() if kinds else 'pinocchio'}"
-    return "arms " + ", ".join(f"{name} {kind}" for name, kind in (terms or {}).items())
 
 
 def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
@@ -400,10 +351,3 @@ def _error(figures: dict[str, Any]) -> str:
     if estimate is None:
         return f"not estimated: the step is fixed{remark}"
     return f"about {number(estimate)} m or rad{remark} (an estimate: the steps' errors, summed)"
-
-
-def _compilation(seconds: float) -> dict[str, RenderableType]:
-    """How long the compiler took before and during the run; empty where it had nothing to do."""
-    if not seconds > 0.0:
-        return {}
-    return {"compiling kernels": f"{number(seconds, 's')}, only the first time on this machine"}

@@ -74,8 +74,11 @@ class ControlKind(OwnKind):
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms: their places in the control, and texts."""
-        found = ((key, gain_faults(getattr(self, key), arms)) for key in self.by_joint)
-        return [one for key, faults in found for one in below((key,), faults)]
+        return [
+            fault
+            for key in self.by_joint
+            for fault in below((key,), gain_faults(getattr(self, key), arms))
+        ]
 
     @classmethod
     def sample(cls) -> Self:

@@ -148,12 +148,12 @@ def _checked(path: Path) -> ElementTree.Element:
 
 def _reasons(root: ElementTree.Element) -> Iterator[str]:
     """Why an arm would be another one in MuJoCo."""
-    others = {part.tag for part in root} - _PARTS
-    others |= {part.tag for body in root.iter("body") for part in body} - _IN_BODIES
-    others |= {part.tag for part in root.findall("worldbody/*")} - _IN_BODIES
-    others |= {part.tag for part in root.iter("include")}
-    if others:
-        yield f"it has {listed(sorted(others))}, which Pinocchio does not read"
+    unknown_tags = {part.tag for part in root} - _PARTS
+    unknown_tags |= {part.tag for body in root.iter("body") for part in body} - _IN_BODIES
+    unknown_tags |= {part.tag for part in root.findall("worldbody/*")} - _IN_BODIES
+    unknown_tags |= {part.tag for part in root.iter("include")}
+    if unknown_tags:
+        yield f"it has {listed(sorted(unknown_tags))}, which Pinocchio does not read"
     for tag, keys in _MISREAD.items():
         used = sorted({key for part in root.iter(tag) for key in keys if key in part.attrib})
         if used:

@@ -108,8 +108,8 @@ def _split(text: str) -> tuple[str, str]:
     if len(units) != 1:
         return text, ""
     (unit,) = units
-    rest = (text[: unit.start()] + text[unit.end() :]).lstrip(";,. ")
-    return rest, unit[1]
+    meaning = (text[: unit.start()] + text[unit.end() :]).lstrip(";,. ")
+    return meaning, unit[1]
 
 
 def _written(value: Any) -> str:

@@ -284,8 +284,8 @@ class Registry(Generic[Kind]):
         """The type of a table whose key ``kind`` names one of our classes, or a user's."""
         ours: Any = reduce(or_, self.built_in.values())
         tagged: Any = Annotated[ours, Field(discriminator="kind")]
-        whole: Any = SerializeAsAny[tagged]  # type: ignore[misc]
-        return Annotated[whole, WrapValidator(self._read_kind)]
+        with_fields: Any = SerializeAsAny[tagged]  # type: ignore[misc]
+        return Annotated[with_fields, WrapValidator(self._read_kind)]
 
     def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""

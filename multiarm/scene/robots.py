@@ -148,10 +148,10 @@ def _unknown(name: str, described: tuple[str, ...]) -> str:
     robots = available_robots()
     arms = [robot for robot, entry in robots.items() if _is_arm(entry)]
     arms += [robot for robot in described if robot not in robots]
-    others = [robot for robot in robots if robot not in arms]
-    misspelt = get_close_matches(name, others, 1, MISSPELT)  # no arm, but hardly anything else
+    not_arms = [robot for robot in robots if robot not in arms]
+    misspelt = get_close_matches(name, not_arms, 1, MISSPELT)  # no arm, but hardly anything else
     near_arm = not misspelt and get_close_matches(name, arms, 1)
-    return unknown("robot", name, arms if near_arm else [*arms, *others])
+    return unknown("robot", name, arms if near_arm else [*arms, *not_arms])
 
 
 def _is_arm(entry: RobotEntry) -> bool:
@@ -222,7 +222,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
     First the explicit folders (each may contain packages or be one), then the folders above the
     URDF, then those of ``ROS_PACKAGE_PATH``, then the installed example-robot-data.
     """
-    folders = [folder for given in explicit for folder in (given, given.parent)]
+    folders = [place for folder in explicit for place in (folder, folder.parent)]
     folders += list(urdf.resolve().parents)[:-1]
     folders += [Path(text) for text in os.environ.get("ROS_PACKAGE_PATH", "").split(":") if text]
     share = _share_folder()
@@ -252,13 +252,13 @@ def _named_files(folder: Path) -> dict[str, Path]:
     """The files of a collection by their names, those of one name by that of their folder."""
     files = sorted(folder.glob("*/*/*.urdf"))
     names = {stem: name for name, stem in _FILES.items()}
-    found = {names[path.stem]: path for path in files if path.stem in names}
+    named_files = {names[path.stem]: path for path in files if path.stem in names}
     counts = Counter(path.stem for path in files)
     for path in files:
         if path.stem not in names:
             package = path.parents[1].name.removesuffix(SUFFIX)
-            found.setdefault(path.stem if counts[path.stem] == 1 else package, path)
-    return dict(sorted(found.items()))
+            named_files.setdefault(path.stem if counts[path.stem] == 1 else package, path)
+    return dict(sorted(named_files.items()))
 
 
 def _descriptions() -> dict[str, Any]:

@@ -511,8 +511,8 @@ def _gain_or_urdf(value: Any) -> Any:
         raise fault(f"must be a number, a list, a table or {URDF!r}, got {shown(value)}")
     if not isinstance(value, Mapping):
         return _gain(value)
-    numbers = _gain({arm: 0.0 if _is_urdf(own) else own for arm, own in value.items()})
-    return {arm: URDF if _is_urdf(value[arm]) else own for arm, own in numbers.items()}
+    numbers = _gain({arm: 0.0 if _is_urdf(gain) else gain for arm, gain in value.items()})
+    return {arm: URDF if _is_urdf(value[arm]) else gain for arm, gain in numbers.items()}
 
 
 def _is_urdf(value: Any) -> bool:

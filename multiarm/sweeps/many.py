@@ -217,14 +217,14 @@ def empty_result(
     case: Case, system: System, status: str, message: str, write: bool = True
 ) -> Trajectory:
     """The result of a case that did not begin; ``write`` it to its file if it has one."""
-    system, given = replace(system, scene=case.scene), case.state is not None
+    system, with_state = replace(system, scene=case.scene), case.state is not None
     if case.out is not None and write:
         try:
             sink = Hdf5Sink(case.out)
-            return leave_undone(system, given, sink, status, message).close_between_reads()
+            return leave_undone(system, with_state, sink, status, message).close_between_reads()
         except TrajectoryError:
             pass  # which may be why it could not begin
-    return leave_undone(system, given, MemorySink(), status, message)
+    return leave_undone(system, with_state, MemorySink(), status, message)
 
 
 def _check_states(system: System, states: list[Any], same_arms: bool) -> None:

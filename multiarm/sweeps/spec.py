@@ -279,8 +279,8 @@ def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[Fault]]:
 def _without(data: Mapping[str, Any], faults: Sequence[Sequence[Any]]) -> dict[str, Any]:
     """A sweep's table without its faulty parts: single paths, single quantities, else keys."""
     places = [tuple(loc) for loc in faults]
-    whole = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
-    valid = {key: value for key, value in data.items() if key not in whole}
+    faulty_keys = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
+    valid = {key: value for key, value in data.items() if key not in faulty_keys}
     if isinstance(valid.get("over"), Mapping):
         bad = {loc[1] for loc in places if loc[0] == "over" and len(loc) > 1}
         valid["over"] = {k: v for k, v in _by_text(valid["over"]).items() if k not in bad}
