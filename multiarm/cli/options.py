@@ -16,7 +16,6 @@ __all__ = [
     "AccuracyOfRun",
     "Arms",
     "Closing",
-    "Code",
     "Duration",
     "JsonFile",
     "Method",
@@ -65,14 +64,6 @@ def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
 SceneFile = Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")]
 JsonFile = Annotated[Path | None, file_option("Write the figures as JSON.", "FILE.json")]
 Quiet = Annotated[bool, switch("--quiet -q", "Print only warnings and errors.", FILES)]
-Code = Annotated[
-    bool,
-    switch(
-        "--code",
-        "Load the functions and effects that the file names, which runs their code; without, they "
-        "are left out.",
-    ),
-]
 NoCode = Annotated[
     bool,
     switch(
