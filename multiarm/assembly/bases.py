@@ -81,7 +81,7 @@ class Stand:
 
     @property
     def quality(self) -> float:
-        """That of the posture, times what the place is worth."""
+        """Quality of the posture, times the worth of the place."""
         return self.reach.quality * self.worth
 
 

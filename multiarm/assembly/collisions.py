@@ -134,7 +134,7 @@ class Surroundings:
         return _placed(pairs)
 
     def obstacles(self, name: str, postures: Mapping[str, np.ndarray]) -> Placed:
-        """The object, and the links of the arms beside ``name`` that have a posture."""
+        """The object, and the links of all other arms that have a posture."""
         pairs = []
         if self._object is not None:
             pairs.append((Solid(OBJECT, self._object, 0, holds=True), self._object_pose))

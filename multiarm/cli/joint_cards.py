@@ -71,7 +71,7 @@ def surface_section() -> Section:
 
 
 def _surface_card(name: str, model: type[Surface], parameters: Any) -> Card:
-    """One surface; its example is one side of a contact, which stands against a simple other."""
+    """One surface; its example is one side of a contact, whose second side is simple."""
     card = Card.of(name, model, parameters)
     if name == "point":  # 3 numbers
         card = replace(card, parameters=[])
@@ -86,7 +86,7 @@ def _surface_card(name: str, model: type[Surface], parameters: Any) -> Card:
 
 
 def _joint_card(kind: str, model: type[Joint], parameters: Any) -> Card:
-    """One kind of joint; of a list of the user's, rows and motions are those of the example."""
+    """One kind of joint; where the user lists contacts, rows and motions are the example's."""
     contacts, motions = _sample(model)
     rows, rank = len(contacts) or None, None if motions is None else motions.rank
     free = None if motions is None else motions.words()

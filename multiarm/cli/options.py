@@ -79,7 +79,7 @@ def setting(text: str, metavar: str) -> Any:
 
 
 def choice(text: str, *choices: str) -> Any:
-    """The option of a setting with few values, which its help lists: in its table they break."""
+    """The option of a setting with few values, which its text lists."""
     unnamed = [name for name in choices if name not in text]
     return setting(f"{text} One of {', '.join(choices)}." if unnamed else text, "NAME")
 

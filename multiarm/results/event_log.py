@@ -5,8 +5,8 @@ apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``
 [m]), ``before`` and ``after``: named numbers whose unit ends the name, as in ``gap_rate_m_s``, or
 words.
 
-A run that chatters makes very many events: `EventLog` lists the first ones and counts the rest by
-kind, so that neither a result nor its message grows with them. Figures and replays show kinds of
+A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
+by kind, so that neither a result nor its message grows with them. Figures and replays show kinds of
 one family alike, and a contact that bounces a hundred times as one group: events of the same
 contact or joint whose kinds repeat.
 """
@@ -58,7 +58,7 @@ STATE_COLOURS = ("#8a94a0", "#3b7dd8", "#d07c1e", "#8a5fc4", "#2f9e67")
 
 @dataclass(frozen=True)
 class Family:
-    """Kinds of events that mean the same to a reader.
+    """Kinds of events that figures and replays show alike.
 
     Attributes
     ----------

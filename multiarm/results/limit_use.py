@@ -200,7 +200,7 @@ def _bounds(limits: Any, arm: str, quantity: str, joints: int) -> np.ndarray:
 
 def _interval(entry: Any) -> tuple[float, float]:
     lower, upper = entry if isinstance(entry, list) else (entry and -entry, entry)
-    if lower is None or upper is None:  # no share can be told by one end
+    if lower is None or upper is None:  # one end gives no share
         return -math.inf, math.inf
     return float(lower), float(upper)
 

@@ -434,8 +434,9 @@ class Trajectory:
     def certificate(self) -> dict[str, Any] | None:
         """Whether the required accuracy was reached; None for an unchecked run.
 
-        ``met``, ``text`` (one sentence), ``reason``; ``asked`` and ``estimated_error`` by
-        ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
+        ``met``, ``text`` (one sentence: ``verdict`` and ``details``), ``reason``; ``asked`` and
+        ``estimated_error`` by ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name ->
+        error, unit, time);
         ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
         bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
         evaluations, wall_time_s, compile_time_s, errors, returned). The errors are estimates, from

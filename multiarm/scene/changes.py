@@ -81,7 +81,7 @@ def with_changes(
 
 
 def _tree(changes: Mapping[str, Any], faults: list[Fault]) -> dict[str | int, Any]:
-    """The changes by the parts of their paths: tables of tables, with :class:`_New` at the ends."""
+    """The changes as nested tables, by the parts of their paths, with :class:`_New` at the ends."""
     tree: dict[str | int, Any] = {}
     for path, value in changes.items():
         try:
@@ -100,7 +100,7 @@ def _tree(changes: Mapping[str, Any], faults: list[Fault]) -> dict[str | int, An
 
 
 def _applied(value: Any, tree: Any, here: Parts, faults: list[Fault]) -> Any:
-    """The value with a branch of the changes in it, in plain tables and lists along their ways."""
+    """The value with some changes below it, as plain tables and lists where they lead through."""
     if isinstance(tree, _New):
         return tree.value
     entries = {}
@@ -155,7 +155,7 @@ def _entries(count: int) -> str:
 
 
 def _one_choice(run: dict[str, Any], named: Iterable[str | int]) -> dict[str, Any]:
-    """Settings of a run without the scene's choice of steps, where a change makes another."""
+    """Settings of a run; a change that chooses the steps replaces the scene's choice."""
     if not set(STEPS_CHOSEN_BY).intersection(named):
         return run
     return {key: v for key, v in run.items() if key not in STEPS_CHOSEN_BY or key in named}

@@ -233,7 +233,7 @@ def _missing(part: str | int, owner: type[BaseModel]) -> str:
 def _walk(
     loc: Sequence[str | int], root: type[BaseModel]
 ) -> tuple[list[str | int], type[BaseModel], list[type[BaseModel]]]:
-    """The location without union branches, the model of its last key, and its possible keys."""
+    """The location without union branches, the model of its last key, and the models below it."""
     parts: list[str | int] = []
     owner, models, inside_container = root, [root], False
     for part in loc:

@@ -45,7 +45,7 @@ class _Generator(GenerateJsonSchema):
         self.only_ours = only_ours
 
     def field_title_should_be_set(self, schema: Any) -> bool:
-        """Say nothing that the key does not say."""
+        """No titles: the keys say as much."""
         return False
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:

@@ -93,12 +93,12 @@ class RobotEntry:
 
     @property
     def tips(self) -> tuple[str, ...]:
-        """The links usually taken as the tip: one for each arm; empty where nothing tells."""
+        """The links usually taken as the tip: one for each arm; empty where they are not known."""
         return usual_tips(self.outline, self.name)
 
     @property
     def tip(self) -> str | None:
-        """The tip of an arm that names none; None where there are several, or nothing tells."""
+        """The tip of an arm that names none; None where there are several, or it is not known."""
         return self.tips[0] if len(self.tips) == 1 else None
 
 
@@ -144,7 +144,7 @@ MISSPELT = 0.9
 
 
 def _unknown(name: str, described: tuple[str, ...]) -> str:
-    """That there is no such robot, with near names: of arms, else of any robot."""
+    """The message that there is no such robot, with similar names: of arms, else of any robot."""
     robots = available_robots()
     arms = [robot for robot, entry in robots.items() if _is_arm(entry)]
     arms += [robot for robot in described if robot not in robots]
@@ -155,7 +155,7 @@ def _unknown(name: str, described: tuple[str, ...]) -> str:
 
 
 def _is_arm(entry: RobotEntry) -> bool:
-    """Whether something tells its tip, and a joint moves it."""
+    """Whether its tip is known, and a joint moves it."""
     return any(entry.outline.movable(tip) for tip in entry.tips)
 
 
@@ -198,7 +198,7 @@ def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...
 
     Those that people take of the robot called ``name``, else the flange, else the only link in
     which a chain of joints ends, of a tool without joints the only link in which it ends.  Empty
-    where there are several and nothing tells.
+    where several are possible.
     """
     known = tuple(tip for tip in _TIPS.get(name or "", ()) if tip in outline.links)
     if known:
@@ -210,7 +210,7 @@ def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...
 
 
 def arm_ends(outline: RobotOutline) -> tuple[str, ...]:
-    """The last links of all chains that can be arms, of a tool without joints all last links."""
+    """The last link of each chain that can be an arm; of a tool without joints, all last links."""
     if any(joint.movable for joint in outline.joints):
         return tuple(link for link in outline.leaves if outline.ends_an_arm(link))
     return outline.leaves
@@ -232,7 +232,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
 
 
 def _project_robots() -> dict[str, RobotEntry]:
-    """Those of the first folder that there is: inside the package, or beside it in a checkout."""
+    """The project's robots: in the installed package, or at the top of a checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "robots", package.parent / "robots"):
         if folder.is_dir():
@@ -249,7 +249,7 @@ def _example_files() -> dict[str, Path]:
 
 @lru_cache(maxsize=1)
 def _named_files(folder: Path) -> dict[str, Path]:
-    """The files of a collection by their names, those of one name by that of their folder."""
+    """The files of a collection by name; files of equal names by the names of their folders."""
     files = sorted(folder.glob("*/*/*.urdf"))
     names = {stem: name for name, stem in _FILES.items()}
     named_files = {names[path.stem]: path for path in files if path.stem in names}
@@ -262,7 +262,7 @@ def _named_files(folder: Path) -> dict[str, Path]:
 
 
 def _descriptions() -> dict[str, Any]:
-    """What the package says of its robots with a URDF, by name; nothing without the package."""
+    """The package's descriptions of robots with a URDF, by name; none without the package."""
     try:
         package = importlib.import_module(DESCRIPTIONS)
     except ImportError:

@@ -144,7 +144,7 @@ class RobotOutline:
         )
 
     def carried_by(self, joints: Collection[str]) -> tuple[str, ...]:
-        """The links that some of these joints carry."""
+        """The links that at least one of these joints carries."""
         return tuple(
             link for link in self.links if any(joint.name in joints for joint in self.chain(link))
         )

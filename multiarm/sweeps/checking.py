@@ -191,7 +191,10 @@ def _some(count: int) -> list[int]:
 def _at_its_axis(
     scene: Scene, fault: Fault, axes: tuple[Axis, ...], entries: list[Any]
 ) -> tuple[tuple[Hashable, ...], Fault]:
-    """A key of a fault of the scene, and the fault at the place in the sweep that causes it."""
+    """The fault at the place in the sweep that causes a fault of the scene, and a key of it.
+
+    Equal keys are one fault, which several values cause.
+    """
     where, problem = fault.parts, fault.problem
     causes = [
         (parse_path(path), axis, entry, path)
@@ -219,7 +222,7 @@ def _at_its_axis(
 
 
 def _leads_somewhere(scene: Scene, path: str) -> bool:
-    """Whether a scene may have a value at a path."""
+    """Whether a scene can have a value at a path."""
     try:
         value_at(scene, path)
     except SceneError:

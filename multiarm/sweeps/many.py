@@ -303,7 +303,7 @@ def run_cases(
 
 
 class _Progress:
-    """The progress callback of one run, which notes its time and ends it when all are to end."""
+    """The progress callback of one run: notes its time, and ends it when all runs are to end."""
 
     def __init__(self, times: list[float], number: int, stopped: threading.Event) -> None:
         self._times, self._number, self._stopped = times, number, stopped

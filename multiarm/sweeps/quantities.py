@@ -121,7 +121,7 @@ def _number(value: Any, name: str) -> float:
 
 @lru_cache(maxsize=64)
 def _loaded(function: Callable | CodeReference, _digest: str) -> Callable:
-    """The function; the digest makes a changed file be read again."""
+    """The function; a file with another digest is read again."""
     return load_function(function)
 
 

@@ -92,7 +92,7 @@ class UserQuantity(Spec):
 
 
 def _entry(value: Any) -> Any:
-    """A quantity by its name, or a function: as a table, by its place, or itself."""
+    """A quantity by name, or a function: a table, the text that names it, or the function."""
     if isinstance(value, (Mapping, UserQuantity)):
         return TypeAdapter(UserQuantity).validate_python(value)
     if callable(value) or (isinstance(value, str) and ":" in value):
