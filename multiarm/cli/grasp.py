@@ -115,7 +115,7 @@ def design(
         ),
     ] = 0.05,
     tip_radius: Annotated[float, option("Of the fingertips, in m.", "R", panel=GRIPPERS)] = 0.01,
-    mass: Annotated[float, option("Of the body, in kg.", "KG", panel=SCENE)] = 5.0,
+    mass: Annotated[float, option("Of the body, in kg.", "KG", panel=SCENE)] = 1.0,
     height: Annotated[
         float | None,
         option(
@@ -141,7 +141,7 @@ def design(
     The contacts have no friction, and hold the body fully. The scene has hands of rigid fingers on
     real arms, postures, a path, and a control that squeezes: run it with multiarm run.
 
-        multiarm grasp design box:1.2,0.8,0.6 --mass 1 > block.yaml
+        multiarm grasp design box:1.2,0.8,0.6 > block.yaml
     """
     check_targets({"--out": out, "--plot": plot})
     from multiarm.scene import dump_scene
