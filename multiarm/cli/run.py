@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -199,24 +198,15 @@ def _simulate(
     compiled_before = compile_time()
     with RunProgress(duration, quiet) as progress:
         from multiarm.assembly.compilation import compile_system
+        from multiarm.scene import STEPS_CHOSEN_BY
         from multiarm.simulation.setup import run_spec
         from multiarm.simulation.simulate import simulate
 
-        # what a simulation does not take, and the solver, by which the start is assembled too
-        taken = inspect.signature(simulate).parameters.keys() - {"solver"}
-        of_scene = {name: value for name, value in settings.items() if name not in taken}
-        of_run = {name: value for name, value in settings.items() if name in taken}
-        arms = of_scene.pop("arms", None)
+        steps = {name: settings.get(name) for name in STEPS_CHOSEN_BY}
         try:
-            if of_scene:
-                scene = scene.replace(run=run_spec(scene.run, of_scene, {}, None))
-            system = compile_system(scene, arms=arms)
-            options: dict[str, Any] = {
-                "certificate": certificate,
-                "out": target,
-                "progress": progress,
-            }
-            trajectory = simulate(system, **of_run, **options)
+            scene = scene.replace(run=run_spec(scene.run, settings, steps, None))
+            system = compile_system(scene)
+            trajectory = simulate(system, certificate=certificate, out=target, progress=progress)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
         return trajectory, system, compile_time() - compiled_before
@@ -224,14 +214,11 @@ def _simulate(
 
 def _about_options(fault: Fault) -> Fault:
     """A fault of the run's settings, under the name of the command's option."""
-    from multiarm.scene.run import RunSpec
-
-    if fault.place == "run":
-        return Fault(fault.problem, "the settings of the run")
-    setting = fault.parts[0] if fault.parts else None
-    if setting not in RunSpec.model_fields:
+    if fault.parts[:1] != ("run",):
         return fault
-    return Fault(fault.problem, f"--{str(setting).replace('_', '-')}")
+    if len(fault.parts) == 1:
+        return Fault(fault.problem, "the settings of the run")
+    return Fault(fault.problem, f"--{str(fault.parts[1]).replace('_', '-')}")
 
 
 def _write_pages(

@@ -10,8 +10,10 @@ from multiarm.results.trajectory import Trajectory
 
 SETTINGS = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
 """Entries of a run's statistics that say how it was computed."""
-COURSE = ("steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
-          "realtime_factor")  # fmt: skip
+COURSE = (
+    "simulated_s", "steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
+    "realtime_factor",
+)  # fmt: skip
 """Entries of a run's statistics that :func:`course_facts` shows, besides the settings."""
 
 

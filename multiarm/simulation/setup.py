@@ -148,7 +148,11 @@ def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) 
         return RunSpec(**data)
     except SceneError as error:
         faults = [
-            Fault(fault.problem, place(fault.parts, "").removeprefix(".") or "run", fault.parts)
+            Fault(
+                fault.problem,
+                place(fault.parts, "").removeprefix(".") or "run",
+                ("run", *fault.parts),
+            )
             for fault in error.faults
         ]
         raise SceneError(faults) from None
@@ -228,7 +232,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
         fault = method_fault(name, with_states, with_events)
         if fault:
-            raise SceneError([Fault(fault, "integrator", ("integrator",))])
+            raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
     settings = _settings(task, tolerance)
     stepping = make_stepping(data, name, tolerance)
     step, feedback = stepping.step, gains(settings, settings.step)
