@@ -197,6 +197,7 @@ def stored(stranger) -> Stranger:
 def test_a_look_at_a_scene_runs_nothing_and_says_what_it_left_out(stranger):
     scene = ma.load_scene(stranger.scene)
     assert ma.load_scene(stranger.scene, code=False) == scene
+    assert scene.replace(name="other").may_load_code
     figures = stranger.folder / "check.json"
     result = multiarm("check", stranger.scene, "--json", figures)
     assert result.exit_code == 0, result.output
