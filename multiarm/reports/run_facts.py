@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from multiarm.notation import count_of, number, numbers, value_text
-from multiarm.results.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from multiarm.results.trajectory import Trajectory
 
 SETTINGS = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
 """Entries of a run's statistics that say how it was computed."""
