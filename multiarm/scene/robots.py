@@ -8,8 +8,9 @@ installed package, or at the top of a checkout); those of the installed distribu
 
 Each of the last is a module, such as ``iiwa14_description``, that says where its URDF is.  Its
 import clones the repository of the robot where the cache has none.  Nothing is downloaded unasked:
-git may fetch nothing during the import, and robots are listed as usable only where the cache has a
-folder of their repository's name.
+git may fetch nothing during the import, and the cache is a folder of links to the clones, so that
+no empty clone is left in the user's.  Robots are listed as usable where the cache has a folder of
+their repository's name.
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ import importlib
 import importlib.metadata
 import io
 import os
+import sys
 from collections import Counter
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from multiarm.errors import USER_FAULTS, ModelError, SceneError
@@ -36,6 +40,7 @@ _DISTRIBUTION = "example-robot-data"
 _SHARE = "cmeel.prefix/share"
 DESCRIPTIONS, SUFFIX = "robot_descriptions", "_description"
 _TRANSPORTS = "GIT_ALLOW_PROTOCOL"  # those that git may use
+_CACHE = "ROBOT_DESCRIPTIONS_CACHE"  # the folder of the clones
 
 # Names of robots that are not those of their files.
 _FILES = {
@@ -172,19 +177,22 @@ def _described_robot(name: str) -> RobotEntry:
     SceneError
         If it has to be downloaded first, or has no URDF file.
     """
-    before, output = os.environ.get(_TRANSPORTS), io.StringIO()
-    os.environ[_TRANSPORTS] = "none"
-    try:
-        with redirect_stdout(output), redirect_stderr(output):  # "Cloning ...", and a progress bar
-            module = importlib.import_module(f"{DESCRIPTIONS}.{name}")
-    except USER_FAULTS:  # something that it needs is not there; to pull it tells what
-        fetch = f"python -m {DESCRIPTIONS} pull {name}"
-        message = f"robot {name!r} is not on this machine yet; fetch it: {fetch}"
-        raise SceneError(message) from None
-    finally:
-        os.environ.pop(_TRANSPORTS, None)
-        os.environ.update({} if before is None else {_TRANSPORTS: before})
-    path = Path(getattr(module, "URDF_PATH", ""))
+    where = f"{DESCRIPTIONS}.{name}"
+    imported = where in sys.modules
+    with TemporaryDirectory() as folder:
+        for clone in _cache().glob("*"):
+            Path(folder, clone.name).symlink_to(clone)
+        try:
+            with _environment({_TRANSPORTS: "none", _CACHE: folder}), _silence():
+                module = importlib.import_module(where)
+        except USER_FAULTS:  # something that it needs is not there; to pull it tells what
+            fetch = f"python -m {DESCRIPTIONS} pull {name}"
+            message = f"robot {name!r} is not on this machine yet; fetch it: {fetch}"
+            raise SceneError(message) from None
+        path = Path(getattr(module, "URDF_PATH", "")).resolve()
+    if not imported:  # its paths lead to the links, which are gone
+        del sys.modules[where]
+        delattr(sys.modules[DESCRIPTIONS], name)
     if not path.is_file():
         raise SceneError(
             f"{DESCRIPTIONS} has robot {name!r} as a xacro file; expand it (xacro), and give the "
@@ -272,13 +280,38 @@ def _descriptions() -> dict[str, Any]:
 
 def _cached_descriptions() -> list[str]:
     """The robots whose repository has a folder of its name in the cache of the package."""
-    cache = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions"))
-    folders = {_letters(folder.name) for folder in cache.expanduser().glob("*/")}
+    folders = {_letters(folder.name) for folder in _cache().glob("*")}
     return [
         name
         for name, about in _descriptions().items()
         if _letters(about.repository or "") in folders
     ]
+
+
+def _cache() -> Path:
+    """The folder in which ``robot_descriptions`` keeps its clones."""
+    return Path(os.environ.get(_CACHE, "~/.cache/robot_descriptions")).expanduser()
+
+
+@contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Set variables of the environment, and set them back."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            os.environ.update({} if value is None else {name: value})
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Hide what is printed, such as the progress of a clone."""
+    output = io.StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
+        yield
 
 
 def _letters(name: str) -> str:

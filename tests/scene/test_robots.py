@@ -235,6 +235,8 @@ def test_described_robots_are_used_if_they_are_there_and_never_fetched(descripti
     )  # fmt: skip
     entry = available_robots()["lathe_description"]
     assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
+    assert entry.urdf == (descriptions / "cache" / "here" / "arm.urdf").resolve()
+    assert "robot_descriptions.lathe_description" not in sys.modules
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)
     assert not {"crane_description", "winch_description"} & available_robots().keys()
     listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
