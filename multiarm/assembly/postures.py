@@ -30,7 +30,7 @@ from multiarm.assembly.inverse_kinematics import (
 from multiarm.errors import SceneError
 from multiarm.geometry.records import basis
 from multiarm.scene import JointSpec, ObjectSpec, Scene
-from multiarm.scene.faults import place
+from multiarm.scene.faults import fault_at
 from multiarm.scene.values import SOLVE
 
 # Postures at which the search begins: half a millisecond each.
@@ -162,19 +162,18 @@ def find_postures(
     faults = []
     for number, joint in enumerate(scene.joints):
         arm, posture = arms[joint.arm], scene.arms[joint.arm].posture
-        where = place(("arms", joint.arm, "posture"))
+        where = ("arms", joint.arm, "posture")
         if joint.at is None:
             if posture == SOLVE:
-                faults.append(
-                    f"{where}: 'solve' needs the joint's place on the object: give "
-                    f"$.joints[{number}].at"
-                )
+                problem = "'solve' needs the joint's place on the object: give "
+                faults.append(fault_at(where, f"{problem}$.joints[{number}].at"))
             continue
         if posture == SOLVE or (posture is None and _is_far(scene, joint, arm, written[joint.arm])):
             search = PostureSearch.of_joint(scene, joint, arm)
             positions = search.best()
             if positions is None:
-                faults.append(f"{where}: {search.why_none()} ($.joints[{number}].at)")
+                problem = f"{search.why_none()} ($.joints[{number}].at)"
+                faults.append(fault_at(where, problem))
             else:
                 searches[joint.arm], solved[joint.arm] = search, positions
     if faults:
