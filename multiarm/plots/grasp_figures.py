@@ -138,8 +138,8 @@ def _draw_region(axes: Axes, grasp: Grasp, eye: Eye, front: bool) -> None:
     face = grasp.body.faces[grasp.faces[-1]]
     if eye.sees(face) != front:
         return
-    others = grasp.contacts.subset(range(len(grasp.contacts) - 1))
-    region = seventh_contact_region(others, face)
+    six_contacts = grasp.contacts.subset(range(len(grasp.contacts) - 1))
+    region = seventh_contact_region(six_contacts, face)
     for outline, holes in zip(region.outlines, region.holes, strict=True):
         path = path_of(eye.places(face.at(outline)), [eye.places(face.at(hole)) for hole in holes])
         strength = 0.38 if front else 0.38 * HIDDEN

@@ -211,14 +211,11 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
 
 
 def _not_looked_at(code: NamedCode) -> str:
-    """Which part an inspection leaves out without code, and the remedy."""
-    what = "it is left out"
+    """Code that an inspection does not load, and which part it leaves out therefore."""
+    left_out = "it is left out"
     if code.arm is not None:
-        what = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
-    return (
-        f"{code.place}: {what}, since {code.what} is not loaded by a look; if you trust its "
-        "author, allow it with --code"
-    )
+        left_out = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
+    return f"{code.place}: {code.what} is not loaded by a check: {left_out}"
 
 
 def count_freedom(data: Data) -> Freedom:

@@ -16,7 +16,7 @@ import multiarm as ma
 from multiarm.effects.defaults import defaults
 from multiarm.scene import EFFECTS, dump_scene, parse_scene
 
-RING = ma.load_scene(SCENES / "ring_weld.yaml")
+RING = parse_scene((SCENES / "ring_weld.yaml").read_text(), SCENES)  # loads classes at once
 
 
 @pytest.fixture(autouse=True)

@@ -273,8 +273,8 @@ def test_the_report_gives_the_numbers_of_the_run(page, run):
     summary = run.summary()
     assert number(summary["position_drift_max_m"], "m") in text
     assert number(summary["energy_balance_max_J"], "J") in text
-    assert "Steps 1,234" in text
-    assert "integrator" in text.lower()
+    assert "Steps 1,234 (17 rejected), 9,876 evaluations" in text
+    assert "Method dop853" in text
     assert run.provenance["python"] in text
 
 

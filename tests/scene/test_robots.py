@@ -169,6 +169,16 @@ def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch
 
 # --- the package robot_descriptions ---
 
+PACKAGE = """
+class Description:
+    def __init__(self, repository, has_urdf=True):
+        self.repository, self.has_urdf = repository, has_urdf
+DESCRIPTIONS = {
+    "lathe_description": Description("here"), "crane_description": Description("away"),
+    "hoist_mj_description": Description("here", has_urdf=False),
+    "winch_description": Description("here"),
+}
+"""
 MODULE = """
 from os import path as _path
 from ._cache import clone_to_cache as _clone_to_cache
@@ -181,7 +191,11 @@ CACHE = """
 import os
 def clone_to_cache(name):
     assert os.environ["GIT_ALLOW_PROTOCOL"] == "none", "git may fetch"
-    return os.path.join(os.environ["ROBOT_DESCRIPTIONS_CACHE"], REPOSITORIES[name].cache_path)
+    path = os.path.join(os.environ["ROBOT_DESCRIPTIONS_CACHE"], REPOSITORIES[name].cache_path)
+    if not os.path.isdir(path):
+        print("Cloning ...")
+        raise OSError("git could not fetch")
+    return path
 from ._repositories import REPOSITORIES
 """
 REPOSITORIES = """
@@ -197,11 +211,12 @@ def descriptions(tmp_path, monkeypatch):
     package = tmp_path / "site" / "robot_descriptions"
     package.mkdir(parents=True)
     for name, text in {
-        "__init__": "",
+        "__init__": PACKAGE,
         "_cache": CACHE,
         "_repositories": REPOSITORIES,
         "lathe_description": MODULE.format(repository="here"),
         "crane_description": MODULE.format(repository="away"),
+        "winch_description": MODULE.replace("URDF", "XACRO").format(repository="here"),
         "hoist_mj_description": MODULE.replace("URDF", "MJCF").format(repository="here"),
     }.items():
         (package / f"{name}.py").write_text(text)
@@ -209,23 +224,27 @@ def descriptions(tmp_path, monkeypatch):
     write_urdf(tmp_path / "cache" / "here" / "arm.urdf", chain_text(["revolute", "fixed"]))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    robots._sources.cache_clear()
     yield tmp_path
-    robots._sources.cache_clear()
     for module in [name for name in sys.modules if name.startswith("robot_descriptions")]:
         del sys.modules[module]
 
 
 def test_described_robots_are_used_if_they_are_there_and_never_fetched(descriptions):
-    assert robots.described_robots() == ("crane_description", "lathe_description")
+    assert robots.described_robots() == (
+        "crane_description", "lathe_description", "winch_description"
+    )  # fmt: skip
     entry = available_robots()["lathe_description"]
     assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
+    assert entry.urdf == (descriptions / "cache" / "here" / "arm.urdf").resolve()
+    assert "robot_descriptions.lathe_description" not in sys.modules
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)
-    assert "crane_description" not in available_robots()
+    assert not {"crane_description", "winch_description"} & available_robots().keys()
     listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
     assert "(python -m robot_descriptions pull NAME): crane_description" in listed
     with pytest.raises(SceneError, match="python -m robot_descriptions pull crane_description"):
         find_robot("crane_description")
+    with pytest.raises(SceneError, match="'winch_description' as a xacro file"):
+        find_robot("winch_description")
     with pytest.raises(SceneError, match="did you mean 'crane_description'"):
         find_robot("crans_description")
     assert not (descriptions / "cache" / "away").exists()

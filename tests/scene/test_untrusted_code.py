@@ -197,31 +197,30 @@ def stored(stranger) -> Stranger:
 def test_a_look_at_a_scene_runs_nothing_and_says_what_it_left_out(stranger):
     scene = ma.load_scene(stranger.scene)
     assert ma.load_scene(stranger.scene, code=False) == scene
+    assert scene.replace(name="other").may_load_code
     figures = stranger.folder / "check.json"
     result = multiarm("check", stranger.scene, "--json", figures)
     assert result.exit_code == 0, result.output
     assert f"{stranger.place}: " in told(result)
     assert f"{stranger.what} is not loaded" in told(result)
-    assert "allow it with --code" in told(result)
     found = json.loads(figures.read_text())
     assert len(found["not_looked_at"]) == 1
     assert found["arms"].keys() == {"held", "touching"}
     assert "held" in [joint["arm"] for joint in found["joints"]]
     assert (found["freedom"] is None) == (stranger.kind == "surface")
-    result = multiarm("grasp", "check", stranger.scene)
-    assert result.exit_code == (2 if stranger.kind == "surface" else 0), result.output
-    assert ("--code" in told(result)) == (stranger.kind == "surface")
     assert multiarm("joints").exit_code == 0
     assert stranger.marks() == set()
 
 
-def test_a_look_loads_what_it_is_told_to_and_says_so(stranger):
-    for command in (["check"], ["grasp", "check"]):
-        stranger.forget()
-        result = multiarm(*command, stranger.scene, "--code")
-        assert result.exit_code == 0, result.output
-        assert f"loading {stranger.what}" in told(result)
-        assert "imported" in stranger.marks()
+def test_what_compiles_a_scene_loads_its_code_and_says_so_unless_refused(stranger):
+    result = multiarm("grasp", "check", stranger.scene, "--no-code")
+    assert result.exit_code == 2
+    assert f"{stranger.place}: {stranger.what} is not loaded" in told(result)
+    assert stranger.marks() == set()
+    result = multiarm("grasp", "check", stranger.scene)
+    assert result.exit_code == 0, result.output
+    assert f"loading {stranger.what}" in told(result)
+    assert "imported" in stranger.marks()
 
 
 def test_a_fault_elsewhere_in_the_scene_loads_nothing_either(stranger):
@@ -265,7 +264,7 @@ def test_a_replay_draws_what_it_draws_of_a_run_in_this_process(folder):
     whole = animate(made, **options)
     with pytest.warns(UserWarning, match="are not drawn"):
         part = animate(read, **options)
-    assert "--code" in part.note and whole.note == ""
+    assert "is not loaded" in part.note and whole.note == ""
     assert [len(one.names) for one in whole.contacts] == [6, 2]
     assert [one.names for one in part.contacts] == [whole.contacts[0].names, ("contact 2",)]
     for drawn in ("point", "normal", "force"):
@@ -318,11 +317,8 @@ def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stra
     for command in ("replay", "report"):
         result = multiarm(command, out, "--run", 1, "--html", page)
         assert result.exit_code == 2
-        assert f"which needs {stranger.what}" in told(result) and "--code" in told(result)
+        assert f"which needs {stranger.what}" in told(result) and "code=True" in told(result)
     assert stranger.marks() == set()
-    result = multiarm("replay", out, "--run", 1, "--html", page, "--code")
-    assert result.exit_code == 0, result.output
-    assert f"loading {stranger.what}" in told(result)
     assert ma.load_sweep(out, code=True).trajectory(2).status == "completed"
 
 

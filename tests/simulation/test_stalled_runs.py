@@ -217,7 +217,7 @@ def test_a_log_counts_what_it_does_not_list():
     text = events[-1]["text"]
     assert text.startswith("not listed: 23,140 events from t = 1e-06 s to 2.414e-05 s: ")
     assert "5,785 times 'loses a direction' (left)" in text and text.endswith("and 1 more")
-    assert text in log.summary(MESSAGE_LENGTH)
+    assert text in log.remarks(MESSAGE_LENGTH)
     assert log.dropped.total() == count
 
 
@@ -225,7 +225,7 @@ def test_a_log_counts_what_it_does_not_list():
 def test_what_happened_fits_into_the_message(room):
     log = EventLog()
     log.add([{"time": 0.0, "kind": "pulls", "text": f"{k}: {'tip ' * 80} pulls"} for k in range(9)])
-    summary = log.summary(room)
+    (summary,) = log.remarks(room)
     assert len(summary) <= max(room, 60)
     assert summary.endswith("... (see `events`)")
-    assert EventLog().summary(room) == ""
+    assert EventLog().remarks(room) == []

@@ -282,6 +282,23 @@ def test_every_request_gets_the_page_while_other_connections_wait():
             thread.join()
 
 
+@pytest.mark.parametrize(
+    ("error", "printed"),
+    [
+        (ConnectionResetError("gone"), False),
+        (BrokenPipeError("gone"), False),
+        (KeyError("x"), True),
+    ],
+)
+def test_a_browser_that_goes_away_is_no_error_and_a_fault_of_ours_is(error, printed, capsys):
+    with listening("<p>page</p>", LOOPBACK, 0) as server:
+        try:
+            raise error
+        except Exception:
+            server.handle_error(None, ("127.0.0.1", 1))
+    assert (type(error).__name__ in capsys.readouterr().err) == printed
+
+
 def test_every_address_has_the_name_of_this_computer():
     with listening("page", "0.0.0.0", 0) as server:
         assert server.server_address[0] == "0.0.0.0"

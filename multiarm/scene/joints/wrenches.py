@@ -67,10 +67,10 @@ class WrenchesJoint(Joint):
         dependent = _dependent_rows(self.wrenches, self.size)
         if dependent:
             texts = [
-                f"wrench {row} is a combination of {_counted(others)}"
-                if others
+                f"wrench {row} is a combination of {_counted(combined)}"
+                if combined
                 else f"wrench {row} is zero"
-                for row, others in dependent.items()
+                for row, combined in dependent.items()
             ]
             raise fault(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
         return self
