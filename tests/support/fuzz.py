@@ -60,9 +60,9 @@ import multiarm as ma
 
 TOKENS = (
     *(bytes([byte]) for byte in b"[]{}:-&*!|>@`'\"#,?~9v \0\n\t\x1b\xff"),
-    b"\xe2\x80\xa8", b"{a: ", b"&a ", b"*a", b"<<: ", b"!!int ", b"!!python/name:os.system", b".nan",
-    b".inf", b"nan", b"1e400", b"0x", b"1:2", b"null", b"2024-01-01", b"<a>", b"</a>", b"&a;", b"<!--",
-    b"usemtl ", b"solid ",
+    b"\xe2\x80\xa8", b"{a: ", b"&a ", b"*a", b"<<: ", b"!!int ", b"!!python/name:os.system",
+    b".nan", b".inf", b"nan", b"1e400", b"0x", b"1:2", b"null", b"2024-01-01", b"<a>", b"</a>",
+    b"&a;", b"<!--", b"usemtl ", b"solid ",
 )  # fmt: skip
 JUNK = st.sampled_from(
     (None, "", "x", "x" * 5000, "\0", "a/b", -1, 0, 1, 1e308, 1e-320, 10**400, math.nan, math.inf,
