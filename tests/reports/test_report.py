@@ -8,6 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from page_reader import Page
+from refusals import refused
 from repository import ROOT, SUPPORT
 from sample_run import CHANNELS, JOINTS, SCENE, earlier_run, record, rows_of, samples
 
@@ -298,7 +299,7 @@ def test_the_report_is_written_and_its_place_returned(run, tmp_path, page):
 
 @pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_named(run, tmp_path):
-    with pytest.raises(TrajectoryError, match=r"cannot write '.*nowhere/r.html': No such file"):
+    with refused(TrajectoryError, "r.html"):
         report(run, tmp_path / "nowhere" / "r.html")
-    with pytest.raises(TrajectoryError, match="Is a directory"):
+    with refused(TrajectoryError, str(tmp_path)):
         report(run, tmp_path)
