@@ -103,9 +103,15 @@ def welded_ur5_system():
     return ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Reports of runs have no figures, which take most of their time."""
+    monkeypatch.setattr("multiarm.plots.figures", lambda trajectory: {})
+
+
+@pytest.fixture(scope="session")
 def browser():
-    """Chromium without a window."""
+    """Chromium without a window, started once."""
     from page_reader import FLAGS, chromium
     from playwright.sync_api import sync_playwright
 

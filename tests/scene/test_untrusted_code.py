@@ -239,16 +239,10 @@ def test_a_look_at_a_result_runs_nothing_and_draws_the_rest(stored):
     assert result.exit_code == 0, result.output
     needs = stored.kind == "surface"
     assert (f"need {stored.what} are not drawn" in told(result)) == needs
-    assert multiarm("report", stored.result, "--html", report).exit_code == 0
     trajectory = ma.load_trajectory(stored.result)
     assert trajectory.scene.name == "scene"
     with refused(SceneError, stored.place):
         ma.compile_system(trajectory.scene)
-    if needs:
-        with pytest.warns(UserWarning, match="are not drawn"):
-            ma.replay(trajectory, page)
-    else:
-        ma.replay(trajectory, page)
     ma.report(trajectory, report)
     assert stored.marks() == set()
     assert ma.compile_system(trajectory.scene, code=True).scene == trajectory.scene

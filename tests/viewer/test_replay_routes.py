@@ -149,7 +149,7 @@ def test_a_full_disk_leaves_no_piece_of_a_page(downloads, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("builtins.open", full)
-    with refused(ReplayError, str(downloads)):
+    with pytest.raises(ReplayError, match=str(downloads)):
         browsers.temporary_page("page")
     assert list(downloads.iterdir()) == []
 
