@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 from repository import ROOT, SCENES, WORKED
 from typer.testing import CliRunner
 
@@ -65,12 +66,12 @@ def chain_text(kinds: list[str], extra: str = "") -> str:
 
 
 @pytest.mark.parametrize(
-    ("axis", "words"),
-    [("0 0 0", "its axis has length zero"), ("0 1", "3 finite numbers"), ("x y z", "3 finite")],
+    "axis",
+    ["0 0 0", "0 1", "x y z"],
 )
-def test_an_axis_that_is_no_direction_is_refused(axis, words, tmp_path):
+def test_an_axis_that_is_no_direction_is_refused(axis, tmp_path):
     text = chain_text(["revolute"]).replace("0 0 1", axis)
-    with pytest.raises(ModelError, match=words):
+    with refused(ModelError, "r.urdf"):
         read_urdf(write_urdf(tmp_path / "r.urdf", text))
 
 
@@ -143,7 +144,7 @@ def test_meshes_of_every_robot_are_found(name):
 
 
 def test_unknown_robot_names_alternatives():
-    with pytest.raises(SceneError, match=r"unknown robot 'ur6'; did you mean 'ur5'.*'urdf:'"):
+    with refused(SceneError, "'ur6'"):
         find_robot("ur6")
 
 
@@ -163,7 +164,7 @@ def test_near_names_are_those_of_arms_or_else_of_any_robot(name, near):
 def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr("multiarm.scene.robots._share_folder", lambda: None)
     assert set(available_robots()) == set(OWN)
-    with pytest.raises(SceneError, match="pip install example-robot-data"):
+    with refused(SceneError, "pip install example-robot-data"):
         find_robot("ur5")
 
 
@@ -241,11 +242,11 @@ def test_described_robots_are_used_if_they_are_there_and_never_fetched(descripti
     assert not {"crane_description", "winch_description"} & available_robots().keys()
     listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
     assert "(python -m robot_descriptions pull NAME): crane_description" in listed
-    with pytest.raises(SceneError, match="python -m robot_descriptions pull crane_description"):
+    with refused(SceneError, "python -m robot_descriptions pull crane_description"):
         find_robot("crane_description")
-    with pytest.raises(SceneError, match="'winch_description' as a xacro file"):
+    with refused(SceneError, "'winch_description'"):
         find_robot("winch_description")
-    with pytest.raises(SceneError, match="did you mean 'crane_description'"):
+    with refused(SceneError, "'crane_description'"):
         find_robot("crans_description")
     assert not (descriptions / "cache" / "away").exists()
     assert "robot_descriptions.crane_description" not in sys.modules
@@ -253,7 +254,7 @@ def test_described_robots_are_used_if_they_are_there_and_never_fetched(descripti
 
 
 def test_without_robot_descriptions_the_message_says_what_to_install():
-    with pytest.raises(SceneError, match="pip install robot_descriptions"):
+    with refused(SceneError, "pip install robot_descriptions"):
         find_robot("iiwa14_description")
 
 
@@ -289,21 +290,15 @@ def test_the_only_end_of_a_file_is_its_tip_and_the_flange_before_others(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("spec", "expected"),
+    "spec",
     [
-        (
-            {"robot": "baxter"},
-            "of baxter it may be 'left_gripper', 'right_gripper';.*robots baxter'",
-        ),
-        ({"robot": "tiago_pro"}, r"it may be .*'head_front_camera_link', .* shows all links"),
-        (
-            {"robot": "ur5", "tool": {"robot": "panda_collision", "mount": "tool0"}},
-            "of panda_collision it may be 'panda_hand_tcp', 'panda_leftfinger'",
-        ),
+        {"robot": "baxter"},
+        {"robot": "tiago_pro"},
+        {"robot": "ur5", "tool": {"robot": "panda_collision", "mount": "tool0"}},
     ],
 )
-def test_a_tip_that_nothing_tells_is_asked_for_with_candidates(spec, expected):
-    with pytest.raises(SceneError, match=rf"\$\.arms\.a\.tip: is missing \(the link.*{expected}"):
+def test_a_tip_that_nothing_tells_is_asked_for_with_candidates(spec):
+    with refused(SceneError, "$.arms.a.tip"):
         scene_of(spec)
 
 
@@ -351,7 +346,7 @@ def test_a_posture_outside_its_limits_is_a_warning():
 @pytest.mark.parametrize("kind", ["planar", "floating"])
 def test_other_movable_joints_on_the_chain_are_refused(kind, tmp_path):
     path = write_urdf(tmp_path / "arm.urdf", chain_text(["revolute", kind]))
-    with pytest.raises(SceneError, match=f"joint 'j1' on the way to 'l2' is {kind}"):
+    with refused(SceneError, "'j1'"):
         resolve_arm(ArmSpec(urdf=path, tip="l2"))
     assert resolve_arm(ArmSpec(urdf=path, tip="l1")).joint_names == ("j0",)
 
@@ -364,7 +359,7 @@ def test_chains_have_one_to_sixteen_joints(count, accepted, tmp_path):
     if accepted:
         assert len(resolve_arm(spec).joints) == count
     else:
-        with pytest.raises(SceneError, match="movable joint"):
+        with refused(SceneError, "arm.tip"):
             resolve_arm(spec)
 
 
@@ -384,16 +379,16 @@ def test_a_tool_continues_the_chain():
 
 
 @pytest.mark.parametrize(
-    ("changes", "expected"),
+    "changes",
     [
-        ({"mount": "tol"}, r"arm\.tool\.mount: unknown link 'tol'; did you mean 'tool'"),
-        ({"robot": "corner_griper"}, r"arm\.tool\.robot: unknown robot 'corner_griper'; did you"),
-        ({"robot": "textbook_6r"}, "tool and robot both have a joint named"),
+        {"mount": "tol"},
+        {"robot": "corner_griper"},
+        {"robot": "textbook_6r"},
     ],
 )
-def test_faults_of_tools_are_told(changes, expected):
+def test_faults_of_tools_are_told(changes):
     tool = {"robot": "corner_gripper", "mount": "tool", **changes}
-    with pytest.raises(SceneError, match=expected):
+    with refused(SceneError, "arm.tool"):
         resolve_arm(ArmSpec(robot="textbook_6r", tip="corner", tool=tool))
 
 
@@ -401,40 +396,31 @@ def test_faults_of_tools_are_told(changes, expected):
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    "text",
     [
-        ("<robot", "not valid XML"),
-        ("<sdf/>", "not a URDF file: its root element is <sdf>"),
-        ("<mujoco/>", "root element is <mujoco>; name it with 'mjcf:'"),
-        (
-            "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
-            "xacro file; expand it first",
-        ),
-        ("<robot/>", "exactly one root link"),
-        ("<robot><link name='a'/><link name='b'/></robot>", "exactly one root link"),
-        ("<robot><link name='a'/><link name='a'/></robot>", "more than one link named 'a'"),
-        (
-            "<robot><link name='a'/><joint name='j' type='hinge'><parent link='a'/>"
-            "<child link='b'/></joint></robot>",
-            "unknown type 'hinge'",
-        ),
-        (
-            "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/>"
-            "<child link='b'/></joint></robot>",
-            "unknown link 'b'",
-        ),
-        ("<robot><link/></robot>", "has no 'name'"),
+        "<robot",
+        "<sdf/>",
+        "<mujoco/>",
+        "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
+        "<robot/>",
+        "<robot><link name='a'/><link name='b'/></robot>",
+        "<robot><link name='a'/><link name='a'/></robot>",
+        "<robot><link name='a'/><joint name='j' type='hinge'><parent link='a'/>"
+        "<child link='b'/></joint></robot>",
+        "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/>"
+        "<child link='b'/></joint></robot>",
+        "<robot><link/></robot>",
     ],
 )
-def test_broken_urdf_files_are_told(text, expected, tmp_path):
+def test_broken_urdf_files_are_told(text, tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(text)
-    with pytest.raises(ModelError, match=expected):
+    with refused(ModelError, str(path)):
         read_urdf(path)
 
 
 def test_a_missing_urdf_is_a_fault_of_the_scene(tmp_path):
-    with pytest.raises(SceneError, match=r"\$\.arms\.a\.urdf: no URDF file at"):
+    with refused(SceneError, "$.arms.a.urdf"):
         scene_of({"urdf": str(tmp_path / "none.urdf"), "tip": "x"})
 
 
