@@ -13,6 +13,7 @@ from multiarm.notation import count_of
 __all__ = [
     "USER_FAULTS",
     "ControlError",
+    "Fault",
     "FaultsError",
     "GraspError",
     "ModelError",
@@ -38,20 +39,47 @@ class MultiarmError(Exception):
         return shortened(super().__str__())
 
 
+class Fault(str):
+    """A fault of an input, a complete line: ``$.joints[1].arm: unknown arm 'rigth'; ...``.
+
+    Attributes
+    ----------
+    problem : str
+        What is wrong, with the value, the alternatives and the remedy.
+    place : str
+        Where, as a user reads it, such as ``$.joints[1].arm``; empty where it is not said.
+    parts : tuple of str and int
+        The keys and list positions that lead there, such as ``("joints", 1, "arm")``.
+    """
+
+    problem: str
+    place: str
+    parts: tuple[str | int, ...]
+
+    def __new__(cls, problem: str, place: str = "", parts: Iterable[str | int] = ()) -> Fault:
+        """The line that place and problem make."""
+        line = super().__new__(cls, f"{place}: {problem}" if place else problem)
+        line.problem, line.place, line.parts = problem, place, tuple(parts)
+        return line
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str | int, ...]]]:
+        return type(self), (self.problem, self.place, self.parts)
+
+
 class FaultsError(MultiarmError):
     """An input cannot be used; the message lists all of its faults.
 
     Parameters
     ----------
-    faults : iterable of str, or str
-        Every fault found, each one complete: place, value, alternatives, remedy.
+    faults : iterable of Fault or str, or str
+        All faults, each a complete line: place, value, alternatives, remedy.
     source : str, optional
         Where it came from (a file name), named on the first line of the message.
 
     Attributes
     ----------
-    faults : list of str
-        The faults, one text each.
+    faults : list of Fault
+        The faults: texts that know their place and their problem.
     source : str or None
         The file that it came from, when it came from one.
     """
@@ -59,11 +87,12 @@ class FaultsError(MultiarmError):
     noun = "text"
 
     def __init__(self, faults: Iterable[str] | str, source: str | None = None) -> None:
-        self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
+        lines = [faults] if isinstance(faults, str) else faults
+        self.faults = [line if isinstance(line, Fault) else Fault(line) for line in lines]
         self.source = source
-        super().__init__(_told(self.faults, source, self.noun))
+        super().__init__(_message(self.faults, source, self.noun))
 
-    def __reduce__(self) -> tuple[type, tuple[list[str], str | None]]:
+    def __reduce__(self) -> tuple[type, tuple[list[Fault], str | None]]:
         return type(self), (self.faults, self.source)
 
 
@@ -127,7 +156,7 @@ def _cut(line: str) -> str:
     return f"{line[:half]} [{len(line) - 2 * half:,} characters] {line[-half:]}"
 
 
-def _told(faults: list[str], source: str | None, noun: str) -> str:
+def _message(faults: list[Fault], source: str | None, noun: str) -> str:
     if source is None and len(faults) == 1:
         return faults[0]
     count = count_of(len(faults), "fault")

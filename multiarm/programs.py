@@ -27,7 +27,7 @@ import numpy as np
 ROUNDINGS = 64.0
 EPS = float(np.finfo(float).eps)
 
-System = tuple[np.ndarray, np.ndarray]
+LinearRows = tuple[np.ndarray, np.ndarray]
 """Rows and right-hand sides of inequalities or equations."""
 
 
@@ -63,8 +63,8 @@ class LinearSolution:
 def linear_program(
     cost: np.ndarray,
     *,
-    at_most: System | None = None,
-    equal: System | None = None,
+    at_most: LinearRows | None = None,
+    equal: LinearRows | None = None,
     bounds: Any = (0.0, None),
     signed: int = 0,
 ) -> LinearSolution:
@@ -83,10 +83,10 @@ def linear_program(
     from scipy.optimize import linprog
 
     n = len(cost)
-    each = [bounds] * (n - signed) if isinstance(bounds, tuple) else list(bounds)
+    limited = [bounds] * (n - signed) if isinstance(bounds, tuple) else list(bounds)
     A, b = (None, None) if at_most is None else at_most
     C, d = (None, None) if equal is None else equal
-    limits = [*each, *[(None, None)] * signed]
+    limits = [*limited, *[(None, None)] * signed]
     solved = linprog(cost, A_ub=A, b_ub=b, A_eq=C, b_eq=d, bounds=limits)
     return LinearSolution(
         x=solved.x if solved.success else None,
@@ -160,17 +160,17 @@ def least_distance(G: np.ndarray, h: np.ndarray, room: float = 0.0) -> LeastDist
     left = E @ weights - target
     terms = 1.0 + float(np.abs(E[-1]) @ weights)  # s is what is left of these
     s = float(-left[-1]) if -left[-1] > ROUNDINGS * EPS * terms else 0.0
-    found = LeastDistance(left[:-1], s, weights)
-    return _sharpened(found, G, h, room) if room > 0.0 and found.solved else found
+    solution = LeastDistance(left[:-1], s, weights)
+    return _sharpened(solution, G, h, room) if room > 0.0 and solution.solved else solution
 
 
-def _sharpened(found: LeastDistance, G: np.ndarray, h: np.ndarray, room: float) -> LeastDistance:
+def _sharpened(solution: LeastDistance, G: np.ndarray, h: np.ndarray, room: float) -> LeastDistance:
     """The solution for ``h`` itself; as found, if the other inequalities do not allow it."""
-    tight, prices = found.weights > 0.0, np.zeros(len(h))
+    tight, prices = solution.weights > 0.0, np.zeros(len(h))
     y = np.linalg.lstsq(G[tight], h[tight], rcond=None)[0]
     prices[tight] = np.maximum(np.linalg.lstsq(G[tight].T, y, rcond=None)[0], 0.0)
     if np.any(G @ y < h - room):
-        return found
+        return solution
     s = 1.0 / (1.0 + float(y @ y))
     return LeastDistance(s * y, s, s * prices)
 

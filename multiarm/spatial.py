@@ -5,7 +5,6 @@
   components: ``a_world = R(q) a_body``.
 * Small rotations act from the left, in world axes: ``retract(q, theta) = exp(theta) * q``.  An
   angular velocity in world axes is then the rate of ``theta`` at ``theta = 0``.
-* ``skew(a) @ b == cross(a, b)``.
 
 Functions that take and return arrays are for Python; those on tuples, and those that write into an
 argument, are also compiled into kernels.
@@ -22,11 +21,6 @@ from multiarm.jit.vectors import add_scaled, cross, put, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
 _SERIES_ANGLE = 1e-2
-
-
-def skew(a: np.ndarray) -> np.ndarray:
-    """Matrix ``S(a)``, shape (3, 3), with ``S(a) @ b = a x b``."""
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
 @plain

@@ -6,6 +6,7 @@ or more, such as browsers, clusters and whole commands.  Each file keeps its qui
 
 from __future__ import annotations
 
+import os
 import signal
 
 import pytest
@@ -23,6 +24,21 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="one case of each test that is not slow")
+    parser.addoption("--write-messages", action="store_true", help="write the wording of errors")
+
+
+def pytest_configure(config):
+    if config.getoption("--write-messages"):
+        os.environ["MULTIARM_WRITE_MESSAGES"] = "1"
+
+
+def pytest_sessionfinish(session):
+    if session.config.getoption("--write-messages"):
+        from refusals import write_seen
+
+        write_seen(
+            {item.nodeid.partition("::")[0].removeprefix("tests/") for item in session.items}
+        )
 
 
 def pytest_collection_modifyitems(config, items):
@@ -87,9 +103,15 @@ def welded_ur5_system():
     return ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Reports of runs have no figures, which take most of their time."""
+    monkeypatch.setattr("multiarm.plots.figures", lambda trajectory: {})
+
+
+@pytest.fixture(scope="session")
 def browser():
-    """Chromium without a window."""
+    """Chromium without a window, started once."""
     from page_reader import FLAGS, chromium
     from playwright.sync_api import sync_playwright
 

@@ -74,18 +74,18 @@ class ArmBackends:
             self._compiled, self.reasons = compile_arms(arms, gravity)
         for name, reason in self.reasons.items():
             warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
-        names, every = list(arms), list(arms.values())
+        names, in_order = list(arms), list(arms.values())
         if self._compiled is not None:
             self.by_arm |= {names[place]: "compiled" for place in self._compiled.places}
             if with_gravity_torque:
                 self._compiled.want_gravity_torque()
-        first_joints = np.cumsum([0, *(arm.dof for arm in every)])
+        first_joints = np.cumsum([0, *(arm.dof for arm in in_order)])
         self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
         self.configuration = 0
         left = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
         for places in _neighbours(left):
             start = int(first_joints[places[0]]), self.configuration
-            members = [every[place] for place in places]
+            members = [in_order[place] for place in places]
             group = ArmGroup(members, places[0], start, gravity, with_gravity_torque)
             self._groups.append(group)
             self.q_slots[group.joints] = group.q_slots + self.configuration

@@ -40,7 +40,7 @@ from multiarm.assembly.postures import (
 )
 from multiarm.errors import SceneError
 from multiarm.scene import BaseSpec, JointSpec, ObjectSpec, Scene
-from multiarm.scene.faults import listed, place
+from multiarm.scene.faults import fault_at, listed
 
 # The most promising places are looked at again, from more starts and at every pose.
 FINALISTS, FEW, MANY = 8, 2, 16
@@ -81,7 +81,7 @@ class Stand:
 
     @property
     def quality(self) -> float:
-        """That of the posture, times what the place is worth."""
+        """Quality of the posture, times the worth of the place."""
         return self.reach.quality * self.worth
 
 
@@ -193,23 +193,23 @@ def find_bases(
     for number, joint in enumerate(scene.joints):
         if joint.arm not in arms:
             continue
-        where = place(("arms", joint.arm, "base", "solve"))
+        where = ("arms", joint.arm, "base", "solve")
         if joint.at is None:
-            faults.append(
-                f"{where}: needs the joint's place on the object: give $.joints[{number}].at"
-            )
+            problem = f"needs the joint's place on the object: give $.joints[{number}].at"
+            faults.append(fault_at(where, problem))
             continue
         search = _BaseSearch.of_joint(scene, joint, arms[joint.arm], list(bases.values()))
         base = search.best()
         if base is None:
-            faults.append(
-                f"{where}: no {listed(search.written.solve)} of the base were found with which "
+            problem = (
+                f"no {listed(search.written.solve)} of the base were found with which "
                 f"the arm reaches its place on the object ($.joints[{number}].at), at "
                 f"{ROUNDS[0][0]} places and in {WHOLE_STARTS} searches of base and joints "
                 f"together; it reaches {search.reach:.2f} m far and keeps {search.apart:.2f} m "
                 "from other bases; let more vary, of x, y, z, roll, pitch, yaw, or choose another "
                 "place"
             )
+            faults.append(fault_at(where, problem))
             continue
         base, standing[joint.arm] = _out_of_the_way(scene, joint, search, base, standing)
         placed[joint.arm], bases[joint.arm] = base, base.matrix()[:3, 3]

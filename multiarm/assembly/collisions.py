@@ -75,8 +75,16 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Contact:
-    """The nearest two of some solids, and their distance [m], below zero where they overlap."""
+class NearestPair:
+    """A link and an obstacle that are nearest to each other.
+
+    Attributes
+    ----------
+    distance : float
+        [m], below zero where they overlap.
+    link, obstacle : str
+        Their names in messages; empty where none are nearer than the horizon.
+    """
 
     distance: float
     link: str = ""
@@ -126,7 +134,7 @@ class Surroundings:
         return _placed(pairs)
 
     def obstacles(self, name: str, postures: Mapping[str, np.ndarray]) -> Placed:
-        """The object, and the links of the arms beside ``name`` that have a posture."""
+        """The object, and the links of all other arms that have a posture."""
         pairs = []
         if self._object is not None:
             pairs.append((Solid(OBJECT, self._object, 0, holds=True), self._object_pose))
@@ -139,14 +147,14 @@ class Surroundings:
         return _placed(pairs)
 
 
-def nearest(links: Placed, obstacles: Placed) -> Contact:
-    """The pair of a link and an obstacle that are nearest to each other, up to the horizon."""
+def nearest(links: Placed, obstacles: Placed) -> NearestPair:
+    """The nearest pair of a link and an obstacle, up to the horizon."""
     ways = links.centres[:, None] - obstacles.centres
     gaps = np.linalg.norm(ways, axis=2) - links.radii[:, None] - obstacles.radii
-    contact = Contact(HORIZON)
+    pair = NearestPair(HORIZON)
     for i, j in np.argwhere(gaps < HORIZON):
         link, obstacle = links.solids[i], obstacles.solids[j]
-        if (link.holds and obstacle.holds) or gaps[i, j] >= contact.distance:
+        if (link.holds and obstacle.holds) or gaps[i, j] >= pair.distance:
             continue
         distance = coal.distance(
             link.shape,
@@ -156,9 +164,9 @@ def nearest(links: Placed, obstacles: Placed) -> Contact:
             coal.DistanceRequest(),
             coal.DistanceResult(),
         )
-        if distance < contact.distance:
-            contact = Contact(distance, link.name, obstacle.name)
-    return contact
+        if distance < pair.distance:
+            pair = NearestPair(distance, link.name, obstacle.name)
+    return pair
 
 
 def object_hull(body: ObjectSpec) -> Any:

@@ -24,6 +24,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import ControlError
 from multiarm.integration.projection import project_positions
 from multiarm.scene import Scene, Waypoint
+from multiarm.scene.control import quintic
 from multiarm.spatial import difference, matrix_to_quaternion, retract
 
 
@@ -95,8 +96,7 @@ def _segment(
     """
     for intervals in (16, 32, 64, 128):  # until the series has converged
         x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
-        s = 0.5 * (1.0 + x)
-        law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        law = quintic(0.5 * (1.0 + x))
         angles, state = follow_object(data, start, begin, end, law, number)
         series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
         if np.max(np.abs(series[:, -4:])) < 1e-8:  # [rad, m]

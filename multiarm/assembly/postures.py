@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.collisions import Contact, Placed, Surroundings, corners_of, nearest
+from multiarm.assembly.collisions import NearestPair, Placed, Surroundings, corners_of, nearest
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     WHOLE_STARTS,
@@ -30,7 +30,7 @@ from multiarm.assembly.inverse_kinematics import (
 from multiarm.errors import SceneError
 from multiarm.geometry.records import basis
 from multiarm.scene import JointSpec, ObjectSpec, Scene
-from multiarm.scene.faults import place
+from multiarm.scene.faults import fault_at
 from multiarm.scene.values import SOLVE
 
 # Postures at which the search begins: half a millisecond each.
@@ -162,19 +162,18 @@ def find_postures(
     faults = []
     for number, joint in enumerate(scene.joints):
         arm, posture = arms[joint.arm], scene.arms[joint.arm].posture
-        where = place(("arms", joint.arm, "posture"))
+        where = ("arms", joint.arm, "posture")
         if joint.at is None:
             if posture == SOLVE:
-                faults.append(
-                    f"{where}: 'solve' needs the joint's place on the object: give "
-                    f"$.joints[{number}].at"
-                )
+                problem = "'solve' needs the joint's place on the object: give "
+                faults.append(fault_at(where, f"{problem}$.joints[{number}].at"))
             continue
         if posture == SOLVE or (posture is None and _is_far(scene, joint, arm, written[joint.arm])):
             search = PostureSearch.of_joint(scene, joint, arm)
             positions = search.best()
             if positions is None:
-                faults.append(f"{where}: {search.why_none()} ($.joints[{number}].at)")
+                problem = f"{search.why_none()} ($.joints[{number}].at)"
+                faults.append(fault_at(where, problem))
             else:
                 searches[joint.arm], solved[joint.arm] = search, positions
     if faults:
@@ -216,7 +215,7 @@ def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> 
 
 def overlapping_links(
     scene: Scene, arms: Mapping[str, Arm], postures: Mapping[str, np.ndarray]
-) -> dict[str, Contact]:
+) -> dict[str, NearestPair]:
     """Of arms whose posture is left to the program, the link that overlaps an obstacle most."""
     open_arms = [name for name, spec in scene.arms.items() if spec.posture in (None, SOLVE)]
     if not open_arms:
@@ -224,9 +223,9 @@ def overlapping_links(
     surroundings, overlaps = Surroundings(scene, arms), {}
     for name in open_arms:
         links = surroundings.placed(name, postures[name], standing=False)
-        contact = nearest(links, surroundings.obstacles(name, postures))
-        if contact.distance < -OVERLAP:
-            overlaps[name] = contact
+        pair = nearest(links, surroundings.obstacles(name, postures))
+        if pair.distance < -OVERLAP:
+            overlaps[name] = pair
     return overlaps
 
 

@@ -75,8 +75,8 @@ def _joints_at_limits(system: System) -> list[str]:
 def _links_in_the_way(system: System) -> list[str]:
     postures = system.initial_state().joint_positions
     return [
-        f"{place(('arms', arm, 'posture'))}: {contact.link} overlaps {contact.obstacle} by "
-        f"{-contact.distance:.2g} m (convex hulls), and no posture was found that does not; move "
+        f"{place(('arms', arm, 'posture'))}: {pair.link} overlaps {pair.obstacle} by "
+        f"{-pair.distance:.2g} m (convex hulls), and no posture was found that does not; move "
         "the base, choose another place on the object, or write a posture"
-        for arm, contact in overlapping_links(system.scene, system.arms, postures).items()
+        for arm, pair in overlapping_links(system.scene, system.arms, postures).items()
     ]

@@ -4,38 +4,40 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import RenderableType
+from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.options import (
-    FILES,
     Arms,
     Duration,
     JsonFile,
     NoCode,
     OutputStep,
+    SceneFile,
     chosen,
     file_option,
     option,
 )
-from multiarm.cli.studies import draw_files, lines_of, print_texts, write_files
-from multiarm.errors import MultiarmError
-from multiarm.terminal.console import print_error, print_written
-from multiarm.terminal.progress import Progress, span
+from multiarm.cli.studies import draw_files, rendered, write_files
+from multiarm.terminal.console import output, print_error
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
-    from multiarm.scene import Scene
-    from multiarm.studies.work_precision.results import Results
+    from multiarm.studies.work_precision import Study
 
 __all__ = ["accuracy"]
 
 REWRITE, SHARE = 5.0, 0.1
 """Files of an unfinished study are written at most so often [s], and take such a share of the time
 at most."""
+VERDICT = "bold green"
 
 
 class Quantity(str, Enum):
@@ -49,10 +51,7 @@ class Quantity(str, Enum):
 
 
 def accuracy(
-    scene: Annotated[
-        Path | None,
-        typer.Argument(help="The scene, a YAML file.", metavar="SCENE", show_default=False),
-    ] = None,
+    scene: SceneFile,
     *,
     duration: Duration = None,
     output_step: OutputStep = None,
@@ -67,10 +66,6 @@ def accuracy(
     quick: Annotated[
         bool, typer.Option("--quick", help="Every second setting only, and fewer repeats.")
     ] = False,
-    thorough: Annotated[
-        bool,
-        typer.Option("--thorough", help="Measure dominated settings too, as often as others."),
-    ] = False,
     error: Annotated[
         Quantity,
         option(
@@ -80,29 +75,6 @@ def accuracy(
         ),
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="File of the study; an interrupted study resumes from it.",
-            show_default="SCENE's file name, --arms and .accuracy.json, in the current folder",
-            metavar="FILE.json",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
-    fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Begin again, and overwrite the file.", rich_help_panel=FILES),
-    ] = False,
-    source: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            help="Measure nothing: print and draw what is in a file of a study.",
-            show_default="none",
-            metavar="FILE.json",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
     plot: Annotated[
         Path | None,
         file_option("Draw the diagram to a file; its ending (png, svg, pdf) is the format."),
@@ -123,129 +95,62 @@ def accuracy(
     First results come within half a minute. Their errors are measured against the tightest run that
     fits the time, and are computed again when the reference is there. The figures of --plot and
     --html are written at once, and again as points arrive; the page says how many are measured.
-
-    A setting is dominated when another one, of the same or another method, takes less than two
-    thirds of its time and has no larger error of position, rotation, joints or force; errors that
-    the reference cannot resolve count as equal. A setting between two measured ones of its method
-    takes at least the coarser one's time, and its errors are at least half of the finer one's. What
-    is dominated even so is left out, unless --thorough. Peers dominate peers only.
-
-    The file of the study stores every point when it is measured: after Ctrl-C the same command
-    resumes. A file holds for one scene, one machine and one set of versions.
+    Ctrl-C ends the study: what is measured so far is printed and written.
 
     The JSON has the keys scene, machine, reference, refusals, wall_time_s, left_out, points,
-    cheapest, recommendation. Numbers are finite, or null where there is none.
+    cheapest, recommendation. Numbers are finite, or null where there is none. left_out says whether
+    settings were left out, by --quick or Ctrl-C.
     """
-    if (scene is None) == (source is None):
-        raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
-    if source is not None:
-        from multiarm.studies.work_precision.results import read_results
-
-        check_targets({"--plot": plot, "--html": html, "--json": json}, source=source)
-        found = read_results(source)
-    else:
-        assert scene is not None, "one of the two is there"
-        settings = chosen(duration=duration, output_step=output_step, arms=arms)
-        target = out if out is not None else _own_file(scene, settings)
-        check_targets(
-            {"--out": target, "--plot": plot, "--html": html, "--json": json}, source=scene
-        )
-        loaded = scene_to_run(scene, no_code)
-        with Progress() as progress:
-            shown = _Shown(progress, error.value, plot, html)
-            found = _measure(loaded, target, settings, shown, fresh,
-                             peers=peers, quick=quick, thorough=thorough)  # fmt: skip
-        print_written("study", target)
-    from multiarm.studies.work_precision import page
-
-    print_texts(page.texts(found, error.value, every))
-    write_files(page, found, error.value, plot=plot, html=html, json=json)
-
-
-def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
-    """The default file of a study: one for each value of --arms."""
-    kind = f".{settings['arms']}" if "arms" in settings else ""
-    return Path(f"{scene.stem}{kind}.accuracy.json")
-
-
-def _measure(
-    scene: Scene, target: Path, changes: dict, shown: _Shown, fresh: bool, **options: bool
-) -> Results:
-    """Study a scene behind a progress bar; what was measured stays in the file."""
+    check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     from multiarm.simulation.setup import run_spec
-    from multiarm.studies.records import machine
-    from multiarm.studies.work_precision.results import Results
-    from multiarm.studies.work_precision.study import run_study
 
-    scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    kept = _kept(target, Results.of(scene, machine(), target), fresh)
-    try:
-        return run_study(scene, kept, progress=shown.progress, watch=shown, **options)
-    except KeyboardInterrupt:
-        shown.progress.stop()
-        print_error(
-            f"interrupted; {len(kept.points)} points are in '{target}', and the same command "
-            "resumes from there"
-        )
-        raise typer.Exit(1) from None
+    settings = chosen(duration=duration, output_step=output_step, arms=arms)
+    loaded = scene_to_run(scene, no_code)
+    loaded = loaded.replace(run=run_spec(loaded.run, settings, {}, None))
+    from multiarm.studies import work_precision_page as page
+    from multiarm.studies.work_precision import run_study
 
-
-class _Shown:
-    """What is shown of a study while it goes on: first results, recommendation, files.
-
-    Parameters
-    ----------
-    progress : Progress
-    quantity : str
-    plot, html : Path or None
-        Files that are written again as points arrive.
-    """
-
-    def __init__(
-        self, progress: Progress, quantity: str, plot: Path | None, html: Path | None
-    ) -> None:
-        self.progress = progress
-        self._quantity, self._plot, self._html = quantity, plot, html
-        self._printed, self._announced, self._due = False, False, -math.inf
-
-    def __call__(self, results: Results) -> None:
-        """Show results, of which there are more than at the last call."""
-        from multiarm.studies.work_precision import page
-
-        if results.planned is None:  # finished, and about to be printed and written
-            return
-        self.progress.note(page.recommendation(results, self._quantity))
-        if not self._printed:
-            self._printed = True
-            self.progress.print(
-                "First results", *lines_of(page.first_texts(results, self._quantity))
-            )
-        checked = results.reference is not None and not results.reference.first
-        if checked and not self._announced:
-            self._announced = True
-            left = (results.planned or 0) - len(results.points)
-            self.progress.print(
-                f"The reference is checked. About {span(results.expected_s)} more: {left} further "
-                f"settings, and repetitions of the {len(results.points)} that are measured."
-            )
-        begin = time.monotonic()
-        if begin >= self._due:
-            draw_files(page, results, self._quantity, plot=self._plot, html=self._html)
-            now = time.monotonic()
-            self._due = now + max(REWRITE, (now - begin) / SHARE)
+    study: Study | None = None
+    due = -math.inf
+    with Progress() as progress:
+        try:
+            for study in run_study(loaded, peers=peers, quick=quick, progress=progress):
+                begin = time.monotonic()
+                if study.finished or begin < due:
+                    continue
+                if due == -math.inf:
+                    progress.print("First results", *_shown(study, error.value))
+                progress.note(page.recommendation(study, error.value))
+                draw_files(page, study, error.value, plot=plot, html=html)
+                now = time.monotonic()
+                due = now + max(REWRITE, (now - begin) / SHARE)
+        except KeyboardInterrupt:
+            if study is None:
+                raise
+    assert study is not None, "a study yields, or raises"
+    console = output()
+    console.print(Text(study.scene["name"], "bold"))
+    for item in _shown(study, error.value, every):
+        console.print(item, soft_wrap=getattr(item, "style", "") == VERDICT)
+    write_files(page, study, error.value, plot=plot, html=html, json=json)
+    if not study.finished:
+        print_error(f"interrupted; {page.state_text(study)}")
+        raise typer.Exit(1)
 
 
-def _kept(target: Path, empty: Results, fresh: bool) -> Results:
-    """The points in the file; an error if they belong to another scene or machine."""
-    from multiarm.studies.work_precision.results import read_results
+def _shown(study: Study, quantity: str, every: bool | None = None) -> Iterator[RenderableType]:
+    """Reference, tables, and what follows from them; without ``every``, the decades only."""
+    from multiarm.studies import work_precision_page as page
 
-    if fresh or not target.exists():
-        return empty
-    old = read_results(target)
-    reason = old.stale(empty)
-    if reason:
-        raise MultiarmError(
-            f"--out: '{target}' holds another study ({reason}); name another file, or give "
-            "--fresh to replace it"
-        )
-    return old
+    yield Text(page.reference_text(study), "dim")
+    yield from rendered(page.decade_table(study, quantity))
+    if every is not None:
+        yield from rendered(page.method_table(study, quantity))
+    if every:
+        yield from rendered(page.point_table(study))
+    for solver, reason in study.refusals.items():
+        yield Text(f"{solver}: {reason}", "dim")
+    if not study.finished:
+        yield Text(page.state_text(study), "dim")
+    for sentence in filter(None, page.sentences(study, quantity)):
+        yield Text(sentence, VERDICT)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, scene_to_inspect, write_json
+from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.holding import carrying_rows, overload_warnings
-from multiarm.cli.options import Arms, Code, JsonFile, SceneFile
+from multiarm.cli.options import Arms, JsonFile, SceneFile
 from multiarm.notation import number, numbers, value_text
 from multiarm.terminal.console import (
     accuracy,
@@ -38,12 +38,12 @@ def check(
     scene: SceneFile,
     arms: Arms = None,
     json: JsonFile = None,
-    code: Code = False,
 ) -> None:
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
     All faults of a scene are listed together, each with its place and the alternatives; the exit
-    code is then 2. What each effect costs and changes, **multiarm effects** measures.
+    code is then 2. Functions and classes that the scene names are not loaded; what needs them is
+    left out. What each effect costs and changes, **multiarm effects** measures.
 
     The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
     control, run, start, position_residual, velocity_residual, residuals, carrying, warnings,
@@ -51,10 +51,12 @@ def check(
     Numbers are finite, or null where there is none.
     """
     check_targets({"--json": json}, source=scene)
-    loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
+    from multiarm.scene import load_scene
     from multiarm.simulation.inspection import inspect_system
 
+    loaded = load_scene(scene)
+    print_warnings(loaded.warnings)
     with Progress() as progress:
         system, left = compile_for_inspection(loaded, arms)
         progress(0, 0, "inspecting")
@@ -159,8 +161,8 @@ def _posture(arm: ArmFacts) -> Text:
 
 
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
-    kept, dropped = freedom.smallest_kept, freedom.largest_dropped
-    cut = f"smallest relative singular value {number(kept)}"
+    smallest, dropped = freedom.smallest_kept, freedom.largest_dropped
+    cut = f"smallest relative singular value {number(smallest)}"
     if dropped is not None:
         cut += f", next {number(dropped)}"
     rows: dict[str, RenderableType] = {

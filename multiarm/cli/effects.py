@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
 from multiarm.cli.catalogue import show
 from multiarm.cli.files import check_targets, scene_to_run
@@ -19,13 +20,14 @@ from multiarm.cli.options import (
     file_option,
     option,
 )
-from multiarm.cli.studies import print_texts, write_files
+from multiarm.cli.studies import rendered, write_files
 from multiarm.errors import MultiarmError
+from multiarm.terminal.console import output
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-    from multiarm.studies.effect_costs.entries import Ledger
+    from multiarm.studies.effect_costs import Ledger
 
 __all__ = ["effects"]
 
@@ -79,7 +81,7 @@ def effects(
     below the accuracy to which all runs are made.
 
     The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
-    their meaning and units are those of multiarm.studies.effect_costs.entries. Numbers are
+    their meaning and units are those of multiarm.studies.effect_costs. Numbers are
     finite, or null where there is none. With --list it has the key effects: what is shown.
     """
     if listing:
@@ -89,11 +91,18 @@ def effects(
         raise MultiarmError("name a scene to measure, or '--list' to see what effects there are")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     settings = chosen(duration=duration, arms=arms)
-    found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
-    from multiarm.studies.effect_costs import page
+    study = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
+    from multiarm.studies import effect_costs_page as page
 
-    print_texts(page.texts(found))
-    write_files(page, found, plot=plot, html=html, json=json)
+    console = output()
+    console.print(Text(study.scene["name"], "bold"))
+    console.print(Text(page.accuracy_text(study), "dim"))
+    for item in rendered(page.table(study)):
+        console.print(item)
+    if study.run["certificate"].startswith("not met"):
+        console.print(Text(f"The scene's own run: {study.run['certificate']}", "yellow"))
+    console.print(Text(page.summary(study), "bold green"), soft_wrap=True)
+    write_files(page, study, plot=plot, html=html, json=json)
 
 
 def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledger:
@@ -101,6 +110,6 @@ def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledg
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     with Progress() as progress:
-        from multiarm.studies.effect_costs.study import ledger
+        from multiarm.studies.effect_costs import ledger
 
         return ledger(scene, candidates=candidates, repeats=rounds, progress=progress)

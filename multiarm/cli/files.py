@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_targets",
-    "scene_to_inspect",
     "scene_to_run",
     "write_json",
     "write_text",
@@ -88,7 +87,7 @@ def write_text(path: Path, text: str, option: str) -> None:
 
 
 def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
-    """Read a scene to run, and print which code it and a sweep over it name.
+    """Read a scene to compile, and print which code it and a sweep over it name.
 
     Raises
     ------
@@ -111,25 +110,6 @@ def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
     if no_code:
         refuse_code(named)
     print_loaded(named)
-    return scene
-
-
-def scene_to_inspect(path: Path, code: bool) -> Scene:
-    """Read a scene to inspect; with ``code``, load the code that it names and print which.
-
-    Raises
-    ------
-    SceneError
-        The scene cannot be read.
-    ModelError
-        Its code cannot be loaded.
-    """
-    from multiarm.scene import load_scene, with_code
-
-    if code:
-        return with_code(scene_to_run(path, no_code=False))
-    scene = load_scene(path)
-    print_warnings(scene.warnings)
     return scene
 
 

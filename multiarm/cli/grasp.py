@@ -16,9 +16,9 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, scene_to_inspect, write_json, write_text
+from multiarm.cli.files import check_targets, scene_to_run, write_json, write_text
 from multiarm.cli.holding import carrying_rows, overload_warnings
-from multiarm.cli.options import Code, JsonFile, SceneFile, file_option, option
+from multiarm.cli.options import JsonFile, NoCode, SceneFile, file_option, option
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.notation import count_of, number, numbers
 from multiarm.results.files import printable, save_figure
@@ -33,8 +33,8 @@ from multiarm.terminal.console import (
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
+    from multiarm.grasp.body.polyhedron import Polyhedron
     from multiarm.grasp.grasp import Grasp
-    from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
     from multiarm.scene import Scene
     from multiarm.simulation.holding import Carrying
@@ -115,7 +115,7 @@ def design(
         ),
     ] = 0.05,
     tip_radius: Annotated[float, option("Of the fingertips, in m.", "R", panel=GRIPPERS)] = 0.01,
-    mass: Annotated[float, option("Of the body, in kg.", "KG", panel=SCENE)] = 5.0,
+    mass: Annotated[float, option("Of the body, in kg.", "KG", panel=SCENE)] = 1.0,
     height: Annotated[
         float | None,
         option(
@@ -141,7 +141,7 @@ def design(
     The contacts have no friction, and hold the body fully. The scene has hands of rigid fingers on
     real arms, postures, a path, and a control that squeezes: run it with multiarm run.
 
-        multiarm grasp design box:1.2,0.8,0.6 --mass 1 > block.yaml
+        multiarm grasp design box:1.2,0.8,0.6 > block.yaml
     """
     check_targets({"--out": out, "--plot": plot})
     from multiarm.scene import dump_scene
@@ -190,30 +190,23 @@ def check(
             "plane faces."
         ),
     ] = None,
-    code: Code = False,
+    no_code: NoCode = False,
 ) -> None:
     """Judge the grasp of any scene: do the contacts hold the object, and how well?
 
     The question is whether the object can move while the arms hold still. Contacts that only push
-    count as such; those of a weld or a hinge hold both ways. Contacts on surfaces by functions
-    take --code.
+    count as such; those of a weld or a hinge hold both ways.
 
     The exit code is 0 whatever the verdict. The JSON has the fields of
     multiarm.grasp.scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
     """
     check_targets({"--json": json, "--plot": plot}, source=scene)
-    loaded = scene_to_inspect(scene, code)
-    from multiarm.assembly.compilation import compile_for_inspection
+    loaded = scene_to_run(scene, no_code)
+    from multiarm.assembly.compilation import compile_system
     from multiarm.grasp.scenes.judging import judge_grasp, read_grasp
 
     with Progress() as progress:
-        system, left = compile_for_inspection(loaded)
-        unknown = [f"{part.what} ({part.place})" for part in left if part.arm]
-        if unknown:
-            raise GraspError(
-                f"this grasp cannot be judged without {', '.join(unknown)}, which this command "
-                "does not load; if you trust its author, allow it with --code"
-            )
+        system = compile_system(loaded)
         scene_grasp = read_grasp(system)
         judgement = judge_grasp(system, scene_grasp, progress)
     if json is not None:
@@ -456,7 +449,7 @@ def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
     if not 0.0 < scale < math.inf:
         raise MultiarmError(f"--scale: must be metres per unit, greater than 0, got {scale}")
     if Path(text).suffix.lower() in MESHES:
-        from multiarm.grasp.polyhedron import Polyhedron
+        from multiarm.grasp.body.polyhedron import Polyhedron
 
         return Polyhedron.mesh(Path(text).expanduser(), scale)
     kind, _, numbers = text.partition(":")
@@ -481,7 +474,7 @@ def _unknown(text: str) -> MultiarmError:
 
 
 def _built(kind: str, values: list[float]) -> Polyhedron:
-    from multiarm.grasp.polyhedron import Polyhedron
+    from multiarm.grasp.body.polyhedron import Polyhedron
 
     if kind == "box":
         return Polyhedron.box(values)

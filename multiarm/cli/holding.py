@@ -62,7 +62,7 @@ def _weight(carrying: Carrying) -> str:
 
 
 def _efforts(carrying: Carrying) -> str:
-    """Of the control at the start, beside the least that would do."""
+    """Efforts of the control at the start, and the smallest that hold arms and object."""
     from multiarm.results.limit_use import percent
 
     if carrying.control is None:

@@ -71,7 +71,7 @@ def surface_section() -> Section:
 
 
 def _surface_card(name: str, model: type[Surface], parameters: Any) -> Card:
-    """One surface; its example is one side of a contact, which stands against a simple other."""
+    """One surface; its example is one side of a contact, whose second side is simple."""
     card = Card.of(name, model, parameters)
     if name == "point":  # 3 numbers
         card = replace(card, parameters=[])
@@ -86,7 +86,7 @@ def _surface_card(name: str, model: type[Surface], parameters: Any) -> Card:
 
 
 def _joint_card(kind: str, model: type[Joint], parameters: Any) -> Card:
-    """One kind of joint; of a list of the user's, rows and motions are those of the example."""
+    """One kind of joint; where the user lists contacts, rows and motions are the example's."""
     contacts, motions = _sample(model)
     rows, rank = len(contacts) or None, None if motions is None else motions.rank
     free = None if motions is None else motions.words()
@@ -171,11 +171,11 @@ def _made_of(contacts: list[Contact]) -> str:
         counts[phrase] += 1
         places.setdefault(phrase, set()).add(_place(contact.guide))
     parts = []
-    for (thing, noun), count in counts.items():
-        head, _, rest = thing.partition(" ")
-        words = [str(count), f"{head}{'s' * (count > 1)}", rest]
+    for (touching, noun), count in counts.items():
+        head, _, ending = touching.partition(" ")
+        words = [str(count), f"{head}{'s' * (count > 1)}", ending]
         if noun:
-            several = len(places[thing, noun])
+            several = len(places[touching, noun])
             words += ["on", f"{several} {noun}s" if several > 1 else f"a {noun}"]
         parts.append(" ".join(filter(None, words)))
     return ", ".join(parts)
@@ -189,8 +189,10 @@ def _phrase(contact: Contact) -> tuple[str, str]:
         return "difference of two points on planes", ""
     guide = contact.guide
     noun = ("hollow " if guide.inside else "") + _NOUNS[guide.kind]
-    thing = "fingertip" if contact.follower.sizes[0] > 0.0 else "point"
-    return (thing if contact.surface_body == SURFACE_ON_OBJECT else f"{thing} of the object"), noun
+    touching = "fingertip" if contact.follower.sizes[0] > 0.0 else "point"
+    if contact.surface_body != SURFACE_ON_OBJECT:
+        touching = f"{touching} of the object"
+    return touching, noun
 
 
 def _place(guide: Body) -> tuple:

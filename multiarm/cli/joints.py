@@ -105,7 +105,7 @@ def methods(name: KindName = None, json: JsonFile = None) -> None:
             further={"kind": kind, "order": method.order, "adaptive": method.adaptive},
         )
     gains = parameters_of(StabilizationSpec)
-    kept = {
+    stabilizations = {
         key: Card(key, text, gains if key == "feedback" else [], f"run:\n  stabilization: {key}")
         for key, text in STABILIZATIONS.items()
     }
@@ -118,10 +118,10 @@ def methods(name: KindName = None, json: JsonFile = None) -> None:
             heads=("method", "order", "when to choose it"),
         ),
         "stabilizations": Section(
-            "Stabilizations: how the joints are kept closed",
+            "Stabilizations: how the joints are stabilizations closed",
             "stabilization",
             "stabilizations",
-            kept,
+            stabilizations,
             heads=("stabilization", "what it does"),
         ),
     }

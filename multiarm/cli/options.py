@@ -16,7 +16,6 @@ __all__ = [
     "AccuracyOfRun",
     "Arms",
     "Closing",
-    "Code",
     "Duration",
     "JsonFile",
     "Method",
@@ -65,14 +64,6 @@ def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
 SceneFile = Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")]
 JsonFile = Annotated[Path | None, file_option("Write the figures as JSON.", "FILE.json")]
 Quiet = Annotated[bool, switch("--quiet -q", "Print only warnings and errors.", FILES)]
-Code = Annotated[
-    bool,
-    switch(
-        "--code",
-        "Load the functions and effects that the file names, which runs their code; without, they "
-        "are left out.",
-    ),
-]
 NoCode = Annotated[
     bool,
     switch(
@@ -88,7 +79,7 @@ def setting(text: str, metavar: str) -> Any:
 
 
 def choice(text: str, *choices: str) -> Any:
-    """The option of a setting with few values, which its help lists: in its table they break."""
+    """The option of a setting with few values, which its text lists."""
     unnamed = [name for name in choices if name not in text]
     return setting(f"{text} One of {', '.join(choices)}." if unnamed else text, "NAME")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated
 
-from multiarm.cli.files import check_targets, scene_to_inspect, write_text
-from multiarm.cli.options import Code, SceneFile, switch
+from multiarm.cli.files import check_targets, scene_to_run, write_text
+from multiarm.cli.options import NoCode, SceneFile, switch
 from multiarm.errors import SceneError
 from multiarm.terminal.console import output, print_written
 
@@ -21,7 +21,7 @@ def pose(
     write: Annotated[
         bool, switch("--write", "Write the positions into the file; all else stays as it is.")
     ] = False,
-    code: Code = False,
+    no_code: NoCode = False,
 ) -> None:
     """Find the postures that a scene leaves to the program, and the places to stand.
 
@@ -34,13 +34,13 @@ def pose(
         check_targets({"SCENE": scene})
     from multiarm.scene.values import SOLVE
 
-    loaded = scene_to_inspect(scene, code)
+    loaded = scene_to_run(scene, no_code)
     open_ones = [name for name, arm in loaded.arms.items() if arm.posture in (None, SOLVE)]
     if not open_ones:
         raise SceneError(f"'{scene}' gives every arm a posture; write 'posture: solve' to find one")
-    from multiarm.assembly.compilation import compile_for_inspection
+    from multiarm.assembly.compilation import compile_system
 
-    system, _ = compile_for_inspection(loaded)
+    system = compile_system(loaded)
     positions = system.initial_state().joint_positions
     bases = {name: _base(loaded.arms[name], system.scene.arms[name]) for name in open_ones}
     postures = {name: _written(positions[name]) for name in open_ones}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,9 +33,10 @@ from multiarm.cli.options import (
     switch,
 )
 from multiarm.cli.show import show_replay
-from multiarm.errors import SceneError
+from multiarm.errors import Fault, SceneError
 from multiarm.jit.compilation import compile_time
-from multiarm.notation import count_of, number, numbers
+from multiarm.notation import count_of, number
+from multiarm.reports.run_facts import course_facts, figures_of, motion_facts
 from multiarm.results.event_log import counts, who
 from multiarm.terminal.console import (
     STATUS_STYLES,
@@ -116,11 +116,11 @@ def run(
     speed and range of each joint, 1 at the limit, their times in s; and the joints that use most),
     rank_lowest, rank_highest (independent constraints), coupled_steps (steps in which some arm
     could not be eliminated), integrator, stabilization, solver, arms (backend of each), accuracy,
-    tolerance, certificate (null where nothing was checked; else met, text, reason, asked,
-    estimated_error, by_output, over_time, checks, growth_rate_per_s, safety, attempts), events
-    (time, kind, text; arm, contact or joint, where in m, before and after as they apply),
-    compiled_kernels (also for the scene), and files
-    (result, replay, report). Numbers are finite, or null where there is none.
+    tolerance, certificate (null where nothing was checked; else met, text, verdict, details,
+    reason, asked, estimated_error, by_output, over_time, checks, growth_rate_per_s, safety,
+    attempts), events (time, kind, text; arm, contact or joint, where in m, before and after as
+    they apply), compiled_kernels (also for the scene), and files (result, replay, report). Numbers
+    are finite, or null where there is none.
     """
     from multiarm.results.trajectory_file import TrajectoryReader
 
@@ -180,7 +180,7 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
             + "; ".join(start.lines())
         )
     if trajectory.status == "completed":
-        remarks += trajectory.message.split("; ")[1:]
+        remarks += trajectory.remarks
     remarks += limit_warnings(peaks(joint_uses(trajectory)))
     if trajectory.certificate is not None and not trajectory.certificate["met"]:
         remarks.append(f"the accuracy is {trajectory.certificate['text']}")
@@ -198,38 +198,27 @@ def _simulate(
     compiled_before = compile_time()
     with RunProgress(duration, quiet) as progress:
         from multiarm.assembly.compilation import compile_system
+        from multiarm.scene import STEPS_CHOSEN_BY
         from multiarm.simulation.setup import run_spec
         from multiarm.simulation.simulate import simulate
 
-        # what a simulation does not take, and the solver, by which the start is assembled too
-        taken = inspect.signature(simulate).parameters.keys() - {"solver"}
-        of_scene = {name: value for name, value in settings.items() if name not in taken}
-        of_run = {name: value for name, value in settings.items() if name in taken}
-        arms = of_scene.pop("arms", None)
+        steps = {name: settings.get(name) for name in STEPS_CHOSEN_BY}
         try:
-            if of_scene:
-                scene = scene.replace(run=run_spec(scene.run, of_scene, {}, None))
-            system = compile_system(scene, arms=arms)
-            options: dict[str, Any] = {
-                "certificate": certificate,
-                "out": target,
-                "progress": progress,
-            }
-            trajectory = simulate(system, **of_run, **options)
+            scene = scene.replace(run=run_spec(scene.run, settings, steps, None))
+            system = compile_system(scene)
+            trajectory = simulate(system, certificate=certificate, out=target, progress=progress)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
         return trajectory, system, compile_time() - compiled_before
 
 
-def _about_options(fault: str) -> str:
+def _about_options(fault: Fault) -> Fault:
     """A fault of the run's settings, under the name of the command's option."""
-    from multiarm.scene.run import RunSpec
-
-    setting, _, text = fault.partition(":")
-    if setting == "run":
-        return f"the settings of the run:{text}"
-    name = setting.partition(".")[0]
-    return f"--{name.replace('_', '-')}:{text}" if name in RunSpec.model_fields else fault
+    if fault.parts[:1] != ("run",):
+        return fault
+    if len(fault.parts) == 1:
+        return Fault(fault.problem, "the settings of the run")
+    return Fault(fault.problem, f"--{str(fault.parts[1]).replace('_', '-')}")
 
 
 def _write_pages(
@@ -274,14 +263,9 @@ def run_figures(
     compiled_kernels : bool
         Kernels were compiled, before the run or during it.
     """
-    keys = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
-    counted = trajectory.statistics
     return {
         "scene": name,
-        **trajectory.summary(),
-        **{key: counted.get(key) for key in keys},
-        "certificate": trajectory.certificate,
-        "events": trajectory.events,
+        **figures_of(trajectory),
         "compiled_kernels": compiled_kernels,
         "files": files,
     }
@@ -292,25 +276,12 @@ def summary_table(figures: dict[str, Any], compilation: float) -> Table:
     status = figures["status"]
     rows: dict[str, RenderableType] = {
         "status": Text(status, STATUS_STYLES[status]),
-        "simulated": f"{number(figures['duration_s'], 's')}, "
-        f"{count_of(figures['samples'], 'sample')}",
-        "method": _method(figures),
-        "steps": f"{number(figures['steps'])} ({number(figures['rejected_steps'])} rejected), "
-        f"{count_of(figures['evaluations'], 'evaluation')}",
-        "wall time": f"{number(figures['wall_time_s'], 's')}, "
-        f"{number(figures['realtime_factor'])} x real time",
-        **_compilation(compilation),
-        "largest gap (position drift)": number(figures["position_drift_max_m"], "m"),
-        "largest gap rate (velocity drift)": number(figures["velocity_drift_max_m_per_s"], "m/s"),
-        "largest energy balance error": number(figures["energy_balance_max_J"], "J"),
+        **course_facts(figures, compilation),
         **_exactness(figures),
+        **motion_facts(figures),
+        "joint limits used": _limits(figures["limit_use"]["largest"]),
+        **_events(figures["events"]),
     }
-    if figures["final_object_position"] is not None:
-        rows["object at the end"] = numbers(figures["final_object_position"], "m")
-    for arm, force in figures["contact_force_max_N"].items():
-        rows[f"largest forces, {arm}"] = _forces(figures["wrench_max"].get(arm), force)
-    rows["joint limits used"] = _limits(figures["limit_use"]["largest"])
-    rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
 
 
@@ -331,21 +302,6 @@ def _limits(largest: dict[str, dict[str, Any] | None]) -> RenderableType:
     )
 
 
-def _forces(wrench: dict[str, float | None] | None, contact_force: float | None) -> str:
-    """The largest force and moment on the object, and the largest force of a contact."""
-    at_contact = f"{number(contact_force, 'N')} at a contact"
-    if wrench is None:  # a result of an earlier version
-        return f"{at_contact} (the wrench on the object was not recorded)"
-    force, moment = (
-        f"{number(wrench[what], unit)} at {number(wrench[when], 's')}"
-        for what, unit, when in (
-            ("force_N", "N", "force_time_s"),
-            ("moment_N_m", "N m", "moment_time_s"),
-        )
-    )
-    return f"{force} and {moment} on the object; {at_contact}"
-
-
 def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
     """A line for each kind of event; the first of its kind is named with its time."""
     kinds = counts(events)
@@ -361,31 +317,14 @@ def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
     return {"events": "\n".join(lines)}
 
 
-def _method(figures: dict[str, Any]) -> str:
-    tolerance = figures["tolerance"]
-    steps = "" if tolerance is None else f" (tolerance of a step {number(tolerance)})"
-    return (
-        f"{figures['integrator']}{steps}, stabilization {figures['stabilization']}, "
-        f"solver {figures['solver']}, {_arms(figures['arms'])}"
-    )
-
-
-def _arms(terms: dict[str, str] | None) -> str:
-    """The backend of the arms; results of earlier versions do not name it."""
-    kinds = set((terms or {}).values())
-    if len(kinds) < 2:
-        return f"arms {kinds.pop() if kinds else 'pinocchio'}"
-    return "arms " + ", ".join(f"{name} {kind}" for name, kind in (terms or {}).items())
-
-
 def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
     """The certificate if there is one, else the error estimate of the steps."""
     certificate = figures["certificate"]
     if certificate is None:
         return {"error": _error(figures)}
     style = "bold green" if certificate["met"] else "bold yellow"
-    verdict, _, rest = certificate["text"].partition(":")
-    rows: dict[str, RenderableType] = {"accuracy": Text.assemble((verdict, style), f":{rest}")}
+    accuracy_met = Text.assemble((certificate["verdict"], style), f": {certificate['details']}")
+    rows: dict[str, RenderableType] = {"accuracy": accuracy_met}
     checked = [row["wall_time_s"] or 0.0 for row in certificate["attempts"] if not row["returned"]]
     if checked:
         runs = count_of(len(checked), "more run")
@@ -399,10 +338,3 @@ def _error(figures: dict[str, Any]) -> str:
     if estimate is None:
         return f"not estimated: the step is fixed{remark}"
     return f"about {number(estimate)} m or rad{remark} (an estimate: the steps' errors, summed)"
-
-
-def _compilation(seconds: float) -> dict[str, RenderableType]:
-    """How long the compiler took before and during the run; empty where it had nothing to do."""
-    if not seconds > 0.0:
-        return {}
-    return {"compiling kernels": f"{number(seconds, 's')}, only the first time on this machine"}

@@ -9,11 +9,11 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.files import check_targets
-from multiarm.cli.options import Code, file_option, option, switch
+from multiarm.cli.options import file_option, option, switch
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.notation import count_of
 from multiarm.results.files import resolved
-from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
+from multiarm.terminal.console import messages, print_warnings, print_written
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -62,29 +62,21 @@ def replay(
             max=65535,
         ),
     ] = None,
-    code: Code = False,
 ) -> None:
     """Show the motion of a run in the browser, or write it to one HTML file.
 
     Shown are arms, object, joints with their axes and limits, contacts and contact forces. A run
     that failed or was interrupted is shown as far as it came. Of a sweep, --run names the run.
-    Surfaces by functions are drawn with --code.
+    Code that a result names is not loaded: surfaces by functions are left out.
 
     The browser reads a temporary file, which is kept for a day at least. For a browser on another
     computer, forward a port: ssh -L 8000:127.0.0.1:8000 COMPUTER, there multiarm replay RESULT.h5
     --port 8000 --no-open.
     """
     check_targets({"--html": html}, source=result)
-    trajectory = _open_with_samples(result, run, code)
+    trajectory = _open_with_samples(result, run)
     show_replay(
-        trajectory,
-        html,
-        fps=fps,
-        speed=speed,
-        open_browser=not no_open,
-        host=host,
-        port=port,
-        code=code,
+        trajectory, html, fps=fps, speed=speed, open_browser=not no_open, host=host, port=port
     )
 
 
@@ -99,7 +91,6 @@ def report(
         ),
     ] = None,
     run: Annotated[int | None, RUN] = None,
-    code: Code = False,
 ) -> None:
     """Write a report of a run: figures of motion, forces, energy and drift, in one HTML file.
 
@@ -109,7 +100,7 @@ def report(
         raise MultiarmError(f"'{REPORT}' exists; name the file to be written or replaced: --html")
     html = html or REPORT
     check_targets({"--html": html}, source=result)
-    trajectory = _open_with_samples(result, run, code)
+    trajectory = _open_with_samples(result, run)
     import multiarm
 
     multiarm.report(trajectory, html)
@@ -127,19 +118,16 @@ def show_replay(
         print_written("replay", page)
 
 
-def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
+def _open_with_samples(result: Path, run: int | None) -> Trajectory:
     """The trajectory in a file, or of a sweep's run; warns if it did not complete."""
-    from multiarm.scene import named_code
     from multiarm.sweeps.folder import is_sweep
 
     if is_sweep(resolved(result)):
-        trajectory = _run_of_sweep(result, run, code)
+        trajectory = _run_of_sweep(result, run)
     else:
         trajectory = _open_result(result)
         if run is not None:
             raise MultiarmError(f"--run: '{result}' is the result of one run, not of a sweep")
-        if code:
-            print_loaded(named_code(trajectory.scene))
     which = f"'{result}'" if run is None else f"run {run} of '{result}'"
     if not len(trajectory):
         raise MultiarmError(f"{which} has no samples to show: {trajectory.message}")
@@ -160,8 +148,8 @@ def _open_result(path: Path) -> Trajectory:
     return load_trajectory(path)
 
 
-def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
-    """Simulate a run of a sweep again; one whose scene names code takes ``code``."""
+def _run_of_sweep(result: Path, run: int | None) -> Trajectory:
+    """Simulate a run of a sweep again, unless that needs code that its scene names."""
     from multiarm.scene import named_code
     from multiarm.sweeps.result import load_sweep
 
@@ -177,11 +165,11 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     if len(failed):
         print_warnings([f"this run is a failed one of the sweep: {failed['message'].item()}"])
     named = named_code(sweep.scene_of(run))
-    if named and not code:
+    if named:
         raise MultiarmError(
             f"run {run} of '{result}' is simulated again, which needs "
-            f"{', '.join(dict.fromkeys(one.what for one in named))} and loads no code that a "
-            "result names; if you trust its author, allow it with --code"
+            f"{', '.join(dict.fromkeys(code.what for code in named))}: code that a result names is "
+            "not loaded; if you trust its author, simulate it in Python: "
+            "ma.load_sweep(path, code=True).trajectory(run)"
         )
-    print_loaded(named)
-    return load_sweep(result, code).trajectory(run)
+    return sweep.trajectory(run)

@@ -261,5 +261,5 @@ def trouble_lines(summary: SweepSummary) -> list[str]:
         more = "" if failure.runs == 1 else f" and {failure.runs - 1:,} more"
         lines.append(f"run {failure.first_run}{more} {failure.status}: {failure.message}")
     listed = sum(failure.runs for failure in summary.failures)
-    rest = summary.done - summary.statuses.get("completed", 0) - listed
-    return [*lines, f"and {count_of(rest, 'more run')} did not complete"] if rest else lines
+    unlisted = summary.done - summary.statuses.get("completed", 0) - listed
+    return [*lines, f"and {count_of(unlisted, 'more run')} did not complete"] if unlisted else lines

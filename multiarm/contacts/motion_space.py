@@ -37,10 +37,10 @@ from multiarm.geometry.screws import (
     pivots,
     row_scale,
     screw_system,
+    skew,
     wrench_matrix,
 )
 from multiarm.notation import count_of
-from multiarm.spatial import skew
 
 # Rates whose smallest singular value on the free motions is below this cannot be coordinates.
 COORDINATE_TOLERANCE = 1e-6

@@ -26,7 +26,6 @@ from functools import singledispatch
 import numpy as np
 
 from multiarm.control.derivatives import differentiate_joint_pd, holding_derivatives
-from multiarm.control.force_distribution import static_forces
 from multiarm.control.object_control import (
     computed_torque,
     object_impedance,
@@ -50,6 +49,7 @@ from multiarm.control.user_control import Control
 from multiarm.dynamics.arrays import CARRYING, LOCAL, OPEN_LOOP, open_system
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan, Data
 from multiarm.dynamics.state import State

@@ -1,7 +1,7 @@
 r"""Control laws that move the object: inverse dynamics along a path, and an impedance.
 
 Both command a wrench ``w`` on the object, distribute it over the contacts
-(:mod:`multiarm.control.force_distribution`), and map the contact forces :math:`\lambda` to joint
+(:mod:`multiarm.dynamics.forces.compiled`), and map the contact forces :math:`\lambda` to joint
 torques.
 
 * *Computed torque* commands the object's acceleration
@@ -42,17 +42,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from multiarm.contacts.internal_forces import internal_forces
 from multiarm.contacts.kernel import GAP_BIAS
-from multiarm.control.force_distribution import share_load, static_forces
 from multiarm.control.null_space import hold_pose, nearest_accelerations
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.forces.compiled import share_load, static_forces
+from multiarm.dynamics.forces.internal_forces import decompose, internal_forces
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError, GraspError
+from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import add_scaled, scale, sub, vec
@@ -64,7 +65,6 @@ from multiarm.spatial import (
     matrix_to_quaternion,
     retracted,
     rotation_between,
-    skew,
     write_chart_rate,
 )
 
@@ -158,7 +158,7 @@ def _desired_forces(
                 f"{count_of(by_arm[arm].size, 'contact')}; give one each: {names}"
             )
         by_arm[arm][:] = forces
-    lost = np.linalg.norm(np.linalg.pinv(Wo.T) @ (Wo.T @ offsets))
+    lost = np.linalg.norm(decompose(Wo.T, offsets).moving)
     if np.any(offsets) and lost > (1.0 - 1e-6) * np.linalg.norm(offsets):
         raise ControlError(
             "control.internal_forces: these forces only move the object, nothing of them is "

@@ -14,7 +14,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from multiarm.contacts.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.contacts.matrices import ContactTerms, relative_wrenches
 from multiarm.contacts.motion_space import (
     MotionSpace,
@@ -38,6 +37,7 @@ from multiarm.dynamics.diagnosis import (
     lost_motions,
 )
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
@@ -335,7 +335,7 @@ class Evaluation:
 
         One row a contact, arm after arm, named ``arm/contact``.  ``form`` is ``orthonormal``,
         ``nonnegative`` or ``echelon``; see
-        :func:`multiarm.contacts.internal_forces.internal_forces`.
+        :func:`multiarm.dynamics.forces.internal_forces.internal_forces`.
         """
         names = [
             f"{arm}/{contact.name}"

@@ -28,12 +28,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.contacts.internal_forces import InternalForces, distribute
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
+from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector
@@ -96,7 +96,7 @@ def inverse_dynamics(
     t : float
         Time [s].
     basis : "orthonormal", "nonnegative", "echelon" or InternalForces
-        Basis of the coordinates, see :mod:`multiarm.contacts.internal_forces`.
+        Basis of the coordinates, see :mod:`multiarm.dynamics.forces.internal_forces`.
     posture_acceleration : mapping arm -> array-like (n_i,), optional
         Preferred joint accelerations of redundant arms; zero when left out.
 

@@ -446,7 +446,7 @@ class Transition:
         """Solve with bilateral contacts that push or pull; and which of them pull.
 
         The first sides are those of the forces without friction in these contacts.  Whichever then
-        opens changes its side: all of them at once, or the first one where that has led back.
+        opens changes its side: all of them at once, or one of them where that has led back.
         """
         bilateral = {k for k, u in enumerate(involved) if self._constraints[u].bilateral}
         sided = {
@@ -471,7 +471,11 @@ class Transition:
             if not wrong or len(tried) > 8 * len(sided):
                 break
             tried.add(pulls)
-            pulls = pulls ^ frozenset(wrong if pulls ^ frozenset(wrong) not in tried else wrong[:1])
+            changes = [frozenset(wrong), *(frozenset([k]) for k in wrong)]
+            untried = [pulls ^ change for change in changes if pulls ^ change not in tried]
+            if not untried:
+                break
+            pulls = untried[0]
         if wrong:
             found = replace(found, verdict=Verdict.NONE, residual=1.0, message=NO_SIDES)
         others = tuple(

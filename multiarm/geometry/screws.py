@@ -306,6 +306,11 @@ def wrench_matrix(W: np.ndarray, name: str = "W") -> np.ndarray:
     return W
 
 
+def skew(a: np.ndarray) -> np.ndarray:
+    """Matrix ``S(a)``, shape (3, 3), with ``S(a) @ b = a x b``."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
 def _pair(f: np.ndarray, m: np.ndarray, gamma: float, scale: float) -> ZeroPitch:
     """The two contacts of a wrench with pitch, for a given factor."""
     force = float(np.linalg.norm(f))

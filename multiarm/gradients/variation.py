@@ -44,10 +44,10 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
+from multiarm.geometry.screws import skew
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
-from multiarm.spatial import skew
 
 # Displacement of a difference, as part of the size of a number of the scene; numbers below the
 # second may be roundings of zero, and have the size 1.

@@ -5,32 +5,53 @@
 >>> grasp.closure.margin, grasp.closure.coefficients
 >>> scene = grasp.to_scene(arms=["panda", "panda"], mass=1.0)
 
-See chapter 2 and the appendices A to C of the thesis.  Points are in metres,
-in the body's frame; a contact's normal is a unit vector *into* the body.
+The packages follow chapter 2 of the thesis and its appendices A and B (C is in
+:mod:`multiarm.geometry.screws`):
+
+===================  ========================================================  ==================
+package              content                                                   thesis
+===================  ========================================================  ==================
+``contacts``         points, normals and wrenches of contacts                  2.1
+``closure``          form closure with its proof, immobility to second order   2.1
+``six_contacts``     independent wrenches, conditions, special selections      2.2, 2.2.1, A.2-A.5
+``seventh_contact``  where one more contact closes, by two routes              2.2.2, A.6
+``body``             polyhedra, their faces and classes                        2.2.3, A.7
+``designs``          constructions for blocks, parallel faces, wider class     2.2.3
+``stability``        displacements that a grasp bears                          2.3
+``pose``             the body's frame from the fingertips                      2.4, B
+``forces``           forces that exert a wrench, loads that they carry         3.4
+``optimisation``     the placement with the largest margin, and a bound        5.1
+``scenes``           a grasp as a scene with arms, the grasp in a scene
+===================  ========================================================  ==================
+
+Points are in metres, in the body's frame; a contact's normal is a unit vector *into* the body.
 """
 
 from __future__ import annotations
 
-from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
-from multiarm.grasp.body_class import BodyClass, Roundness, classify, roundness
-from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, independence_radius
-from multiarm.grasp.construction import design_grasp, search_grasp
-from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face import Face
-from multiarm.grasp.face_contacts import Gripper
-from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
-from multiarm.grasp.form_closure import FormClosure, ManyClosures, closed_many, is_form_closure
-from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.immobility import Immobility
-from multiarm.grasp.independent_contacts import (
-    BlockInverse,
-    Independence,
-    Violation,
-    block_inverse,
-    independence,
-    violated_conditions,
+from multiarm.grasp.body.body_class import BodyClass, Roundness, classify, roundness
+from multiarm.grasp.body.face import Face
+from multiarm.grasp.body.polyhedron import MassProperties, Polyhedron
+from multiarm.grasp.closure.form_closure import (
+    FormClosure,
+    ManyClosures,
+    closed_many,
+    is_form_closure,
 )
-from multiarm.grasp.load_maps import (
+from multiarm.grasp.closure.immobility import Immobility
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.designs.blocks import BlockDesign, block_design, design_block_grasp
+from multiarm.grasp.designs.construction import design_grasp
+from multiarm.grasp.designs.drawn_contacts import search_grasp
+from multiarm.grasp.designs.parallel_bodies import (
+    ParallelDesign,
+    design_parallel_grasp,
+    parallel_design,
+)
+from multiarm.grasp.designs.wide_bodies import design_wide_grasp
+from multiarm.grasp.face_contacts import Gripper
+from multiarm.grasp.forces.force_distribution import ForceDistribution, distribute_forces
+from multiarm.grasp.forces.load_maps import (
     LiftableMap,
     LoadCapacity,
     WorstForce,
@@ -38,37 +59,43 @@ from multiarm.grasp.load_maps import (
     load_capacity,
     worst_force,
 )
-from multiarm.grasp.object_frame import (
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.optimisation.optimisation import OptimisedGrasp, optimise_grasp
+from multiarm.grasp.pose.object_frame import (
     FrameCandidate,
     ObjectFrame,
     object_frame_from_contacts,
     object_frame_from_faces,
     object_frame_on_body,
 )
-from multiarm.grasp.optimisation import OptimisedGrasp, optimise_grasp
-from multiarm.grasp.parallel_bodies import (
-    ParallelDesign,
-    design_parallel_grasp,
-    parallel_design,
+from multiarm.grasp.seventh_contact.contact_region import ContactRegion, seventh_contact_region
+from multiarm.grasp.seventh_contact.wrench_cones import WrenchCone, closes_on_surface, wrench_cone
+from multiarm.grasp.six_contacts.independent_contacts import (
+    BlockInverse,
+    Independence,
+    block_inverse,
+    independence,
 )
-from multiarm.grasp.polyhedron import MassProperties, Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
-from multiarm.grasp.special_selections import (
+from multiarm.grasp.six_contacts.necessary_conditions import Violation, violated_conditions
+from multiarm.grasp.six_contacts.special_selections import (
     ThreeMoments,
     case_I,
     case_II,
     case_III,
     three_moments,
 )
-from multiarm.grasp.stability import (
+from multiarm.grasp.stability.closure_radii import (
+    ClosureRadius,
+    closure_radius,
+    independence_radius,
+)
+from multiarm.grasp.stability.configuration_stability import (
     ConfigurationStability,
     DrawnStability,
     configuration_stability,
     monte_carlo_stability,
     own_regions,
 )
-from multiarm.grasp.wide_design import design_wide_grasp
-from multiarm.grasp.wrench_cones import WrenchCone, closes_on_surface, wrench_cone
 
 __all__ = [
     "BlockDesign",

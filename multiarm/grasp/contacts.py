@@ -49,14 +49,14 @@ class Contacts:
 
     Notes
     -----
-    :meth:`along` takes directions of any length.  Numbers may be ``fractions.Fraction``; they are
-    kept as given for decisions in exact arithmetic (``exact_points``, ``exact_directions``).
+    :meth:`along` takes directions of any length.  Numbers may be ``fractions.Fraction``: decisions
+    in exact arithmetic use them without rounding (``exact_points``, ``exact_directions``).
     """
 
     points: np.ndarray
     normals: np.ndarray
     names: tuple[str, ...]
-    given: tuple[Any, Any]
+    written: tuple[Any, Any]
 
     def __init__(self, points: Any, normals: Any, names: Sequence[str] | None = None) -> None:
         directions = _table(normals, "normals")
@@ -65,7 +65,7 @@ class Contacts:
 
     @classmethod
     def along(cls, points: Any, directions: Any, names: Sequence[str] | None = None) -> Contacts:
-        """Contacts whose inward normals are given as directions of any length but zero.
+        """Contacts with inward directions of any length but zero in place of unit normals.
 
         Raises
         ------
@@ -100,7 +100,9 @@ class Contacts:
         object.__setattr__(self, "points", at)
         object.__setattr__(self, "normals", unit)
         object.__setattr__(self, "names", called)
-        object.__setattr__(self, "given", (_kept(points, at), _kept(directions, along)))
+        object.__setattr__(
+            self, "written", (_as_written(points, at), _as_written(directions, along))
+        )
 
     def __len__(self) -> int:
         return len(self.points)
@@ -117,7 +119,7 @@ class Contacts:
 
     @property
     def freedoms(self) -> int:
-        """Freedoms of the body: 6 in space, 3 in the plane; so many rows have the wrenches."""
+        """Freedoms of the body, and rows of a wrench: 6 in space, 3 in the plane."""
         return 6 if self.dimension == 3 else 3
 
     @cached_property
@@ -150,12 +152,12 @@ class Contacts:
     @cached_property
     def exact_points(self) -> tuple[tuple[Fraction, ...], ...]:
         """The points without rounding: a float is the fraction that it stands for."""
-        return _fractions(self.given[0])
+        return _fractions(self.written[0])
 
     @cached_property
     def exact_directions(self) -> tuple[tuple[Fraction, ...], ...]:
-        """The directions of the normals as given, of any length."""
-        return _fractions(self.given[1])
+        """The directions of the normals as the caller wrote them, of any length."""
+        return _fractions(self.written[1])
 
     def subset(self, numbers: Iterable[int]) -> Contacts:
         """Some of the contacts, by their numbers from 0, or by N truth values.
@@ -166,21 +168,21 @@ class Contacts:
             Numbers of contacts that there are not; none at all.
         """
         chosen = self._chosen(list(numbers))
-        at, along = ([given[j] for j in chosen] for given in self.given)
+        at, along = ([entries[j] for j in chosen] for entries in self.written)
         return Contacts.along(at, along, [self.names[j] for j in chosen])
 
     def _chosen(self, numbers: list[Any]) -> list[int]:
-        if numbers and all(isinstance(one, bool | np.bool_) for one in numbers):
+        if numbers and all(isinstance(number, bool | np.bool_) for number in numbers):
             if len(numbers) != self.count:
                 raise GraspError(
                     f"{count_of(self.count, 'contact')} must have as many truth values, not "
                     f"{len(numbers)}"
                 )
-            numbers = [j for j, one in enumerate(numbers) if one]
+            numbers = [j for j, number in enumerate(numbers) if number]
         if not numbers:
             raise GraspError("a set of contacts has at least one; none was chosen")
         try:
-            chosen = [index(one) for one in numbers]
+            chosen = [index(number) for number in numbers]
         except TypeError as error:
             raise GraspError(f"contacts are chosen by whole numbers, not {numbers!r}") from error
         if min(chosen) < 0 or max(chosen) >= self.count:
@@ -189,7 +191,7 @@ class Contacts:
 
     def joined(self, other: Contacts) -> Contacts:
         """These contacts, then others in the same frame."""
-        at, along = ([*a, *b] for a, b in zip(self.given, other.given, strict=True))
+        at, along = ([*a, *b] for a, b in zip(self.written, other.written, strict=True))
         names = [*self.names, *other.names]
         return Contacts.along(at, along, names if len(set(names)) == len(names) else None)
 
@@ -208,7 +210,7 @@ class HeldByContacts(Protocol):
         """Those that hold it."""
 
 
-def as_contacts(given: Contacts | HeldByContacts) -> Contacts:
+def as_contacts(holder: Contacts | HeldByContacts) -> Contacts:
     """Contacts as they are, or those of a grasp.
 
     Raises
@@ -216,26 +218,26 @@ def as_contacts(given: Contacts | HeldByContacts) -> Contacts:
     GraspError
         Something that neither is nor has contacts.
     """
-    found = getattr(given, "contacts", given)
-    if not isinstance(found, Contacts):
+    contacts = getattr(holder, "contacts", holder)
+    if not isinstance(contacts, Contacts):
         raise GraspError(
             f"Contacts(points, normals), or a grasp that has some, are needed here, not "
-            f"{type(given).__name__}"
+            f"{type(holder).__name__}"
         )
-    return found
+    return contacts
 
 
 def contacts_in_space(
-    given: Contacts | HeldByContacts, least: int = 1, most: int | None = None
+    holder: Contacts | HeldByContacts, least: int = 1, most: int | None = None
 ) -> Contacts:
-    """Contacts in space, or those of a grasp: at least and at most so many.
+    """Contacts in space, or those of a grasp, of a number from ``least`` to ``most``.
 
     Raises
     ------
     GraspError
         Contacts in the plane, or another number.
     """
-    contacts = as_contacts(given)
+    contacts = as_contacts(holder)
     if contacts.dimension != 3 or not least <= contacts.count <= (most or contacts.count):
         wanted = f"{least} contacts" + (" or more" if most is None else "")
         where = "in space" if contacts.dimension == 3 else "in the plane"
@@ -256,8 +258,8 @@ def nearest_to_lines(points: np.ndarray, directions: np.ndarray) -> tuple[np.nda
     """The point (d,) nearest to lines through points (N, d), and its offsets (N, d) from them."""
     projectors = np.eye(points.shape[1]) - directions[:, :, None] * directions[:, None, :]
     sides = np.einsum("jab,jb->a", projectors, points)
-    found = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
-    return found, np.einsum("jab,jb->ja", projectors, points - found)
+    nearest = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
+    return nearest, np.einsum("jab,jb->ja", projectors, points - nearest)
 
 
 def _table(values: Any, what: str) -> np.ndarray:
@@ -265,14 +267,14 @@ def _table(values: Any, what: str) -> np.ndarray:
     return numbers_of(values, needed, (-1, 3), (-1, 2))
 
 
-def _kept(values: Any, table: np.ndarray) -> Any:
+def _as_written(values: Any, table: np.ndarray) -> Any:
     """A copy of the input: fractions unchanged, all other numbers as floats."""
-    given = np.asarray(values)
-    return tuple(map(tuple, given.tolist())) if given.dtype == object else table
+    entries = np.asarray(values)
+    return tuple(map(tuple, entries.tolist())) if entries.dtype == object else table
 
 
-def _fractions(given: Any) -> tuple[tuple[Fraction, ...], ...]:
-    rows = given.tolist() if isinstance(given, np.ndarray) else given
+def _fractions(entries: Any) -> tuple[tuple[Fraction, ...], ...]:
+    rows = entries.tolist() if isinstance(entries, np.ndarray) else entries
     return tuple(tuple(map(Fraction, row)) for row in rows)
 
 
@@ -283,7 +285,7 @@ def _numbered(count: int) -> tuple[str, ...]:
 # --- Input of users -------------------------------------------------------------------------------
 
 Shape = tuple[Any, ...]
-# Arrays of so many numbers are shown in messages; of larger ones the shape.
+# Messages show arrays of up to this many numbers, and the shape of larger ones.
 SHOWN = 7
 
 
@@ -294,12 +296,12 @@ def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False)
     ----------
     values : array-like
     needed : str
-        What they should be, as the message says it.
+        What they should be; the message begins with it.
     *shapes : tuple
-        Those that will do.  A length -n stands for n or more, None for any; an ellipsis in front
-        for any number of lengths.
+        Allowed shapes.  A length -n stands for n or more, None for any; an ellipsis in front for
+        any number of lengths.
     infinite : bool
-        Whether infinite numbers will do, too.
+        Whether numbers may be infinite.
 
     Raises
     ------
@@ -311,8 +313,8 @@ def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False)
     except (TypeError, ValueError) as error:
         raise GraspError(f"{needed}, not {values!r}") from error
     if not any(_fits(array.shape, shape) for shape in shapes):
-        given = array.tolist() if array.size <= SHOWN else f"of shape {array.shape}"
-        raise GraspError(f"{needed}, not {given}")
+        shown = array.tolist() if array.size <= SHOWN else f"of shape {array.shape}"
+        raise GraspError(f"{needed}, not {shown}")
     wrong = np.isnan(array) if infinite else ~np.isfinite(array)
     if wrong.any() and array.ndim < 2:
         raise GraspError(f"{needed}, not {array.tolist()}")
@@ -322,12 +324,12 @@ def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False)
     return array
 
 
-def _fits(given: Shape, shape: Shape) -> bool:
+def _fits(lengths: Shape, shape: Shape) -> bool:
     if shape[:1] == (...,):
         shape = shape[1:]
-        given = given[max(len(given) - len(shape), 0) :]
-    return len(given) == len(shape) and all(
-        m is None or (n >= -m if m < 0 else n == m) for n, m in zip(given, shape, strict=True)
+        lengths = lengths[max(len(lengths) - len(shape), 0) :]
+    return len(lengths) == len(shape) and all(
+        m is None or (n >= -m if m < 0 else n == m) for n, m in zip(lengths, shape, strict=True)
     )
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from typing_extensions import Self
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.face import Face
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face import Face
-from multiarm.grasp.form_closure import FormClosure, is_form_closure
-from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.notation import count_of
 from multiarm.public import facts_html
 

@@ -57,7 +57,6 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.table import KIND, TANGENT
-from multiarm.control.force_distribution import write_wrench_products
 from multiarm.dynamics.arrays import (
     CARRYING,
     HELD,
@@ -79,6 +78,7 @@ from multiarm.dynamics.force_derivatives import (
     differentiate_control,
     differentiate_effect,
 )
+from multiarm.dynamics.forces.compiled import write_wrench_products
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.dynamics.status import NOT_FINITE, OK

@@ -2,7 +2,6 @@
 
 - :mod:`~multiarm.jit.kernels`: functions that are compiled, cached and inlined into each other;
 - :mod:`~multiarm.jit.interpretation`: the same kernels as plain Python, to step through;
-- :mod:`~multiarm.jit.typing`: types of built-in operations, found once;
 - :mod:`~multiarm.jit.linking`: how their parts become one unit of machine code;
 - :mod:`~multiarm.jit.pointers`: calls through addresses, and callbacks into Python;
 - :mod:`~multiarm.jit.lazy`: functions that are compiled at their first call;

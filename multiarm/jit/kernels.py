@@ -84,7 +84,13 @@ def _read(path: Path) -> tuple[bytes, list[Path]]:
 
 # This package's files are read once, when they are imported: they may be edited while it runs.
 _read_module = functools.cache(_read)
-_stamp_of_module = functools.cache(lambda path: _stamp([path]))
+
+
+@functools.cache
+def _stamp_of_module(file: Path) -> str:
+    return _stamp([file])
+
+
 _MAKING = threading.Lock()
 
 
@@ -95,7 +101,6 @@ class Kernel:
     """
 
     def __init__(self, function: Callable, plain: bool = False, **options: Any) -> None:
-        # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self.py_func = function
         self._plain = plain
         self.is_called_by_address = not options.get("no_cfunc_wrapper", True)
@@ -103,6 +108,7 @@ class Kernel:
         if INTERPRETED:
             return
         self._stamp = _stamp_of(function)
+        # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
@@ -129,9 +135,9 @@ class Kernel:
     def __call__(self, *arguments: Any) -> Any:
         """Run the whole, or a plain kernel's Python."""
         if INTERPRETED:
-            with np.errstate(all="ignore"):  # as compiled code does
+            with np.errstate(all="ignore"):
                 result = self.py_func(*arguments)
-            # a division by Python's zero would raise
+            # a division by Python's zero raises, by NumPy's it gives inf or NaN
             return np.float64(result) if type(result) is float else result
         return self.py_func(*arguments) if self._plain else self.whole(*arguments)
 

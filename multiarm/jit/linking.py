@@ -4,8 +4,7 @@ Numba optimises every function on its own, translates it, and does both again in
 compiled into.  Most functions here are only ever parts of a few large kernels that are called from
 Python or by address.  These *parts* are kept as they were written down (LLVM's intermediate
 language); a *whole* takes in the parts that it needs, makes them its own, so that LLVM may inline
-or drop them, and is the only thing that is optimised.  That saves more than a third of the
-time.
+or drop them, and is the only thing that is optimised.  That saves a third of the time.
 
 Numba has no public name for this: the two classes below stand on its code libraries.
 """
@@ -18,8 +17,6 @@ from typing import Any
 from llvmlite import binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-
-from multiarm.jit.typing import RememberingContext
 
 
 class _NoEnvironment:
@@ -89,9 +86,6 @@ def _with_parts(libraries: Any) -> list[Any]:
 
 class _PartCompiler(Compiler):
     library = _Part
-
-    def __init__(self, typing_context: Any, *arguments: Any) -> None:
-        super().__init__(RememberingContext.around(typing_context), *arguments)
 
     def define_pipelines(self) -> list:
         codegen = self.state.targetctx.codegen()

@@ -312,37 +312,38 @@ def _python_view(kind: View) -> type[_PythonView]:
 
 def _view_property(kind: View, place: int, dtype: Any, axes: int) -> property:
     offset = 8 * WIDTH * place  # [bytes]
-    if axes > 0:
-        return property(lambda view: _array_of_entry(view._address + offset, dtype, axes))
     if axes < 0:
         numbers, size = _python_view(dtype), WIDTH * len(dtype.fields)
 
         def read_numbers(view: _PythonView) -> _PythonView:
-            (address,) = _memory_at(types.int64, view._address + offset, (1,))
+            (address,) = _memory_at(np.int64, view._address + offset, (1,))
             return numbers(_struct_at(address, size))
 
         return property(read_numbers)
+    number = _NUMPY[dtype]
+    if axes > 0:
+        return property(lambda view: _array_of_entry(view._address + offset, number, axes))
 
     def read(view: _PythonView) -> np.number:
-        return _memory_at(dtype, view._address + offset, (1,))[0]
+        return _memory_at(number, view._address + offset, (1,))[0]
 
     def write(view: _PythonView, value: float) -> None:
-        _memory_at(dtype, view._address + offset, (1,))[0] = value
+        _memory_at(number, view._address + offset, (1,))[0] = value
 
     return property(read, write if kind.settable else None)
 
 
-def _array_of_entry(address: int, dtype: Any, axes: int) -> np.ndarray:
+def _array_of_entry(address: int, number: Any, axes: int) -> np.ndarray:
     """The array of an entry of a struct: its address and its sizes stand at ``address``."""
-    first, *shape = _memory_at(types.int64, address, (1 + axes,)).tolist()
-    return _memory_at(dtype, first, tuple(shape))
+    first, *shape = _memory_at(np.int64, address, (1 + axes,)).tolist()
+    return _memory_at(number, first, tuple(shape))
 
 
 @functools.lru_cache(maxsize=2**14)
-def _memory_at(dtype: Any, address: int, shape: tuple[int, ...]) -> np.ndarray:
+def _memory_at(number: Any, address: int, shape: tuple[int, ...]) -> np.ndarray:
     """The C-contiguous array at an address; as in compiled code, somebody else keeps its memory."""
     memory = (ctypes.c_int64 * math.prod(shape)).from_address(address)
-    return np.ndarray(shape, _NUMPY[dtype], memoryview(memory))
+    return np.ndarray(shape, number, memoryview(memory))
 
 
 def _entry_of_struct(dtype, axes: int):
@@ -351,7 +352,7 @@ def _entry_of_struct(dtype, axes: int):
     def read(struct, k):
         if not 0 <= WIDTH * k < struct.size:
             raise IndexError(f"entry {k} of a struct of {struct.size // WIDTH}")
-        return _array_of_entry(struct.ctypes.data + 8 * WIDTH * k, dtype, axes)
+        return _array_of_entry(struct.ctypes.data + 8 * WIDTH * k, _NUMPY[dtype], axes)
 
     @generated(read)
     def entry(typing_context, struct, k):
@@ -373,7 +374,7 @@ ints2 = _entry_of_struct(types.int64, 2)
 
 
 def _floats_at(address, count):
-    return _memory_at(types.float64, int(address), (int(count),))
+    return _memory_at(np.float64, int(address), (int(count),))
 
 
 @generated(_floats_at)
@@ -387,7 +388,7 @@ def floats_at(typing_context, address, count):
 
 
 def _struct_at(address, size):
-    return _memory_at(types.int64, int(address), (int(size),))
+    return _memory_at(np.int64, int(address), (int(size),))
 
 
 @generated(_struct_at)

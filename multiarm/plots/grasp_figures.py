@@ -25,14 +25,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, PathPatch
 from matplotlib.path import Path
 
-from multiarm.grasp.seventh_contact import seventh_contact_region
+from multiarm.grasp.seventh_contact.contact_region import seventh_contact_region
 from multiarm.notation import count_of
 from multiarm.plots.style import INK, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multiarm.grasp.face import Face
+    from multiarm.grasp.body.face import Face
     from multiarm.grasp.grasp import Grasp
 
 
@@ -138,8 +138,8 @@ def _draw_region(axes: Axes, grasp: Grasp, eye: Eye, front: bool) -> None:
     face = grasp.body.faces[grasp.faces[-1]]
     if eye.sees(face) != front:
         return
-    others = grasp.contacts.subset(range(len(grasp.contacts) - 1))
-    region = seventh_contact_region(others, face)
+    six_contacts = grasp.contacts.subset(range(len(grasp.contacts) - 1))
+    region = seventh_contact_region(six_contacts, face)
     for outline, holes in zip(region.outlines, region.holes, strict=True):
         path = path_of(eye.places(face.at(outline)), [eye.places(face.at(hole)) for hole in holes])
         strength = 0.38 if front else 0.38 * HIDDEN

@@ -1,7 +1,7 @@
-"""HTML pages from templates, and how numbers are written on them.
+"""HTML pages from templates, and how texts are written on them.
 
-A page is one file that loads nothing: its template in ``templates/`` takes in the style sheet and,
-where there is one, the script.  Templates escape every value that they show, so that a name from a
+A page is one file that loads nothing: its template in ``templates/`` takes in the style sheet.
+Templates escape every value that they show, so that a name from a
 scene is never markup; only figures, which are drawn here, are put in as they are.
 """
 
@@ -13,9 +13,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from multiarm.notation import NOTHING, count_of, number, value_text
-
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+from multiarm.notation import count_of, number, value_text
 
 
 def render(template: str, **values: Any) -> str:
@@ -42,30 +40,11 @@ def _environment() -> Environment:
         "count_of": count_of,
         "heading": heading,
         "number": number,
-        "scientific": scientific,
         "thousands": "{:,}".format,
         "unbroken": unbroken,
         "value_text": value_text,
     }
-    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "ensure_ascii": False}
     return environment
-
-
-def scientific(value: float | None) -> str:
-    """A number of two or three digits, with a power of ten: `2.3×10⁻¹⁴`."""
-    if value is None:
-        return NOTHING
-    if value == 0 or 1e-2 <= abs(value) < 1e4:
-        return f"{value:.3g}"
-    mantissa, exponent = f"{value:.1e}".split("e")
-    mantissa = mantissa.removesuffix(".0")
-    power = power_of_ten(int(exponent))
-    return power if mantissa == "1" else f"{mantissa}\N{MULTIPLICATION SIGN}{power}"
-
-
-def power_of_ten(exponent: int) -> str:
-    """`power_of_ten(-14)` is `10⁻¹⁴`."""
-    return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
 def heading(key: str) -> str:

@@ -19,6 +19,7 @@ from multiarm.notation import number, numbers, value_text
 from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
 from multiarm.reports.pages import heading
+from multiarm.reports.run_facts import COURSE, SETTINGS, course_facts, figures_of, motion_facts
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import atomic_file, printable, resolved
 from multiarm.results.limit_use import (
@@ -33,15 +34,6 @@ from multiarm.results.limit_use import (
 from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
 
 SHOWN_EVENTS = 200
-_STATISTICS = {
-    "steps": "Steps",
-    "rejected_steps": "Rejected steps",
-    "evaluations": "Evaluations of the dynamics",
-    "wall_time_s": "Wall time without compilation [s]",
-    "compile_time_s": "Compiling kernels [s]",
-    "realtime_factor": "Simulated time / wall time",
-    "error_estimate": "Error estimate",
-}
 # What a certificate has that this program wrote; one of another program is shown unchanged.
 _CERTIFICATE = {"met", "text", "asked", "estimated_error"}
 
@@ -80,13 +72,13 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
 
 def render(trajectory: Trajectory) -> str:
     """The page as text."""
-    summary, certificate = trajectory.summary(), trajectory.certificate or {}
+    figures, certificate = figures_of(trajectory), trajectory.certificate or {}
     ours = certificate if certificate.keys() >= _CERTIFICATE else None
     return pages.render(
         "report.html",
         name=_scene_name(trajectory.scene_text),
-        summary=summary,
-        largest_force=_largest_force(trajectory, summary),
+        summary=figures,
+        largest_force=_largest_force(trajectory, figures),
         certificate=ours,
         certificate_figure=_course(ours, trajectory.events) if ours else "",
         foreign_certificate={} if ours else _flat(certificate),
@@ -96,7 +88,7 @@ def render(trajectory: Trajectory) -> str:
         },
         limits=_limits(trajectory),
         works=_works(trajectory),
-        statistics=_statistics(trajectory, summary),
+        statistics=_statistics(trajectory, figures),
         events=_events(trajectory.events),
         scene_text=trajectory.scene_text,
         provenance=_flat(trajectory.provenance),
@@ -171,22 +163,17 @@ def _works(trajectory: Trajectory) -> list[tuple[str, str]]:
     return [(name, number(work, "J")) for name, work in done.items()]
 
 
-def _statistics(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Any]:
+def _statistics(trajectory: Trajectory, figures: dict[str, Any]) -> dict[str, Any]:
+    """How the run went: the rows of the terminal, then what is counted besides."""
     counted = trajectory.statistics
-    rows = {name: counted.get(key) for key, name in _STATISTICS.items() if key in counted}
-    rows |= {
+    facts = {**course_facts(figures, counted.get("compile_time_s") or 0.0), **motion_facts(figures)}
+    rows: dict[str, Any] = {heading(name): text for name, text in facts.items()}
+    rows["Orientation at the end, quaternion x y z w"] = figures["final_object_quaternion_xyzw"]
+    return rows | {
         heading(key): value
         for key, value in counted.items()
-        if key not in _STATISTICS and value not in (None, {})
+        if key not in (*SETTINGS, *COURSE) and value not in (None, {})
     }
-    rows["Object at the end, position [m]"] = summary["final_object_position"]
-    rows["Object at the end, quaternion x y z w"] = summary["final_object_quaternion_xyzw"]
-    for arm, force in summary["contact_force_max_N"].items():
-        rows[f"Largest contact force of {arm} [N]"] = force
-    for arm, wrench in summary["wrench_max"].items():
-        rows[f"Largest force of {arm} on the object [N]"] = wrench["force_N"]
-        rows[f"Largest moment of {arm} on the object [N m]"] = wrench["moment_N_m"]
-    return rows
 
 
 def _events(events: Sequence[Event]) -> dict[str, Any]:

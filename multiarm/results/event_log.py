@@ -5,8 +5,8 @@ apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``
 [m]), ``before`` and ``after``: named numbers whose unit ends the name, as in ``gap_rate_m_s``, or
 words.
 
-A run that chatters makes very many events: `EventLog` lists the first ones and counts the rest by
-kind, so that neither a result nor its message grows with them. Figures and replays show kinds of
+A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
+by kind, so that neither a result nor its message grows with them. Figures and replays show kinds of
 one family alike, and a contact that bounces a hundred times as one group: events of the same
 contact or joint whose kinds repeat.
 """
@@ -26,6 +26,8 @@ START = "start"
 """Kind of the remarks on how a run was prepared; they are no events of the motion."""
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
+CLAUSE_SEPARATOR = "; "
+"""Between the clauses of a result's message."""
 # Kinds of events that the result's message mentions, and how.
 _MEANINGS = {
     "pulls": "contacts that can only push were pulled, where real ones would come apart",
@@ -56,7 +58,7 @@ STATE_COLOURS = ("#8a94a0", "#3b7dd8", "#d07c1e", "#8a5fc4", "#2f9e67")
 
 @dataclass(frozen=True)
 class Family:
-    """Kinds of events that mean the same to a reader.
+    """Kinds of events that figures and replays show alike.
 
     Attributes
     ----------
@@ -130,12 +132,15 @@ class EventLog:
         """Events in order of time; the last one states how many more there were."""
         events = sorted(self.listed, key=lambda event: event["time"])
         if self.dropped:
-            events.append({"time": self._span[1], "kind": "not listed", "text": self._rest()})
+            events.append({"time": self._span[1], "kind": "not listed", "text": self._not_listed()})
         return events
 
-    def summary(self, room: int) -> str:
-        """Text for the result's message, of up to ``room`` characters; empty if it needs none."""
-        parts = [f"; {self._rest()}"] if self.dropped else []
+    def remarks(self, room: int) -> list[str]:
+        """Clauses for the result's message; one that is cut where they exceed ``room`` characters.
+
+        The separators count.
+        """
+        clauses = [self._not_listed()] if self.dropped else []
         for kind, meaning in _MEANINGS.items():
             first: dict[str, float] = {}
             for event in self.listed:
@@ -143,12 +148,13 @@ class EventLog:
                     first.setdefault(event["text"].replace(f" {kind}", ""), event["time"])
             if first:
                 names = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
-                parts.append(f"; {meaning}: {_some(names)}")
-        if not parts:
-            return ""
-        return shorten("".join(parts), max(room, 60), placeholder=" ... (see `events`)")
+                clauses.append(f"{meaning}: {_some(names)}")
+        text, most = CLAUSE_SEPARATOR.join(clauses), max(room, 60) - len(CLAUSE_SEPARATOR)
+        if len(text) <= most:
+            return clauses
+        return [shorten(text, most, placeholder=" ... (see `events`)")]
 
-    def _rest(self) -> str:
+    def _not_listed(self) -> str:
         """The events that are not listed, in words."""
         begin, end = self._span
         names = [

@@ -106,10 +106,10 @@ class Peak:
         """What is beyond the limit, and the remedy; empty within it."""
         if not self.beyond:
             return ""
-        rest = f" ({self.beyond} joints are beyond 100 %)" if self.beyond > 1 else ""
+        also = f" ({self.beyond} joints are beyond 100 %)" if self.beyond > 1 else ""
         return (
             f"{self.joint} uses {percent(self.share)} of its {self.quantity} limit "
-            f"at t = {self.time:.3g} s{rest}, which the robot cannot do: "
+            f"at t = {self.time:.3g} s{also}, which the robot cannot do: "
             f"{_REMEDIES[self.quantity]}"
         )
 
@@ -200,7 +200,7 @@ def _bounds(limits: Any, arm: str, quantity: str, joints: int) -> np.ndarray:
 
 def _interval(entry: Any) -> tuple[float, float]:
     lower, upper = entry if isinstance(entry, list) else (entry and -entry, entry)
-    if lower is None or upper is None:  # no share can be told by one end
+    if lower is None or upper is None:  # one end gives no share
         return -math.inf, math.inf
     return float(lower), float(upper)
 

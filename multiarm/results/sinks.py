@@ -85,9 +85,10 @@ class Sink:
         statistics: dict[str, Any],
         events: Iterable[dict[str, Any]] = (),
         certificate: dict[str, Any] | None = None,
+        remarks: Iterable[str] = (),
     ) -> Trajectory:
         """Store how the run ended, see `Outcome`."""
-        parts = plain([statistics, events, certificate])
+        parts = plain([statistics, events, certificate, remarks])
         return self._trajectory(Outcome(status, message, *parts))
 
     def _begin(self) -> None:

@@ -24,6 +24,7 @@ from multiarm.errors import SceneError, TrajectoryError
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
+from multiarm.results.event_log import CLAUSE_SEPARATOR
 from multiarm.results.files import STATUSES, temporary_name
 from multiarm.results.limit_use import (
     JointUse,
@@ -49,6 +50,7 @@ class Outcome:
     statistics: dict[str, Any] = field(default_factory=dict)  # steps, evaluations, wall_time_s, ...
     events: list[dict[str, Any]] = field(default_factory=list)
     certificate: dict[str, Any] | None = None
+    remarks: list[str] = field(default_factory=list)  # what a user should know besides, clauses
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -410,8 +412,13 @@ class Trajectory:
 
     @property
     def message(self) -> str:
-        """How the run ended and, after a failure, the remedy."""
-        return self._outcome.message
+        """How the run ended and, after a failure, the remedy; then the remarks."""
+        return CLAUSE_SEPARATOR.join([self._outcome.message, *self._outcome.remarks])
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a user should know besides, such as that the scene is stiff, a clause each."""
+        return list(self._outcome.remarks)
 
     @property
     def statistics(self) -> dict[str, Any]:
@@ -427,8 +434,9 @@ class Trajectory:
     def certificate(self) -> dict[str, Any] | None:
         """Whether the required accuracy was reached; None for an unchecked run.
 
-        ``met``, ``text`` (one sentence), ``reason``; ``asked`` and ``estimated_error`` by
-        ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
+        ``met``, ``text`` (one sentence: ``verdict`` and ``details``), ``reason``; ``asked`` and
+        ``estimated_error`` by ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name ->
+        error, unit, time);
         ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
         bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
         evaluations, wall_time_s, compile_time_s, errors, returned). The errors are estimates, from

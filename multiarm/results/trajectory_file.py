@@ -8,7 +8,7 @@ Layout (format `multiarm trajectory`, version 1)::
                              one resizable float64 dataset per channel, leading axis = samples,
                              attributes: unit, frame, description, columns
     /progress                [samples safely written, pieces of the outcome]
-    /outcome                 status, message, statistics, events, certificate: JSON in pieces
+    /outcome                 entries of `Outcome`: JSON in pieces
     /amended, /amendment     entries of the outcome that were changed after the run, likewise
 
 The writer creates all datasets first and then enters HDF5's single-writer-multiple-reader mode.
@@ -407,13 +407,16 @@ def _create(file: h5py.File, channel: Channel) -> h5py.Dataset:
 def outcome_fault(outcome: Mapping[str, Any]) -> str:
     """Why a table is not the outcome of a run, see `Outcome`; empty where it is one."""
     sorts = {"status": str, "message": str, "statistics": dict, "events": list}
-    allowed = {*sorts, "certificate"}
+    allowed = {*sorts, "certificate", "remarks"}
     wrong = [name for name, sort in sorts.items() if not isinstance(outcome.get(name), sort)]
     if wrong or not allowed.issuperset(outcome) or outcome["status"] not in STATUSES:
         return f"'{(wrong or ['status'])[0]}' is missing, or nothing that this program writes"
     certificate = outcome.get("certificate")
     if certificate is not None and not isinstance(certificate, dict):
         return "'certificate' is none"
+    remarks = outcome.get("remarks", [])
+    if not isinstance(remarks, list) or not all(isinstance(text, str) for text in remarks):
+        return "'remarks' are no texts"
     for event in outcome["events"]:
         entry = event if isinstance(event, dict) else {}
         time, kind = entry.get("time"), entry.get("kind")

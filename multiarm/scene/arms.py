@@ -18,7 +18,7 @@ from typing_extensions import Self
 from multiarm.errors import ModelError, SceneError
 from multiarm.notation import count_of
 from multiarm.scene.code import located
-from multiarm.scene.faults import fault, listed, place, unknown
+from multiarm.scene.faults import fault, fault_at, listed, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.mjcf import read_mjcf
@@ -254,7 +254,7 @@ def resolve_arm(spec: ArmSpec, folder: Path | str | None = None) -> ResolvedArm:
     """
     examination = examine_arm(located(spec, Path(folder or ".").resolve()))
     if examination.faults or examination.arm is None:
-        raise SceneError([f"{place(where, 'arm')}: {text}" for where, text in examination.faults])
+        raise SceneError([fault_at(where, text, "arm") for where, text in examination.faults])
     return examination.arm
 
 

@@ -16,8 +16,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from multiarm.errors import SceneError
-from multiarm.scene.faults import Parts, listed, place, shown, unknown
+from multiarm.errors import Fault, SceneError
+from multiarm.scene.faults import Parts, fault_at, listed, place, shown, unknown
 from multiarm.scene.run import STEPS_CHOSEN_BY
 from multiarm.scene.values import written
 
@@ -36,16 +36,16 @@ def parse_path(text: str) -> Parts:
     """The keys and numbers of a path; raises a SceneError when it is none."""
     if not isinstance(text, str):
         raise _fault((), f"a path is text, such as 'object.mass', got {shown(text)}")
-    rest = text.removeprefix("$").removeprefix(".") if text.startswith("$") else text
+    keys = text.removeprefix("$").removeprefix(".") if text.startswith("$") else text
     parts: list[str | int] = []
     at = 0
-    while at < len(rest):
-        match = _PART.match(rest, at)
+    while at < len(keys):
+        match = _PART.match(keys, at)
         if match is None or (match[1] and (match[0][0] == ".") != bool(parts)):
             break
         parts.append(int(match[4]) if match[4] else next(p for p in match.groups()[:3] if p))
         at = match.end()
-    if at < len(rest) or not parts:
+    if at < len(keys) or not parts:
         raise _fault(
             (), f"{text!r} is no path; write one as 'object.mass', 'joints[1].at.xyz', "
             "\"arms['my arm'].base\""
@@ -68,9 +68,11 @@ def value_at(scene: BaseModel, path: str) -> Any:
     return value
 
 
-def with_changes(scene: BaseModel, changes: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+def with_changes(
+    scene: BaseModel, changes: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[Fault]]:
     """The tables of a scene with other values at some paths, and the faults of the paths."""
-    faults: list[str] = []
+    faults: list[Fault] = []
     tree = _tree(changes, faults)
     data = _applied(scene, tree, (), faults)
     if isinstance(tree.get("run"), dict) and isinstance(data.get("run"), dict):
@@ -78,8 +80,8 @@ def with_changes(scene: BaseModel, changes: Mapping[str, Any]) -> tuple[dict[str
     return data, faults
 
 
-def _tree(changes: Mapping[str, Any], faults: list[str]) -> dict[str | int, Any]:
-    """The changes by the parts of their paths: tables of tables, with :class:`_New` at the ends."""
+def _tree(changes: Mapping[str, Any], faults: list[Fault]) -> dict[str | int, Any]:
+    """The changes as nested tables, by the parts of their paths, with :class:`_New` at the ends."""
     tree: dict[str | int, Any] = {}
     for path, value in changes.items():
         try:
@@ -97,8 +99,8 @@ def _tree(changes: Mapping[str, Any], faults: list[str]) -> dict[str | int, Any]
     return tree
 
 
-def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
-    """The value with a branch of the changes in it, in plain tables and lists along their ways."""
+def _applied(value: Any, tree: Any, here: Parts, faults: list[Fault]) -> Any:
+    """The value with some changes below it, as plain tables and lists where they lead through."""
     if isinstance(tree, _New):
         return tree.value
     entries = {}
@@ -145,7 +147,7 @@ def _keys(value: BaseModel | Mapping) -> list[str]:
 
 
 def _fault(at: Parts, text: str) -> SceneError:
-    return SceneError(f"{place(at)}: {text}")
+    return SceneError([fault_at(at, text)])
 
 
 def _entries(count: int) -> str:
@@ -153,7 +155,7 @@ def _entries(count: int) -> str:
 
 
 def _one_choice(run: dict[str, Any], named: Iterable[str | int]) -> dict[str, Any]:
-    """Settings of a run without the scene's choice of steps, where a change makes another."""
+    """Settings of a run; a change that chooses the steps replaces the scene's choice."""
     if not set(STEPS_CHOSEN_BY).intersection(named):
         return run
     return {key: v for key, v in run.items() if key not in STEPS_CHOSEN_BY or key in named}

@@ -74,8 +74,11 @@ class ControlKind(OwnKind):
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms: their places in the control, and texts."""
-        found = ((key, gain_faults(getattr(self, key), arms)) for key in self.by_joint)
-        return [one for key, faults in found for one in below((key,), faults)]
+        return [
+            fault
+            for key in self.by_joint
+            for fault in below((key,), gain_faults(getattr(self, key), arms))
+        ]
 
     @classmethod
     def sample(cls) -> Self:
@@ -114,6 +117,11 @@ class Waypoint(Pose):
 
     time: NonNegative
     """The time in seconds at which the pose is passed."""
+
+
+def quintic(s: Any) -> Any:
+    """Part of the way from rest to rest that is covered in the part ``s`` of the time."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
 def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:

@@ -1,4 +1,4 @@
-"""Faults of a scene as sentences: place, fault, alternatives, remedy.
+"""Faults of a scene as sentences: place, problem, alternatives, remedy.
 
 A message about a name offers the names that exist, the most similar first, so that a typing error
 is corrected without opening the manual.  Pydantic reports a location (``("joints", 1, "ball",
@@ -19,6 +19,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from multiarm.errors import Fault
 from multiarm.notation import count_of
 from multiarm.scene.parameters import brief_description
 
@@ -145,13 +146,19 @@ def place(parts: Iterable[str | int], root: str = "$") -> str:
     return text
 
 
-def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$") -> list[str]:
-    """Every fault of data for the model ``root`` as one complete line, each once, in its order."""
-    lines = [f"{place(parts, root_name)}: {text}" for parts, text, _ in sentences(error, root)]
+def fault_at(parts: Iterable[str | int], problem: str, root: str = "$") -> Fault:
+    """A problem at the place to which keys and list positions lead from the root."""
+    parts = tuple(parts)
+    return Fault(problem, place(parts, root), parts)
+
+
+def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$") -> list[Fault]:
+    """All faults of data for the model ``root``, each once, in their order."""
+    faults = [fault_at(parts, problem, root_name) for parts, problem, _ in sentences(error, root)]
     left_out = error.error_count() - _MAX_FAULTS
     if left_out > 0:
-        lines.append(f"{root_name}: and {count_of(left_out, 'more fault')}")
-    return list(dict.fromkeys(lines))
+        faults.append(fault_at((), f"and {count_of(left_out, 'more fault')}", root_name))
+    return list(dict.fromkeys(faults))
 
 
 def sentences(
@@ -226,7 +233,7 @@ def _missing(part: str | int, owner: type[BaseModel]) -> str:
 def _walk(
     loc: Sequence[str | int], root: type[BaseModel]
 ) -> tuple[list[str | int], type[BaseModel], list[type[BaseModel]]]:
-    """The location without union branches, the model of its last key, and its possible keys."""
+    """The location without union branches, the model of its last key, and the models below it."""
     parts: list[str | int] = []
     owner, models, inside_container = root, [root], False
     for part in loc:

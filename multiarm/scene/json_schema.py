@@ -45,28 +45,28 @@ class _Generator(GenerateJsonSchema):
         self.only_ours = only_ours
 
     def field_title_should_be_set(self, schema: Any) -> bool:
-        """Say nothing that the key does not say."""
+        """No titles: the keys say as much."""
         return False
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
         """Describe a table and its keys; add the user classes that may be keys."""
-        made, model = super().model_schema(schema), schema["cls"]
-        made.pop("title", None)
-        made["description"] = summary_of(model)
-        properties = made.get("properties", {})
-        for name, own in properties.items():
-            own["description"] = description_of(model, name)
-            if not own["description"]:
-                del own["description"]
-            default = own.get("default", 0)
+        table, model = super().model_schema(schema), schema["cls"]
+        table.pop("title", None)
+        table["description"] = summary_of(model)
+        properties = table.get("properties", {})
+        for name, key_schema in properties.items():
+            key_schema["description"] = description_of(model, name)
+            if not key_schema["description"]:
+                del key_schema["description"]
+            default = key_schema.get("default", 0)
             values = list(default.values()) if isinstance(default, dict) else [default]
             if values and all(value is None for value in values):  # a file cannot say it
-                del own["default"]
+                del key_schema["default"]
         if issubclass(model, ByName):
-            made["additionalProperties"] = False
-            for name, own in self._user_classes(model.registry).items():
-                properties[name] = {"anyOf": [self.generate_inner(own), {"type": "null"}]}
-        return made
+            table["additionalProperties"] = False
+            for name, user_class in self._user_classes(model.registry).items():
+                properties[name] = {"anyOf": [self.generate_inner(user_class), {"type": "null"}]}
+        return table
 
     def function_wrap_schema(
         self, schema: core_schema.WrapValidatorFunctionSchema
@@ -76,13 +76,14 @@ class _Generator(GenerateJsonSchema):
         kinds = schema["schema"]
         if not isinstance(registry, Registry) or kinds["type"] != "tagged-union":
             return super().function_wrap_schema(schema)
-        whole: Any = {**kinds, "choices": {**kinds["choices"], **self._user_classes(registry)}}
-        made = self.tagged_union_schema(whole)
-        made.pop("discriminator", None)  # a key of OpenAPI
-        return {**made, "required": ["kind"]}
+        choices = {**kinds["choices"], **self._user_classes(registry)}
+        all_kinds: Any = {**kinds, "choices": choices}
+        union = self.tagged_union_schema(all_kinds)
+        union.pop("discriminator", None)  # a key of OpenAPI
+        return {**union, "required": ["kind"]}
 
     def _user_classes(self, registry: Registry) -> dict[str, Any]:
         """The schemas of the user classes of a sort."""
-        found = {} if self.only_ours else registry.classes()[0]
-        models = {name: registry.parameters_of(own) for name, own in found.items()}
+        classes = {} if self.only_ours else registry.classes()[0]
+        models = {name: registry.parameters_of(cls) for name, cls in classes.items()}
         return {name: model.__pydantic_core_schema__ for name, model in models.items()}

@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
-from multiarm.errors import ModelError, SceneError
+from multiarm.errors import Fault, ModelError, SceneError
 from multiarm.scene.code import (
     CodeReference,
     LoadedFunction,
@@ -29,7 +29,7 @@ from multiarm.scene.code import (
 )
 from multiarm.scene.control import CONTROLS, ControlKind, UnloadedControl
 from multiarm.scene.effects import EFFECTS
-from multiarm.scene.faults import Parts, place, shown
+from multiarm.scene.faults import Parts, fault_at, place, shown
 from multiarm.scene.joints import JOINTS
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint, UnloadedJoint
@@ -77,7 +77,7 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
             data = {"name": path.stem.replace("_", " "), **data}
         scene = Scene.from_mapping(data, path.resolve().parent, Code.LATER if code else Code.NEVER)
         faults = [
-            f"{place(parts)}: {reason}"
+            fault_at(parts, reason)
             for parts, reference, noun in _references(scene)
             if (reason := reference_fault(reference, scene.folder, noun))
         ]
@@ -116,7 +116,7 @@ def dump_scene(scene: Scene) -> str:
     """The scene as YAML text with absolute paths; it loads again to an equal scene."""
     data = scene.model_dump(mode="json", exclude_defaults=True)
     # A run without settings has the default accuracy: write it out.
-    data["run"] = scene.run.model_dump(mode="json", exclude_none=True)
+    data["run"] = scene.run.model_dump(mode="json", exclude_defaults=True)
     return yaml.safe_dump(
         data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
     )
@@ -194,7 +194,7 @@ def refuse_code(named: Iterable[NamedCode]) -> None:
         "is not loaded, since code is not allowed; if you trust its author, allow it (`code=True` "
         "in Python, no `--no-code` on the command line)"
     )
-    faults = [f"{code.place}: {code.missing or f'{code.what} {remedy}'}" for code in named]
+    faults = [Fault(code.missing or f"{code.what} {remedy}", code.place) for code in named]
     if faults:
         raise SceneError(faults)
 
@@ -218,7 +218,7 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
     named = named_code(scene)
     if not named:
         return scene
-    missing = [f"{code.place}: {code.missing}" for code in named if code.missing]
+    missing = [Fault(code.missing, code.place) for code in named if code.missing]
     if missing:
         raise SceneError(missing)
     if not (scene.may_load_code if allowed is None else allowed):

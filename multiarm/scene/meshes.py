@@ -231,11 +231,11 @@ def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Pa
     ``package://`` and ``model://`` are looked up in ``package_dirs``, ``file://`` and absolute
     paths taken as they are, other paths relative to the URDF's folder.
     """
-    scheme, separator, rest = address.partition("://")
+    scheme, separator, path = address.partition("://")
     if not separator:
         candidates = [urdf.parent / address]
     elif scheme == "file":
-        candidates = [Path(rest)]
+        candidates = [Path(path)]
     else:
-        candidates = [folder / rest.lstrip("/") for folder in package_dirs]
-    return next((path for path in candidates if path.is_file()), None)
+        candidates = [folder / path.lstrip("/") for folder in package_dirs]
+    return next((file for file in candidates if file.is_file()), None)

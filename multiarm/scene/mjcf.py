@@ -130,7 +130,7 @@ def _joint(
 
 
 def _checked(path: Path) -> ElementTree.Element:
-    """The first body of a file that Pinocchio understands."""
+    """The first body of a file, of which Pinocchio makes the same arm as MuJoCo."""
     root = read_xml(path)
     if root.tag != "mujoco":
         raise ModelError(f"{path} is not an MJCF file: its root element is <{root.tag}>")
@@ -147,13 +147,13 @@ def _checked(path: Path) -> ElementTree.Element:
 
 
 def _reasons(root: ElementTree.Element) -> Iterator[str]:
-    """Why an arm would be another one in MuJoCo."""
-    others = {part.tag for part in root} - _PARTS
-    others |= {part.tag for body in root.iter("body") for part in body} - _IN_BODIES
-    others |= {part.tag for part in root.findall("worldbody/*")} - _IN_BODIES
-    others |= {part.tag for part in root.iter("include")}
-    if others:
-        yield f"it has {listed(sorted(others))}, which Pinocchio does not read"
+    """Why MuJoCo would simulate another arm than Pinocchio."""
+    unknown_tags = {part.tag for part in root} - _PARTS
+    unknown_tags |= {part.tag for body in root.iter("body") for part in body} - _IN_BODIES
+    unknown_tags |= {part.tag for part in root.findall("worldbody/*")} - _IN_BODIES
+    unknown_tags |= {part.tag for part in root.iter("include")}
+    if unknown_tags:
+        yield f"it has {listed(sorted(unknown_tags))}, which Pinocchio does not read"
     for tag, keys in _MISREAD.items():
         used = sorted({key for part in root.iter(tag) for key in keys if key in part.attrib})
         if used:
@@ -208,7 +208,7 @@ def _reasons_of_bodies(root: ElementTree.Element) -> Iterator[str]:
 def _mixed_defaults(
     part: ElementTree.Element, inherited: str | None, families: dict[str, set[str]]
 ) -> Iterator[str]:
-    """Parts with a class beside the one of their body: Pinocchio takes defaults from both."""
+    """Parts with another class than their body's: Pinocchio takes defaults from both."""
     name = part.get("class") or part.get("childclass")
     if inherited and name and name not in families.get(inherited, ()):
         yield f"class {name!r} inside of 'childclass' {inherited!r} is none of its own classes"

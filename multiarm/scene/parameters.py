@@ -25,9 +25,9 @@ class Parameter:
 
 
 def parameters_of(model: Any) -> list[Parameter]:
-    """The parameters of a model, such as a part of a scene, but its kind.
+    """The parameters of a part of a scene, without its kind.
 
-    Its own come first, then those of its bases.
+    Those that the model itself declares come first, then those of its bases.
     """
     fields = inspect.get_annotations(model)
     parameters = []
@@ -41,7 +41,7 @@ def parameters_of(model: Any) -> list[Parameter]:
 
 
 def description_of(model: Any, name: str) -> str:
-    """What people read about an attribute, with its unit; empty where nothing is documented."""
+    """The documentation of an attribute, with its unit; empty where there is none."""
     field = model.model_fields.get(name)
     described = "" if field is None else field.description or ""
     if _split(described)[1].strip() and not described.startswith("in "):
@@ -50,7 +50,7 @@ def description_of(model: Any, name: str) -> str:
 
 
 def brief_description(model: Any, name: str) -> str:
-    """What a message says about an attribute: its description, or how the text about it begins."""
+    """An attribute in messages: its description, or the first sentence of its documentation."""
     field = model.model_fields.get(name)
     if field is None or field.description:
         return "" if field is None else field.description
@@ -59,7 +59,7 @@ def brief_description(model: Any, name: str) -> str:
 
 
 def picture_of(model: Any) -> str:
-    """One everyday sentence about a kind: its ``picture``, or how its documentation begins."""
+    """A kind in everyday words: its ``picture``, or the first sentences of its documentation."""
     picture = getattr(model, "picture", "")
     return picture if isinstance(picture, str) and picture else summary_of(model)
 
@@ -79,7 +79,7 @@ def summary_of(model: Any) -> str:
 
 @cache
 def _documented(model: Any) -> dict[str, str]:
-    """The text about every attribute that a model or one of its bases documents."""
+    """The documentation of the attributes of a model and of its bases, by name."""
     from docstring_parser import parse_from_object
 
     texts: dict[str, str] = {}
@@ -108,8 +108,8 @@ def _split(text: str) -> tuple[str, str]:
     if len(units) != 1:
         return text, ""
     (unit,) = units
-    rest = (text[: unit.start()] + text[unit.end() :]).lstrip(";,. ")
-    return rest, unit[1]
+    meaning = (text[: unit.start()] + text[unit.end() :]).lstrip(";,. ")
+    return meaning, unit[1]
 
 
 def _written(value: Any) -> str:

@@ -119,7 +119,7 @@ class OwnKind(OwnSpec):
 
     @classmethod
     def lacks_kind(cls) -> str:
-        """What the class lacks to be found by its ``kind``; empty when nothing is missing."""
+        """Why the class cannot be found by its ``kind``; empty when it can."""
         if cls.incomplete():
             return cls.incomplete()
         kind = cls.kind_name()
@@ -200,7 +200,7 @@ class Registry(Generic[Kind]):
         return user_class
 
     def offers(self, name: str) -> str:
-        """Who has a class of a name, in words: packages, or a file; empty where nobody has."""
+        """The packages, or the file, with a class of a name, in words; empty where none has it."""
         if is_reference(name):
             return CodeReference(name).home
         return " and ".join(sorted({_offered(point) for point in self._entry_points(name)}))
@@ -284,8 +284,8 @@ class Registry(Generic[Kind]):
         """The type of a table whose key ``kind`` names one of our classes, or a user's."""
         ours: Any = reduce(or_, self.built_in.values())
         tagged: Any = Annotated[ours, Field(discriminator="kind")]
-        whole: Any = SerializeAsAny[tagged]  # type: ignore[misc]
-        return Annotated[whole, WrapValidator(self._read_kind)]
+        with_fields: Any = SerializeAsAny[tagged]  # type: ignore[misc]
+        return Annotated[with_fields, WrapValidator(self._read_kind)]
 
     def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""
@@ -310,13 +310,13 @@ class Registry(Generic[Kind]):
         try:
             user_class = self.class_for(kind, info)
         except PydanticCustomError as error:
-            raise faults_at([((kind, "kind"), error.message(), kind)], kind) from None
+            raise validation_error([((kind, "kind"), error.message(), kind)], kind) from None
         model = self.not_loaded if user_class is None else self.parameters_of(user_class)
         return self.validated(kind, model, {**data, "kind": kind}, info, kind)
 
     @staticmethod
     def located(name: str, info: ValidationInfo) -> str:
-        """A name; that of a file with its path, which starts at the scene's folder."""
+        """A name; that of a file gets an absolute path, which starts at the scene's folder."""
         folder = (info.context or {}).get("folder")
         if folder is None or not is_reference(name):
             return name
@@ -350,7 +350,7 @@ class Registry(Generic[Kind]):
             faults = [
                 ((*where, *parts), text, wrong) for parts, text, wrong in sentences(error, model)
             ]
-            raise faults_at(faults, name) from None
+            raise validation_error(faults, name) from None
         except PydanticCustomError:
             raise
         except USER_FAULTS as error:
@@ -379,7 +379,7 @@ class Registry(Generic[Kind]):
 
 
 def _with_kind(user_class: type[OwnKind], kind: str) -> Any:
-    """The class with another name in scenes."""
+    """The class under another name in scenes."""
     field: Any = (Literal[kind], kind)  # type: ignore[valid-type]
     return create_model(
         user_class.__name__,
@@ -403,9 +403,9 @@ class _Named(NamedTuple):
 
 
 def _read_named(entry: Any, info: ValidationInfo) -> Any:
-    """The validated parameters of a user class; None where a scene leaves it out by null.
+    """The validated parameters of a user class; None where a scene writes null.
 
-    They stay as they are where the class is not to be loaded.
+    They stay as they are written where the class is not to be loaded.
     """
     if not isinstance(entry, _Named):
         return entry
@@ -451,8 +451,8 @@ class ByName(Spec):
         )
 
 
-def faults_at(faults: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
-    """One error for faults with their places and the values there."""
+def validation_error(faults: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
+    """Pydantic's error for faults with their places and the values there."""
     details = [
         InitErrorDetails(type=fault(text), loc=tuple(parts), input=value)
         for parts, text, value in faults

@@ -8,21 +8,27 @@ installed package, or at the top of a checkout); those of the installed distribu
 
 Each of the last is a module, such as ``iiwa14_description``, that says where its URDF is.  Its
 import clones the repository of the robot where the cache has none.  Nothing is downloaded unasked:
-a module is imported only if its repository is in the cache, and git may fetch nothing meanwhile.
+git may fetch nothing during the import, and the cache is a folder of links to the clones, so that
+no empty clone is left in the user's.  Robots are listed as usable where the cache has a folder of
+their repository's name.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.metadata
-import importlib.util
+import io
 import os
-import re
+import sys
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from multiarm.errors import USER_FAULTS, ModelError, SceneError
 from multiarm.scene.faults import unknown
@@ -34,6 +40,7 @@ _DISTRIBUTION = "example-robot-data"
 _SHARE = "cmeel.prefix/share"
 DESCRIPTIONS, SUFFIX = "robot_descriptions", "_description"
 _TRANSPORTS = "GIT_ALLOW_PROTOCOL"  # those that git may use
+_CACHE = "ROBOT_DESCRIPTIONS_CACHE"  # the folder of the clones
 
 # Names of robots that are not those of their files.
 _FILES = {
@@ -91,12 +98,12 @@ class RobotEntry:
 
     @property
     def tips(self) -> tuple[str, ...]:
-        """The links usually taken as the tip: one for each arm; empty where nothing tells."""
+        """The links usually taken as the tip: one for each arm; empty where they are not known."""
         return usual_tips(self.outline, self.name)
 
     @property
     def tip(self) -> str | None:
-        """The tip of an arm that names none; None where there are several, or nothing tells."""
+        """The tip of an arm that names none; None where there are several, or it is not known."""
         return self.tips[0] if len(self.tips) == 1 else None
 
 
@@ -105,10 +112,10 @@ def available_robots() -> dict[str, RobotEntry]:
     robots = _project_robots()
     for name, urdf in _example_files().items():
         robots.setdefault(name, RobotEntry(name, urdf, _DISTRIBUTION))
-    for name in described_robots():
-        local = local_urdf(name)
-        if local is not None:
-            robots.setdefault(name, RobotEntry(name, local, DESCRIPTIONS))
+    for name in _cached_descriptions():
+        if name not in robots:
+            with suppress(SceneError):
+                robots[name] = _described_robot(name)
     return {name: entry for name, entry in robots.items() if _is_usable(entry)}
 
 
@@ -127,11 +134,7 @@ def find_robot(name: str) -> RobotEntry:
         return RobotEntry(name, examples[name], _DISTRIBUTION)
     described = described_robots()
     if name in described:
-        urdf = local_urdf(name)
-        if urdf is None:
-            fetch = f"python -m {DESCRIPTIONS} pull {name}"
-            raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
-        return RobotEntry(name, urdf, DESCRIPTIONS)
+        return _described_robot(name)
     if name in {*_FILES, *_TIPS} and _share_folder() is None:
         message = f"robot {name!r} comes with {_DISTRIBUTION}; pip install {_DISTRIBUTION}"
     else:
@@ -146,43 +149,56 @@ MISSPELT = 0.9
 
 
 def _unknown(name: str, described: tuple[str, ...]) -> str:
-    """That there is no such robot, with near names: of arms, else of any robot."""
+    """The message that there is no such robot, with similar names: of arms, else of any robot."""
     robots = available_robots()
     arms = [robot for robot, entry in robots.items() if _is_arm(entry)]
     arms += [robot for robot in described if robot not in robots]
-    others = [robot for robot in robots if robot not in arms]
-    misspelt = get_close_matches(name, others, 1, MISSPELT)  # no arm, but hardly anything else
+    not_arms = [robot for robot in robots if robot not in arms]
+    misspelt = get_close_matches(name, not_arms, 1, MISSPELT)  # no arm, but hardly anything else
     near_arm = not misspelt and get_close_matches(name, arms, 1)
-    return unknown("robot", name, arms if near_arm else [*arms, *others])
+    return unknown("robot", name, arms if near_arm else [*arms, *not_arms])
 
 
 def _is_arm(entry: RobotEntry) -> bool:
-    """Whether something tells its tip, and a joint moves it."""
+    """Whether its tip is known, and a joint moves it."""
     return any(entry.outline.movable(tip) for tip in entry.tips)
 
 
 def described_robots() -> tuple[str, ...]:
     """The robots with a URDF, whether they are on this machine or not; none without the package."""
-    return tuple(sorted(_sources()))
+    return tuple(sorted(_descriptions()))
 
 
-def local_urdf(name: str) -> Path | None:
-    """The URDF of a robot; None if it has to be downloaded first."""
-    cloned = re.search(r"clone_to_cache\(\s*[\"'](.+?)[\"']", _sources()[name])
-    before = os.environ.get(_TRANSPORTS)
-    try:
-        known = importlib.import_module(f"{DESCRIPTIONS}._repositories").REPOSITORIES
-        cache = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions"))
-        if cloned is None or not (cache.expanduser() / known[cloned[1]].cache_path).is_dir():
-            return None
-        os.environ[_TRANSPORTS] = "none"
-        path = Path(importlib.import_module(f"{DESCRIPTIONS}.{name}").URDF_PATH)
-    except USER_FAULTS:  # something that it needs is not there; to pull it tells what
-        return None
-    finally:
-        os.environ.pop(_TRANSPORTS, None)
-        os.environ.update({} if before is None else {_TRANSPORTS: before})
-    return path if path.is_file() else None
+def _described_robot(name: str) -> RobotEntry:
+    """A robot of ``robot_descriptions`` that is on this machine.
+
+    Raises
+    ------
+    SceneError
+        If it has to be downloaded first, or has no URDF file.
+    """
+    where = f"{DESCRIPTIONS}.{name}"
+    imported = where in sys.modules
+    with TemporaryDirectory() as folder:
+        for clone in _cache().glob("*"):
+            Path(folder, clone.name).symlink_to(clone)
+        try:
+            with _environment({_TRANSPORTS: "none", _CACHE: folder}), _silence():
+                module = importlib.import_module(where)
+        except USER_FAULTS:  # something that it needs is not there; to pull it tells what
+            fetch = f"python -m {DESCRIPTIONS} pull {name}"
+            message = f"robot {name!r} is not on this machine yet; fetch it: {fetch}"
+            raise SceneError(message) from None
+        path = Path(getattr(module, "URDF_PATH", "")).resolve()
+    if not imported:  # its paths lead to the links, which are gone
+        del sys.modules[where]
+        delattr(sys.modules[DESCRIPTIONS], name)
+    if not path.is_file():
+        raise SceneError(
+            f"{DESCRIPTIONS} has robot {name!r} as a xacro file; expand it (xacro), and give the "
+            "path of the URDF with 'urdf:'"
+        )
+    return RobotEntry(name, path, DESCRIPTIONS)
 
 
 def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...]:
@@ -190,7 +206,7 @@ def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...
 
     Those that people take of the robot called ``name``, else the flange, else the only link in
     which a chain of joints ends, of a tool without joints the only link in which it ends.  Empty
-    where there are several and nothing tells.
+    where several are possible.
     """
     known = tuple(tip for tip in _TIPS.get(name or "", ()) if tip in outline.links)
     if known:
@@ -202,7 +218,7 @@ def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...
 
 
 def arm_ends(outline: RobotOutline) -> tuple[str, ...]:
-    """The last links of all chains that can be arms, of a tool without joints all last links."""
+    """The last link of each chain that can be an arm; of a tool without joints, all last links."""
     if any(joint.movable for joint in outline.joints):
         return tuple(link for link in outline.leaves if outline.ends_an_arm(link))
     return outline.leaves
@@ -214,7 +230,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
     First the explicit folders (each may contain packages or be one), then the folders above the
     URDF, then those of ``ROS_PACKAGE_PATH``, then the installed example-robot-data.
     """
-    folders = [folder for given in explicit for folder in (given, given.parent)]
+    folders = [place for folder in explicit for place in (folder, folder.parent)]
     folders += list(urdf.resolve().parents)[:-1]
     folders += [Path(text) for text in os.environ.get("ROS_PACKAGE_PATH", "").split(":") if text]
     share = _share_folder()
@@ -224,7 +240,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
 
 
 def _project_robots() -> dict[str, RobotEntry]:
-    """Those of the first folder that there is: inside the package, or beside it in a checkout."""
+    """The project's robots: in the installed package, or at the top of a checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "robots", package.parent / "robots"):
         if folder.is_dir():
@@ -241,26 +257,66 @@ def _example_files() -> dict[str, Path]:
 
 @lru_cache(maxsize=1)
 def _named_files(folder: Path) -> dict[str, Path]:
-    """The files of a collection by their names, those of one name by that of their folder."""
+    """The files of a collection by name; files of equal names by the names of their folders."""
     files = sorted(folder.glob("*/*/*.urdf"))
     names = {stem: name for name, stem in _FILES.items()}
-    found = {names[path.stem]: path for path in files if path.stem in names}
+    named_files = {names[path.stem]: path for path in files if path.stem in names}
     counts = Counter(path.stem for path in files)
     for path in files:
         if path.stem not in names:
             package = path.parents[1].name.removesuffix(SUFFIX)
-            found.setdefault(path.stem if counts[path.stem] == 1 else package, path)
-    return dict(sorted(found.items()))
+            named_files.setdefault(path.stem if counts[path.stem] == 1 else package, path)
+    return dict(sorted(named_files.items()))
 
 
-@lru_cache(maxsize=1)
-def _sources() -> dict[str, str]:
-    """The texts of all modules that name a URDF, by name."""
-    spec = importlib.util.find_spec(DESCRIPTIONS)
-    folders = [] if spec is None else spec.submodule_search_locations or []
-    files = [file for folder in folders for file in Path(folder).glob(f"*{SUFFIX}.py")]
-    texts = {file.stem: file.read_text(encoding="utf-8") for file in files}
-    return {name: text for name, text in texts.items() if re.search(r"(?m)^URDF_PATH\b", text)}
+def _descriptions() -> dict[str, Any]:
+    """The package's descriptions of robots with a URDF, by name; none without the package."""
+    try:
+        package = importlib.import_module(DESCRIPTIONS)
+    except ImportError:
+        return {}
+    return {name: about for name, about in package.DESCRIPTIONS.items() if about.has_urdf}
+
+
+def _cached_descriptions() -> list[str]:
+    """The robots whose repository has a folder of its name in the cache of the package."""
+    folders = {_letters(folder.name) for folder in _cache().glob("*")}
+    return [
+        name
+        for name, about in _descriptions().items()
+        if _letters(about.repository or "") in folders
+    ]
+
+
+def _cache() -> Path:
+    """The folder in which ``robot_descriptions`` keeps its clones."""
+    return Path(os.environ.get(_CACHE, "~/.cache/robot_descriptions")).expanduser()
+
+
+@contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Set variables of the environment, and set them back."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            os.environ.update({} if value is None else {name: value})
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Hide what is printed, such as the progress of a clone."""
+    output = io.StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
+        yield
+
+
+def _letters(name: str) -> str:
+    """A repository's name as its folder's may be: case, '-' and '_' differ."""
+    return name.lower().replace("-", "_")
 
 
 def _is_usable(entry: RobotEntry) -> bool:

@@ -24,14 +24,23 @@ from pydantic import (
 )
 from typing_extensions import Self
 
-from multiarm.errors import USER_FAULTS, ModelError, SceneError
+from multiarm.errors import USER_FAULTS, Fault, ModelError, SceneError
 from multiarm.public import facts_html
 from multiarm.scene.arms import ArmSpec, Examination, examine_arm
 from multiarm.scene.changes import with_changes
 from multiarm.scene.code import located
 from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
-from multiarm.scene.faults import Parts, counted, explain, listed, place, shown, unknown
+from multiarm.scene.faults import (
+    Parts,
+    counted,
+    explain,
+    fault_at,
+    listed,
+    place,
+    shown,
+    unknown,
+)
 from multiarm.scene.joints import JointSpec, pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint
@@ -122,7 +131,8 @@ class Scene(Spec):
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
-            raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
+            problem = f"a scene is a table with the keys {keys}; got {shown(data)}"
+            raise SceneError([fault_at((), problem)])
         scene = cls.__new__(cls)
         scene._fill(data, folder, code)
         return scene
@@ -133,7 +143,10 @@ class Scene(Spec):
         return obj if isinstance(obj, cls) else cls.from_mapping(obj)
 
     def replace(self, changes: Mapping[str, Any] | None = None, /, **parts: Any) -> Self:
-        """The scene with other values at some places, validated as a whole.
+        """The scene with other values at some places, all parts validated together.
+
+        User classes that it names are loaded when those of this scene are: a scene from a file
+        loads them when it is compiled.
 
         Parameters
         ----------
@@ -152,13 +165,9 @@ class Scene(Spec):
         """
         if changes is not None and not isinstance(changes, Mapping):
             raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
-        code = Code.NOW if self.may_load_code else Code.NEVER
-        return self._changed({**(changes or {}), **parts}, code)
-
-    def _changed(self, changes: Mapping[str, Any], code: Code) -> Self:
-        data, faults = with_changes(self, changes)
+        data, faults = with_changes(self, {**(changes or {}), **parts})
         try:
-            scene = self.revalidated(data, code)
+            scene = self.revalidated(data, self._code)
         except SceneError as error:
             faults += error.faults
         if faults:
@@ -172,9 +181,9 @@ class Scene(Spec):
         return scene
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy, with other parts, which are validated as by :meth:`replace`; loads no code."""
+        """A copy, with other parts, which are validated as by :meth:`replace`."""
         copy = super().model_copy(deep=deep)
-        return copy._changed(update, self._code) if update else copy
+        return copy.replace(update) if update else copy
 
     @property
     def folder(self) -> Path:
@@ -251,7 +260,7 @@ class Scene(Spec):
             )
         folder = Path(folder or ".").expanduser().resolve()
         context = {"folder": folder, "code": code}
-        faults: list[str] = []
+        faults: list[Fault] = []
         try:
             self.__pydantic_validator__.validate_python(data, self_instance=self, context=context)
             parts = _Parts.of(self.__dict__, context)
@@ -279,7 +288,7 @@ def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[S
         try:
             scenes.append(scene.replace(table))
         except SceneError as error:
-            faults += [f"run {number}: {fault}" for fault in error.faults]
+            faults += [Fault(fault, f"run {number}") for fault in error.faults]
     if faults:
         raise SceneError(faults, source="parameters")
     return scenes
@@ -369,15 +378,15 @@ def _rubs(joint: Any) -> bool:
 
 @dataclass
 class _Findings:
-    """Faults and warnings, each one complete line; the arms as they were examined, the robots."""
+    """Faults and warnings, complete lines; the arms as they were examined, the robots."""
 
-    faults: list[str] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     examined: _Examined = field(default_factory=dict)
     robots: tuple[Robot, ...] = ()
 
     def fault(self, parts: Parts, text: str) -> None:
-        self.faults.append(f"{place(parts)}: {text}")
+        self.faults.append(fault_at(parts, text))
 
     def warning(self, parts: Parts, text: str) -> None:
         self.warnings.append(f"{place(parts)}: {text}")

@@ -20,7 +20,7 @@ from multiarm.scene.arms import ArmSpec, Examination
 from multiarm.scene.faults import Parts, counted, listed
 
 Arms = Mapping[str, ArmSpec]
-Found = Mapping[str, Examination]
+Examinations = Mapping[str, Examination]
 
 
 @dataclass(frozen=True)
@@ -39,19 +39,23 @@ class Robot:
     lock: dict[str, float]
 
 
-def robots_of(arms: Arms, examinations: Found) -> tuple[Robot, ...]:
-    """The robots that the arms are, of which ``found`` has the facts."""
+def robots_of(arms: Arms, examinations: Examinations) -> tuple[Robot, ...]:
+    """The robots to which the arms belong."""
     groups: list[list[str]] = []
     for name in arms:
-        its = [g for g in groups if all(_one_robot(name, peer, arms, examinations) for peer in g)]
-        if its:
-            its[0].append(name)
+        joined = [
+            group
+            for group in groups
+            if all(_same_robot(name, peer, arms, examinations) for peer in group)
+        ]
+        if joined:
+            joined[0].append(name)
         else:
             groups.append([name])
     return tuple(Robot(tuple(group), _lock(group, arms, examinations)) for group in groups)
 
 
-def _one_robot(name: str, second: str, arms: Arms, examinations: Found) -> bool:
+def _same_robot(name: str, second: str, arms: Arms, examinations: Examinations) -> bool:
     ours, theirs = examinations[name], examinations[second]
     ways = set(ours.way), set(theirs.way)
     if ours.urdf != theirs.urdf or ways[0] <= ways[1] or ways[1] <= ways[0]:
@@ -61,7 +65,7 @@ def _one_robot(name: str, second: str, arms: Arms, examinations: Found) -> bool:
     return np.allclose(arms[name].base.matrix(), arms[second].base.matrix(), rtol=0.0, atol=1e-9)
 
 
-def _lock(group: list[str], arms: Arms, examinations: Found) -> dict[str, float]:
+def _lock(group: list[str], arms: Arms, examinations: Examinations) -> dict[str, float]:
     if len(group) == 1:
         return {}
     moved = {joint for name in group for joint in examinations[name].joint_names or ()}
@@ -69,7 +73,9 @@ def _lock(group: list[str], arms: Arms, examinations: Found) -> dict[str, float]
     return {j: q for name in group for j, q in arms[name].lock.items() if j in fixed}
 
 
-def robot_faults(robot: Robot, arms: Arms, examinations: Found) -> Iterator[tuple[Parts, str]]:
+def robot_faults(
+    robot: Robot, arms: Arms, examinations: Examinations
+) -> Iterator[tuple[Parts, str]]:
     """Joints that several arms would move, or that they lock at different positions."""
     for k, name in enumerate(robot.arms):
         for second in robot.arms[:k]:
@@ -94,17 +100,19 @@ def robot_faults(robot: Robot, arms: Arms, examinations: Found) -> Iterator[tupl
                     )
 
 
-def robot_warnings(robot: Robot, arms: Arms, examinations: Found) -> Iterator[tuple[Parts, str]]:
-    """The warnings about its arms, those about the whole robot once."""
-    told: set[str] = set()
+def robot_warnings(
+    robot: Robot, arms: Arms, examinations: Examinations
+) -> Iterator[tuple[Parts, str]]:
+    """The warnings about its arms; a text that several arms share comes once."""
+    texts: set[str] = set()
     for name in robot.arms:
         for text in _arm_warnings(name, robot, arms, examinations):
-            if text not in told:
+            if text not in texts:
                 yield ("arms", name), text
-            told.add(text)
+            texts.add(text)
 
 
-def _arm_warnings(name: str, robot: Robot, arms: Arms, examinations: Found) -> Iterator[str]:
+def _arm_warnings(name: str, robot: Robot, arms: Arms, examinations: Examinations) -> Iterator[str]:
     examination, first = examinations[name], name == robot.arms[0]
     for peer in robot.arms:
         moving = examinations[peer].joint_names or ()

@@ -1,7 +1,8 @@
 """The outline of a URDF file: names, types and limits, and what hangs on what.
 
-A scene can be checked, with every fault, from these alone.  So the reader here needs the standard
-library only, takes milliseconds, and leaves inertias and geometry to the dynamics.
+A scene can be checked, with every fault, from these alone.  Pinocchio, which reads the file for the
+dynamics, leaves out what has faulty numbers, and of other faults it says only that the file is not
+valid.  So the file is looked through here, with the standard library, in milliseconds.
 """
 
 from __future__ import annotations
@@ -144,7 +145,7 @@ class RobotOutline:
         )
 
     def carried_by(self, joints: Collection[str]) -> tuple[str, ...]:
-        """The links that some of these joints carry."""
+        """The links that at least one of these joints carries."""
         return tuple(
             link for link in self.links if any(joint.name in joints for joint in self.chain(link))
         )
@@ -272,7 +273,7 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
         raise ModelError(f"{where}: needs <parent link=.../> and <child link=.../>")
     limit = element.find("limit")
     bounded = limit is not None and kind in ("revolute", "prismatic")
-    axis, dynamics = element.find("axis"), element.find("dynamics")
+    axis, dynamics, mimic = map(element.find, ("axis", "dynamics", "mimic"))
     x, y, z = map(float, ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split())
     if kind != "fixed" and not math.hypot(x, y, z) > 0.0:
         raise ModelError(f"{where}: its axis has length zero; give it a direction, such as '0 0 1'")
@@ -280,8 +281,8 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
         missing = [key for key in ("effort", "velocity") if limit is None or limit.get(key) is None]
         if missing:
             raise ModelError(f"{where}: needs <limit lower=.. upper=.. effort=.. velocity=../>")
-    lower = _number(limit, "lower", 0.0, where) if bounded else -math.inf
-    upper = _number(limit, "upper", 0.0, where) if bounded else math.inf
+    lower = _number(limit, "lower", 0.0) if bounded else -math.inf
+    upper = _number(limit, "upper", 0.0) if bounded else math.inf
     if lower > upper:
         raise ModelError(f"{where}: its lower limit {lower:g} is above its upper limit {upper:g}")
     return JointOutline(
@@ -292,22 +293,17 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
         axis=(x, y, z),
         lower=lower,
         upper=upper,
-        velocity_limit=_number(limit, "velocity", math.inf, where),
-        effort_limit=_number(limit, "effort", math.inf, where),
-        mimic=_mimic(element.find("mimic"), where, path),
-        damping=_number(dynamics, "damping", 0.0, where),
-        friction=_number(dynamics, "friction", 0.0, where),
+        velocity_limit=_number(limit, "velocity", math.inf),
+        effort_limit=_number(limit, "effort", math.inf),
+        mimic=None if mimic is None else _mimic(mimic, path),
+        damping=_number(dynamics, "damping", 0.0),
+        friction=_number(dynamics, "friction", 0.0),
     )
 
 
-def _mimic(element: ElementTree.Element | None, where: str, path: Path) -> Mimic | None:
-    if element is None:
-        return None
-    return Mimic(
-        _required(element, "joint", path),
-        _number(element, "multiplier", 1.0, where),
-        _number(element, "offset", 0.0, where),
-    )
+def _mimic(element: ElementTree.Element, path: Path) -> Mimic:
+    multiplier, offset = _number(element, "multiplier", 1.0), _number(element, "offset", 0.0)
+    return Mimic(_required(element, "joint", path), multiplier, offset)
 
 
 def _required(element: ElementTree.Element, key: str, path: Path) -> str:
@@ -317,17 +313,10 @@ def _required(element: ElementTree.Element, key: str, path: Path) -> str:
     return value
 
 
-def _number(element: ElementTree.Element | None, key: str, default: float, where: str) -> float:
+def _number(element: ElementTree.Element | None, key: str, default: float) -> float:
+    """An attribute that :func:`_check_numbers` has seen."""
     text = None if element is None else element.get(key)
-    if text is None:
-        return default
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if math.isnan(number) or "_" in text:
-        raise ModelError(f"{where}: {key} must be a number, got {shown(text)}")
-    return number
+    return default if text is None else float(text)
 
 
 _INERTIAS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -337,6 +326,7 @@ _COUNTS = {
     "mesh": {"scale": 3}, "color": {"rgba": 4}, "mass": {"value": 1},
     "inertia": dict.fromkeys(_INERTIAS, 1),
     "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+    "dynamics": {"damping": 1, "friction": 1}, "mimic": {"multiplier": 1, "offset": 1},
 }  # fmt: skip
 """Attributes of a URDF that are so many finite numbers; Pinocchio would leave out what has others.
 """
@@ -360,10 +350,10 @@ def _check_numbers(part: ElementTree.Element, where: str) -> None:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     if mass is None or mass.get("value") is None:
         raise ModelError(f"{where}: its <inertial> has no <mass value=...>")
-    if not float(mass.get("value", "")) >= 0.0:
+    if _number(mass, "value", 0.0) < 0.0:
         raise ModelError(f"{where}: its mass must not be negative, got {shown(mass.get('value'))}")
     for key in _INERTIAS:
-        number = math.nan if inertia is None else _number(inertia, key, math.nan, where)
+        number = _number(inertia, key, math.nan)
         if math.isnan(number) or (key[1] == key[2] and number < -_ROUNDING):
             raise ModelError(f"{where}: {key} of its inertia is missing, or negative")
 

@@ -35,7 +35,16 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.scene.faults import Parts, explain, fault, listed, path_fault, shown, unknown
+from multiarm.scene.faults import (
+    Parts,
+    explain,
+    fault,
+    fault_at,
+    listed,
+    path_fault,
+    shown,
+    unknown,
+)
 from multiarm.scene.urdf import JointOutline
 
 if TYPE_CHECKING:
@@ -94,10 +103,11 @@ class Spec(BaseModel, metaclass=_DYNAMIC):  # type: ignore[misc]
         try:
             super().__setattr__(name, value)
         except ValidationError:
-            raise SceneError(
-                f"{type(self).__name__}.{name}: parts of a scene are not changed in place; another "
-                "scene is made by scene.replace, such as scene.replace({'object.mass': 20})"
-            ) from None
+            problem = (
+                "parts of a scene are not changed in place; another scene is made by "
+                "scene.replace, such as scene.replace({'object.mass': 20})"
+            )
+            raise SceneError([fault_at((name,), problem, type(self).__name__)]) from None
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:
@@ -501,8 +511,8 @@ def _gain_or_urdf(value: Any) -> Any:
         raise fault(f"must be a number, a list, a table or {URDF!r}, got {shown(value)}")
     if not isinstance(value, Mapping):
         return _gain(value)
-    numbers = _gain({arm: 0.0 if _is_urdf(own) else own for arm, own in value.items()})
-    return {arm: URDF if _is_urdf(value[arm]) else own for arm, own in numbers.items()}
+    numbers = _gain({arm: 0.0 if _is_urdf(gain) else gain for arm, gain in value.items()})
+    return {arm: URDF if _is_urdf(value[arm]) else gain for arm, gain in numbers.items()}
 
 
 def _is_urdf(value: Any) -> bool:

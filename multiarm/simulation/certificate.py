@@ -217,16 +217,23 @@ def certificate(
 ) -> dict[str, Any]:
     """The certificate as it is stored."""
     if finding is None:
-        found = unchecked(accuracy)
-        text = f"not met, as far as is known: {words}"
+        comparison, verdict, details = unchecked(accuracy), "not met, as far as is known", words
     else:
-        found, verdict = finding.as_dict(), "met" if finding.met else "not met"
-        parts = [f"{verdict}: {finding.numbers()}", *finding.faults, words]
+        comparison, verdict = finding.as_dict(), "met" if finding.met else "not met"
+        parts = [finding.numbers(), *finding.faults, words]
         if finding.undetermined:
             names = ", ".join(finding.undetermined)
             parts.append(f"forces that the equations leave open were not judged ({names})")
-        text = "; ".join(part for part in parts if part)
-    return {**found, "text": text, "reason": reason or "met", "safety": SAFETY, "attempts": rows}
+        details = "; ".join(part for part in parts if part)
+    return {
+        **comparison,
+        "text": f"{verdict}: {details}",
+        "verdict": verdict,
+        "details": details,
+        "reason": reason or "met",
+        "safety": SAFETY,
+        "attempts": rows,
+    }
 
 
 def unchecked(accuracy: AccuracySpec) -> dict[str, Any]:

@@ -290,7 +290,7 @@ class Attempts:
         chosen, finding = self._judged[-1] if self._judged else (self._made[0], None)
         changes: dict[str, Any] = {}
         if finding is None and reason == INTERRUPTED:
-            changes["message"] = f"{chosen.trajectory.message}; {INTERRUPTED_WORDS}"
+            changes["remarks"] = [*chosen.trajectory.remarks, INTERRUPTED_WORDS]
         else:
             if reason == INTERRUPTED:
                 words = "the repetition with smaller tolerances was interrupted by the user"
@@ -314,7 +314,7 @@ class Attempts:
         except (TrajectoryError, OSError) as error:
             kept = load_trajectory(self.out)
             fault = f"the certificate could not be stored in the file: {error}"
-            return kept.with_outcome(message=f"{kept.message}; {fault}")
+            return kept.with_outcome(remarks=[*kept.remarks, fault])
         return load_trajectory(self.out)
 
 

@@ -198,15 +198,18 @@ class EventHandler:
         """
         before = self.mode.choice
         decision = self._decide(t, participants)
+        if self._fault:
+            return decision
         made = [decision]
         for share in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-            if self._fault:
-                return decision
             self.mode = self.modes.enter(made[-1].choice, made[-1].directions)
             # the same mode as before would come to the same event with the same forces
             if made[-1].choice != before and self._holds():
                 return made[-1]
             later = self._decide(t, participants, share * self._usual_length)
+            if self._fault:  # the contacts, displaced along their rates, contradict each other
+                self._fault = ""
+                break
             made.append(
                 replace(later, hits=decision.hits, energy=decision.energy, rested=decision.rested)
             )

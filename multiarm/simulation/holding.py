@@ -7,13 +7,12 @@ carry the arms and the contact forces,
 
 with the wrench :math:`f_g = [m g; 0]` of gravity and the torques :math:`g(q)` of the unloaded arms.
 Contacts beyond the rank of :math:`W_o` squeeze the object by as much as one likes, and this changes
-the torques. Of all forces, those are best that take the smallest share of the drives' limits
-:math:`\hat\tau`, a linear program for :math:`y` and :math:`s`:
+the torques. Of all forces, those are best that take the smallest share s of the drives' limits
+:math:`\hat\tau` (:mod:`multiarm.dynamics.forces.distribution`),
 
-.. math:: \min s, \qquad |g - W (\lambda_0 + A y)|_j \le s \, \hat\tau_j,
-    \qquad \lambda_0 = -W_o^+ f_g, \quad W_o A = 0 .
+.. math:: \min s, \qquad |g - W \lambda|_j \le s \, \hat\tau_j .
 
-If its :math:`s` exceeds 1, no control holds the object here. Contacts that can only push do, also
+If s exceeds 1, no control holds the object here. Contacts that can only push do, also
 in scenes that do not let them open; friction is bounded by a polygon of :data:`SIDES` sides inside
 its cone, which is 2 % smaller at most. Friction of the joints does not help.
 """
@@ -27,14 +26,15 @@ import numpy as np
 
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, failure_text
+from multiarm.dynamics.forces.distribution import ForceFamily, forces_for, smallest_load
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
+from multiarm.dynamics.solver.dense import RANK_TOLERANCE
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
-from multiarm.programs import linear_program
+from multiarm.programs import LinearRows
 from multiarm.results.limit_use import ROUNDING
 
 SIDES = 16
@@ -67,7 +67,8 @@ class Carrying:
     # mass [N m]
     force_residual: float
     moment_residual: float
-    largest_force: float  # [N], of the contact forces of least norm
+    # [N], of the contact forces whose largest is smallest; None where none carry the object
+    largest_force: float | None
     control: EffortShares | None  # of the control at the start; None: no limit is known
     least: EffortShares | None  # torques that hold, of which the largest share is smallest
 
@@ -92,16 +93,18 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
     )
     reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
     scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
-    some = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
-    left, size = W_o @ some - weight, float(np.linalg.norm(weight))
+    size = float(np.linalg.norm(weight))
+    family, _ = forces_for(scale[:, None] * W_o, scale * weight / size, RANK_TOLERANCE)
+    left = W_o @ (size * family.least_norm) - weight
     balanced = float(np.linalg.norm(scale * left)) <= 1e-6 * size
-    torques, least = None, None
+    torques = least = largest_force = None
     if balanced:
-        internal = size * null_space(scale[:, None] * W_o).basis
-        torques = _least_torques(
-            unloaded - W @ some, W @ internal, bounds @ some, bounds @ internal, _efforts(system)
-        )
+        forces = _best_forces(family, _torque_shares(system, unloaded, size * W), bounds)
+        torques = None if forces is None else unloaded - W @ (size * forces)
         least = None if torques is None else _effort_shares(system, torques)
+        eye = np.vstack([np.eye(W_o.shape[1]), -np.eye(W_o.shape[1])])
+        forces = _best_forces(family, (eye, np.zeros(len(eye))), bounds)
+        largest_force = None if forces is None else size * float(np.max(np.abs(forces)))
     verdict: Literal["carried", "wrench", "pushing", "effort"] = "carried"
     if torques is None:
         verdict = "pushing" if balanced else "wrench"
@@ -112,7 +115,7 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
         verdict=verdict,
         force_residual=float(np.linalg.norm(left[:3])),
         moment_residual=float(np.linalg.norm(left[3:])),
-        largest_force=float(np.max(np.abs(some))),
+        largest_force=largest_force,
         control=_effort_shares(system, np.concatenate(list(evaluation.joint_torques.values()))),
         least=least,
     )
@@ -165,42 +168,22 @@ def _efforts(system: System) -> np.ndarray:
     return np.concatenate([system.arms[name].effort_limits for name in system.arm_names])
 
 
-def _least_torques(
-    torques: np.ndarray,
-    by_internal: np.ndarray,
-    bounded: np.ndarray,
-    bounded_by_internal: np.ndarray,
-    efforts: np.ndarray,
-) -> np.ndarray | None:
-    """Torques (n,) whose largest share of the efforts is smallest; None where no forces push.
-
-    ``torques - by_internal @ y`` hold the object for any y with ``bounded + bounded_by_internal @ y
-    <= 0``.
-    """
+def _torque_shares(system: System, unloaded: np.ndarray, W: np.ndarray) -> LinearRows:
+    """Shares of the known efforts that the torques ``unloaded - W forces`` take, either way."""
+    efforts = _efforts(system)
     known = np.isfinite(efforts)
-    shares = torques[known] / efforts[known]
-    slopes = by_internal[known] / efforts[known, None]
-    column = np.ones((len(shares), 1))
-    unknowns = by_internal.shape[1]
-    best = linear_program(
-        np.append(1.0, np.zeros(unknowns)),
-        at_most=(
-            np.block(
-                [
-                    [-column, -slopes],
-                    [-column, slopes],
-                    [np.zeros((len(bounded), 1)), bounded_by_internal],
-                ]
-            ),
-            np.concatenate([-shares, shares, -bounded]),
-        ),
-        signed=unknowns,
-    )
-    if best.infeasible:
-        return None
-    if best.x is None:
-        raise SolverError(f"the torques that hold the start were not found: {best.message}")
-    return torques - by_internal @ best.x[1:]
+    shares = unloaded[known] / efforts[known]
+    slopes = -W[known] / efforts[known, None]
+    none = np.zeros((1, W.shape[1]))  # without a known effort, any forces will do
+    return np.vstack([slopes, -slopes, none]), np.concatenate([shares, -shares, [0.0]])
+
+
+def _best_forces(family: ForceFamily, loads: LinearRows, bounds: np.ndarray) -> np.ndarray | None:
+    """Forces (N,) with ``bounds @ forces <= 0`` whose largest load is smallest; None if none."""
+    best = smallest_load(family, loads, (bounds, np.zeros(len(bounds))))
+    if best.forces is None and not best.infeasible:
+        raise SolverError(f"the forces that hold the start were not found: {best.message}")
+    return best.forces
 
 
 def _effort_shares(system: System, torques: np.ndarray) -> EffortShares | None:

@@ -211,14 +211,11 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
 
 
 def _not_looked_at(code: NamedCode) -> str:
-    """Which part an inspection leaves out without code, and the remedy."""
-    what = "it is left out"
+    """Code that an inspection does not load, and which part it leaves out therefore."""
+    left_out = "it is left out"
     if code.arm is not None:
-        what = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
-    return (
-        f"{code.place}: {what}, since {code.what} is not loaded by a look; if you trust its "
-        "author, allow it with --code"
-    )
+        left_out = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
+    return f"{code.place}: {code.what} is not loaded by a check: {left_out}"
 
 
 def count_freedom(data: Data) -> Freedom:
@@ -229,13 +226,15 @@ def count_freedom(data: Data) -> Freedom:
     matrix = constraint_matrix(data)  # (6 + n, N)
     space = null_space(matrix)
     rank, singular = space.rank, space.singular
-    names = [f"{arm}: {c.name}" for arm, own in data.model.contacts.items() for c in own]
+    names = [f"{arm}: {c.name}" for arm, contacts in data.model.contacts.items() for c in contacts]
     return Freedom(
         degrees_of_freedom=matrix.shape[0],
         constraints=matrix.shape[1],
         rank=rank,
         mobility=matrix.shape[0] - rank,
-        redundant_rows=[n for n, own in zip(names, space.untouched, strict=True) if not own],
+        redundant_rows=[
+            name for name, unique in zip(names, space.untouched, strict=True) if not unique
+        ],
         smallest_kept=float(singular[rank - 1]),
         largest_dropped=float(singular[rank]) if rank < singular.size else None,
     )
@@ -308,8 +307,8 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
     spec, arm = system.scene.arms[name], system.arms[name]
     position, quaternion = _placement(spec.base.matrix())
     pivot = None if evaluation is None else evaluation.conditioning.get(name)
-    others = [other for other in system.scene.robot_of(name).arms if other != name]
-    moved = {joint for other in others for joint in system.arms[other].joint_names}
+    peers = [peer for peer in system.scene.robot_of(name).arms if peer != name]
+    moved = {joint for peer in peers for joint in system.arms[peer].joint_names}
     return ArmFacts(
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
@@ -357,7 +356,9 @@ def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> Joint
         name=joint.name,
         rows=names,
         rank=motions.rank,
-        redundant_rows=[n for n, own in zip(names, motions.independent, strict=True) if not own],
+        redundant_rows=[
+            name for name, alone in zip(names, motions.independent, strict=True) if not alone
+        ],
         free_motions=motions.words(),
         coordinates=list(frame.labels),
         limits=_limit_facts(system, joint, system.initial_state()),

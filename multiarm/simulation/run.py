@@ -20,7 +20,7 @@ from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import STIFF_AFTER
 from multiarm.jit.compilation import compile_time, running_time
 from multiarm.notation import count_of
-from multiarm.results.event_log import EventLog
+from multiarm.results.event_log import CLAUSE_SEPARATOR, EventLog
 from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
@@ -120,10 +120,13 @@ def carry_out(
         statistics = run_statistics(driver, task, 0.0, compile_time() - compiled_before)
         run.sink.finish("failed", f"{where_of(run)}: {error!r}", statistics, log.all())
         raise
-    message = ended.message + _stiffness_remark(run) + _ambiguity_remark(run)
-    message += log.summary(MESSAGE_LENGTH - len(message))
+    remarks = [*_stiffness_remarks(run), *_ambiguity_remarks(run)]
+    length = len(CLAUSE_SEPARATOR.join([ended.message, *remarks]))
+    remarks += log.remarks(MESSAGE_LENGTH - length)
     statistics = run_statistics(driver, task, wall, compile_time() - compiled_before)
-    trajectory = run.sink.finish(ended.status, message, statistics, log.all())
+    trajectory = run.sink.finish(
+        ended.status, ended.message, statistics, log.all(), remarks=remarks
+    )
     interrupt.deliver()
     return Carried(trajectory, ended.stalled)
 
@@ -198,29 +201,29 @@ class Pace:
         )
 
 
-def _stiffness_remark(run: Run) -> str:
-    """For the message of a stiff scene: what was done, or the remedy; else empty."""
+def _stiffness_remarks(run: Run) -> list[str]:
+    """For the message of a stiff scene: what was done, or the remedy; else none."""
     clock = run.clock
     if run.stepping.tableau.name == FOR_STIFF_SCENES and run.may_switch:
-        return (
-            f"; the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
-        )
+        return [
+            f"the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
+        ]
     if run.may_switch or clock.stiff_steps < STIFF_AFTER:
-        return ""
+        return []
     since = f"stiff from t = {clock.stiff_since:.3g} s"
-    return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"
+    return [f"the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"]
 
 
-def _ambiguity_remark(run: Run) -> str:
-    """For the message of a run whose equations of motion have several solutions; else empty."""
+def _ambiguity_remarks(run: Run) -> list[str]:
+    """For the message of a run whose equations of motion have several solutions; else none."""
     steps = run.clock.ambiguous_steps
     if not steps:
-        return ""
-    return (
-        f"; {count_of(steps, 'step')} ended where friction leaves the motion open: the equations "
+        return []
+    return [
+        f"{count_of(steps, 'step')} ended where friction leaves the motion open: the equations "
         f"have several solutions there, and that of the least forces was taken; lessen the "
         f"friction of contacts that press against each other"
-    )
+    ]
 
 
 def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from numbers import Real
 
@@ -19,7 +18,7 @@ from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
-from multiarm.errors import SceneError, SolverError
+from multiarm.errors import Fault, SceneError, SolverError
 from multiarm.integration.methods import Stepping, make_stepping
 from multiarm.integration.samples import sample_width
 from multiarm.integration.step import Step, begin_chart, evaluate_slope
@@ -36,7 +35,7 @@ from multiarm.integration.time_loop import start_monitors
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
-from multiarm.scene.faults import shown
+from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
@@ -129,8 +128,15 @@ def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) 
     try:
         return RunSpec(**data)
     except SceneError as error:
-        faults = [re.sub(r"^RunSpec(\.|(?=:))", "", fault) for fault in error.faults]
-        raise SceneError([f"run{own}" if own[0] == ":" else own for own in faults]) from None
+        faults = [
+            Fault(
+                fault.problem,
+                place(fault.parts, "").removeprefix(".") or "run",
+                ("run", *fault.parts),
+            )
+            for fault in error.faults
+        ]
+        raise SceneError(faults) from None
 
 
 def increasing_times(values: ArrayLike, name: str = "output_times") -> np.ndarray:
@@ -198,7 +204,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     effects, with_states = task.system.scene.effects, data.model.effects.with_states
     with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
     if fault := method_fault(name, with_states, with_events):
-        raise SceneError(f"integrator: {fault}")
+        raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
     stepping = make_stepping(data, METHODS[name])
     step = stepping.step
     set_tolerance(step, data, tolerance)

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+import pandas
 
 from multiarm import problems
 from multiarm.assembly.compilation import compile_system
@@ -56,13 +57,10 @@ def _events_missing(run: Trajectory, system: System) -> float:
 EVENTS = Criterion("expected events missing", 0.0, "1", _events_missing)
 """Of a case that is made to lose rank or a direction: a run that does not notice has not met it."""
 
-CaseProgress = Callable[[str, float], None]
-"""Called with what is being done and which part of the case is done, 0 to 1."""
-
 
 @dataclass(frozen=True)
 class CriterionResult:
-    """One criterion, measured.
+    """One criterion: passed when ``measured <= bound``.
 
     Attributes
     ----------
@@ -71,7 +69,6 @@ class CriterionResult:
     measured : float or None
         None when it is not a finite number, or could not be measured.
     passed : bool
-        ``measured <= bound``.
     message : str
         Why there is no number.
     """
@@ -130,13 +127,19 @@ class CaseResult:
         lines = [] if self.status == "completed" else [f"{self.status}: {self.message}"]
         for item in self.criteria:
             if not item.passed:
-                found = item.message or f"{item.measured:.3g}"
-                lines.append(f"{item.quantity}: {found}, bound {item.bound:.3g} {item.unit}")
+                measured = item.message or f"{item.measured:.3g}"
+                lines.append(f"{item.quantity}: {measured}, bound {item.bound:.3g} {item.unit}")
         return tuple(lines)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The result in what JSON knows; what is no finite number is None."""
-        return plain(asdict(self))
+    @property
+    def table(self) -> pandas.DataFrame:
+        """A row for each criterion, as in :class:`CriterionResult`, with its ``margin``: bound over
+        measured, missing where one of them is 0 or missing."""
+        columns = [*CriterionResult.__dataclass_fields__]
+        table = pandas.DataFrame([vars(item) for item in self.criteria], columns=columns)
+        measured = table["measured"].astype(float)
+        within = (measured > 0.0) & (table["bound"] > 0.0)
+        return table.assign(margin=(table["bound"] / measured).where(within))
 
 
 @dataclass(frozen=True)
@@ -163,13 +166,9 @@ class SuiteResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The result in what JSON knows; what is no finite number is None."""
-        return {
-            "passed": self.passed,
-            "total": len(self.cases),
-            "wall_time_s": self.wall_time_s,
-            "machine": plain(self.machine),
-            "cases": [case.as_dict() for case in self.cases],
-        }
+        counts = {"passed": self.passed, "total": len(self.cases)}
+        about = {"wall_time_s": self.wall_time_s, "machine": self.machine}
+        return plain({**counts, **about, "cases": [asdict(case) for case in self.cases]})
 
 
 def run_suite(
@@ -198,12 +197,12 @@ def run_suite(
     """
     chosen = choose_cases(names, cases)
     begin = time.perf_counter()
-    results = []
+    results: list[CaseResult] = []
     with displayed(progress, Progress) as show:
-        for number, case in enumerate(chosen):
+        for case in chosen:
 
-            def report(what: str, part: float, number: int = number, name: str = case.name) -> None:
-                show(number + part, len(chosen), f"{name}: {what}")
+            def report(words: str, part: float, name: str = case.name) -> None:
+                show(len(results) + part, len(chosen), f"{name}: {words}")
 
             results.append(run_case(case, progress=report))
         show(len(chosen), len(chosen), "done")
@@ -227,12 +226,13 @@ def choose_cases(
     return [case for name, case in known.items() if not names or name in names]
 
 
-def run_case(case: HardCase, *, progress: CaseProgress | None = None) -> CaseResult:
+def run_case(case: HardCase, *, progress: Callable[[str, float], None] | None = None) -> CaseResult:
     """Run one hard case and judge it.
 
-    Whatever is raised on the way, except Ctrl-C, becomes a result that did not pass.
+    Whatever is raised on the way, except Ctrl-C, becomes a result that did not pass.  ``progress``
+    is called with what is being done and which part of the case is done, 0 to 1.
     """
-    report = progress or (lambda _what, _part: None)
+    report = progress or (lambda _words, _part: None)
     about = (case.name, case.title, case.difficulty)
     text = ""
     report("compiling", 0.0)

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
+from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +22,7 @@ from typing_extensions import Self
 from multiarm.scene.faults import fault, listed, shown
 from multiarm.scene.values import Number, Positive, Spec, number_list
 
-__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "paths_of", "plain_value"]
+__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "is_integer", "paths_of", "plain_value"]
 
 
 def plain_value(value: Any) -> Any:
@@ -41,10 +42,15 @@ def plain_value(value: Any) -> Any:
     raise fault(f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists")
 
 
-def _whole(least: int, value: Any) -> int:
+def is_integer(value: Any) -> bool:
+    """Whether a value is an integer of Python or NumPy; a truth value is none."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _integer(least: int, value: Any) -> int:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+    if not is_integer(value):
         raise fault(f"must be a whole number, got {shown(value)}")
     if value < least:
         raise fault(f"must be at least {least}, got {value}")
@@ -55,8 +61,8 @@ def _whole(least: int, value: Any) -> int:
 MOST_VALUES, LARGEST = 10**6, 2**53
 
 
-Count = Annotated[int, Field(ge=1), BeforeValidator(partial(_whole, 1))]
-NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(partial(_whole, 0))]
+Count = Annotated[int, Field(ge=1), BeforeValidator(partial(_integer, 1))]
+NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(partial(_integer, 0))]
 
 
 def items(value: Any) -> list[Any]:
@@ -73,7 +79,7 @@ def spaced(value: Any) -> list[Any]:
     if len(value) != 3:
         raise fault(f"must be [first, last, how many], got {shown(value)}")
     try:
-        count = _whole(1, value[2])
+        count = _integer(1, value[2])
     except Exception as error:
         raise fault(f"how many values there are, the third entry, {error}") from None
     if count > MOST_VALUES:
@@ -101,8 +107,7 @@ def in_ratio(value: list[Any]) -> list[Any]:
 def counted(value: Any) -> list[int]:
     """Arguments of Python's range."""
     value = items(value)
-    whole = all(isinstance(item, int) and not isinstance(item, bool) for item in value)
-    if len(value) > 3 or not whole:
+    if len(value) > 3 or not all(map(is_integer, value)):
         raise fault(
             f"must be whole numbers [stop], [start, stop] or [start, stop, step] as Python's range "
             f"takes them, got {shown(value)}; of other numbers make a 'linspace'"

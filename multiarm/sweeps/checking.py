@@ -8,11 +8,11 @@ all other axes; of long axes only some values are tried.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from multiarm.errors import MultiarmError, SceneError
+from multiarm.errors import Fault, MultiarmError, SceneError
 from multiarm.scene import REGISTRIES, NamedCode, Scene, parse_path, value_at
 from multiarm.scene.code import (
     CodeReference,
@@ -21,7 +21,7 @@ from multiarm.scene.code import (
     located,
     reference_fault,
 )
-from multiarm.scene.faults import place, shown
+from multiarm.scene.faults import Parts, fault_at, place, shown
 from multiarm.sweeps.axes import Axis
 
 if TYPE_CHECKING:
@@ -40,37 +40,41 @@ MOST_RUNS = 1_000_000
 """Of one sweep."""
 
 
-def axis_faults(spec: SweepSpec) -> list[str]:
+def axis_faults(spec: SweepSpec) -> list[Fault]:
     """Faults of the axes that do not depend on the scene."""
     faults = []
     for axis in spec.axes:
-        faults += [f"{_place(axis)}: {text}" for text in _axis_faults(axis)]
+        faults += [fault_at(("over", axis.written), problem) for problem in _axis_problems(axis)]
     paths = [path for axis in spec.axes for path in axis.paths]
     for path in sorted({path for path in paths if paths.count(path) > 1}):
-        faults.append(f"{place(('over', path))}: stands twice in the sweep; keep one of the two")
+        faults.append(fault_at(("over", path), "stands twice in the sweep; keep one of the two"))
     steps = [axis for axis in spec.axes if not axis.drawn]
     if spec.combine == "zip" and len({axis.count for axis in steps}) > 1:
         counts = ", ".join(f"{axis.count} of {axis.written}" for axis in steps)
-        faults.append(f"$.combine: 'zip' needs as many values of every path, there are {counts}")
+        problem = f"'zip' needs as many values of every path, there are {counts}"
+        faults.append(fault_at(("combine",), problem))
     if spec.repeat > 1 and len(steps) == len(spec.axes):
-        faults.append(
-            f"$.repeat: {spec.repeat} runs of each point would be the same run, for no path is "
-            "drawn at random; leave it out, or draw one, such as (uniform: [0, 1])"
+        problem = (
+            f"{spec.repeat} runs of each point would be the same run, for no path is drawn at "
+            "random; leave it out, or draw one, such as (uniform: [0, 1])"
         )
+        faults.append(fault_at(("repeat",), problem))
     elif spec.repeat == 1 and spec.sampling != "random":
-        faults.append(
-            f"$.sampling: {spec.sampling!r} spreads the runs of one point of the grid, and there "
-            "is one; set their number with 'repeat'"
+        problem = (
+            f"{spec.sampling!r} spreads the runs of one point of the grid, and there is one; set "
+            "their number with 'repeat'"
         )
+        faults.append(fault_at(("sampling",), problem))
     count = spec.repeat
     for axis in steps[:1] if spec.combine == "zip" else steps:
         count *= axis.count
     if count > MOST_RUNS:
-        faults.append(f"$.over: makes {count:,} runs; at most {MOST_RUNS:,} are possible")
+        problem = f"makes {count:,} runs; at most {MOST_RUNS:,} are possible"
+        faults.append(fault_at(("over",), problem))
     return faults
 
 
-def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
+def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[Fault]:
     """Faults of the quantities: missing functions, duplicate names.
 
     Functions are loaded.  Those of a sweep file lie in its ``folder``.
@@ -85,10 +89,12 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
             reason = str(error)
         if reason:
             # the message was written for functions that a scene names
-            faults.append(f"$.keep: {reason}".replace("the scene's folder", "the sweep's folder"))
+            reason = reason.replace("the scene's folder", "the sweep's folder")
+            faults.append(fault_at(("keep",), reason))
     names = [quantity.name for quantity in spec.quantities()]
     for name in sorted({name for name in names if names.count(name) > 1}):
-        faults.append(f"$.keep: {name!r} stands twice; give one of them another 'name'")
+        problem = f"{name!r} stands twice; give one of them another 'name'"
+        faults.append(fault_at(("keep",), problem))
     return faults
 
 
@@ -125,13 +131,13 @@ def axis_words(axis: Axis) -> set[str]:
     return {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
 
 
-def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
-    """Faults of paths and values in a scene; axes with faults of their own are skipped.
+def value_faults(scene: Scene, spec: SweepSpec) -> list[Fault]:
+    """Faults of paths and values in a scene, without axes that are faulty whatever the scene.
 
     Of computed values only the first wrong one is reported.
     """
-    axes = tuple(axis for axis in spec.axes if not any(_axis_faults(axis)))
-    faults: dict[tuple[str, ...], str] = {}
+    axes = tuple(axis for axis in spec.axes if not any(_axis_problems(axis)))
+    faults: dict[tuple[Hashable, ...], Fault] = {}
     for entries in _trials(axes, spec.combine == "zip"):
         values: dict[str, Any] = {}
         for axis, entry in zip(axes, entries, strict=True):
@@ -144,12 +150,12 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
     return list(faults.values())
 
 
-def _axis_faults(axis: Axis) -> Iterator[str]:
+def _axis_problems(axis: Axis) -> Iterator[str]:
     for path in axis.paths:
         try:
             parse_path(path)
         except SceneError as error:
-            yield from (fault.removeprefix("$: ") for fault in error.faults)
+            yield from (fault.problem for fault in error.faults)
     if axis.spec.rows is None:
         return
     width = len(axis.paths)
@@ -183,15 +189,18 @@ def _some(count: int) -> list[int]:
 
 
 def _at_its_axis(
-    scene: Scene, fault: str, axes: tuple[Axis, ...], entries: list[Any]
-) -> tuple[tuple[str, ...], str]:
-    """A key of a fault of the scene, and its message at the place in the sweep that causes it."""
-    where, _, text = fault.partition(": ")
+    scene: Scene, fault: Fault, axes: tuple[Axis, ...], entries: list[Any]
+) -> tuple[tuple[Hashable, ...], Fault]:
+    """The fault at the place in the sweep that causes a fault of the scene, and a key of it.
+
+    Equal keys are one fault, which several values cause.
+    """
+    where, problem = fault.parts, fault.problem
     causes = [
-        (place(parse_path(path)), axis, entry, path)
+        (parse_path(path), axis, entry, path)
         for axis, entry in zip(axes, entries, strict=True)
         for path in axis.paths
-        if _meet(place(parse_path(path)), where)
+        if _meet(parse_path(path), where)
     ]
     if not causes:
         tried = ", ".join(
@@ -199,20 +208,21 @@ def _at_its_axis(
             for axis, entry in zip(axes, entries, strict=True)
             for path, value in axis.at(entry).items()
         )
-        return (fault,), f"$.over: no scene is made by {tried}: {fault}"
+        return (fault,), fault_at(("over",), f"no scene is made by {tried}: {fault}")
     at, axis, entry, path = max(causes, key=lambda cause: len(cause[0]))
+    written = ("over", axis.written)
     if len(where) <= len(at) and not _leads_somewhere(scene, path):
-        return (at, text), f"{_place(axis)}: {text}"
-    below = where.removeprefix(at).lstrip(".") if where.startswith(at) else ""
-    text = f"its {below}: {text}" if below else text
+        return (at, problem), fault_at(written, problem)
+    if len(where) > len(at):
+        problem = f"its {place(where[len(at) :], '').removeprefix('.')}: {problem}"
     if axis.spec.name == "values":
-        return (at, where, str(entry)), f"{_place(axis)}[{entry}]: {text}"
+        return (at, where, entry), fault_at((*written, entry), problem)
     value = shown(axis.at(entry)[path])
-    return (at, where), f"{_place(axis)}.{axis.spec.name}: the value {value}: {text}"
+    return (at, where), fault_at((*written, axis.spec.name), f"the value {value}: {problem}")
 
 
 def _leads_somewhere(scene: Scene, path: str) -> bool:
-    """Whether a scene may have a value at a path."""
+    """Whether a scene can have a value at a path."""
     try:
         value_at(scene, path)
     except SceneError:
@@ -220,11 +230,7 @@ def _leads_somewhere(scene: Scene, path: str) -> bool:
     return True
 
 
-def _meet(path: str, where: str) -> bool:
+def _meet(path: Parts, where: Parts) -> bool:
     """Whether one place contains the other or equals it."""
-    long, short = (path, where) if len(path) >= len(where) else (where, path)
-    return long.startswith(short) and (len(long) == len(short) or long[len(short)] in ".[")
-
-
-def _place(axis: Axis) -> str:
-    return place(("over", axis.written))
+    common = min(len(path), len(where))
+    return path[:common] == where[:common]

@@ -192,7 +192,7 @@ class Chunks:
 
 
 def _explained(error: Exception) -> Exception:
-    """The error to raise for one of the workers' or of joblib's."""
+    """The error to raise in place of one from a worker or from joblib."""
     if isinstance(error, MultiarmError):
         return error
     if isinstance(error, (PicklingError, TypeError, AttributeError)):

@@ -6,8 +6,9 @@
         parts/*.parquet             rows of finished runs, in the order in which they ended
 
 The folder is made under a temporary name and renamed.  A writer appends to a part of its own by
-writing it anew, until it is long enough; a part is forced to the disk under a temporary name before
-it replaces its elder, so that a kill or a power cut at any moment leaves either with all its rows.
+writing it again, until it is long enough; a part is forced to the disk under a temporary name
+before it replaces the earlier one, so that a kill or a power cut at any moment leaves either with
+all its rows.
 A row follows from the number of its run: one that is there twice counts once, so that several
 writers do each other no harm.
 """
@@ -337,7 +338,7 @@ def _arrow_type(values: Iterable[Any]) -> pa.DataType:
 
 
 def _write_whole(path: Path, table: pa.Table) -> None:
-    """Write a part under a temporary name, force it to the disk, and let it replace its elder."""
+    """Write a part under a temporary name, force it to the disk, and replace the earlier part."""
     with (
         atomic_file(path, path.with_name(f".{path.name}.part")) as partial,
         partial.open("wb") as file,

@@ -31,6 +31,7 @@ from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
+from multiarm.sweeps.axes import is_integer
 from multiarm.terminal.progress import ManyRunsProgress, displayed
 
 
@@ -143,7 +144,7 @@ def _threads(threads: int | None, system: System, control: ControlFunction | Non
         return 1
     if threads is None:
         return processors()
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+    if not is_integer(threads) or threads < 1:
         raise ModelError(f"threads: must be a number from 1 on, got {threads!r}")
     return threads
 
@@ -216,14 +217,14 @@ def empty_result(
     case: Case, system: System, status: str, message: str, write: bool = True
 ) -> Trajectory:
     """The result of a case that did not begin; ``write`` it to its file if it has one."""
-    system, given = replace(system, scene=case.scene), case.state is not None
+    system, with_state = replace(system, scene=case.scene), case.state is not None
     if case.out is not None and write:
         try:
             sink = Hdf5Sink(case.out)
-            return leave_undone(system, given, sink, status, message).close_between_reads()
+            return leave_undone(system, with_state, sink, status, message).close_between_reads()
         except TrajectoryError:
             pass  # which may be why it could not begin
-    return leave_undone(system, given, MemorySink(), status, message)
+    return leave_undone(system, with_state, MemorySink(), status, message)
 
 
 def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
@@ -302,7 +303,7 @@ def run_cases(
 
 
 class _Progress:
-    """The progress callback of one run, which notes its time and ends it when all are to end."""
+    """The progress callback of one run: notes its time, and ends it when all runs are to end."""
 
     def __init__(self, times: list[float], number: int, stopped: threading.Event) -> None:
         self._times, self._number, self._stopped = times, number, stopped

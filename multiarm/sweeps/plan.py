@@ -30,6 +30,7 @@ import pandas
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, dump_scene, load_scene
 from multiarm.scene.code import CodeReference
+from multiarm.sweeps.axes import is_integer
 from multiarm.sweeps.checking import axis_faults, axis_words, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
@@ -233,8 +234,7 @@ def plan_of(scene: Scene, text: str) -> SweepPlan:
 
 def require_run(run: Any, count: int) -> None:
     """Raise a SweepError unless this is the number of one of so many runs."""
-    whole = isinstance(run, (int, np.integer)) and not isinstance(run, bool)
-    if not whole or not 1 <= run <= count:
+    if not is_integer(run) or not 1 <= run <= count:
         raise SweepError(f"there is no run {run}; runs are 1 to {count}")
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from multiarm.errors import USER_FAULTS
 from multiarm.results.limit_use import largest_shares
 from multiarm.scene.code import CodeReference, load_function
+from multiarm.scene.control import quintic
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -120,7 +121,7 @@ def _number(value: Any, name: str) -> float:
 
 @lru_cache(maxsize=64)
 def _loaded(function: Callable | CodeReference, _digest: str) -> Callable:
-    """The function; the digest makes a changed file be read again."""
+    """The function; a file with another digest is read again."""
     return load_function(function)
 
 
@@ -142,7 +143,7 @@ def _last(values: np.ndarray) -> float:
 def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Desired position and quaternion of the object at the end of the run.
 
-    Between waypoints they follow s^3 (10 - 15 s + 6 s^2); without a path they stay at t = 0.
+    Between waypoints they follow the quintic law; without a path they are those at t = 0.
     """
     from multiarm.spatial import difference, matrix_to_quaternion, retract
 
@@ -157,8 +158,7 @@ def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     if later is None:
         return stops[-1][1:]
     (t0, p0, q0), (t1, p1, q1) = stops[later - 1 : later + 1]
-    s = (end - t0) / (t1 - t0)
-    share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    share = quintic((end - t0) / (t1 - t0))
     return p0 + share * (p1 - p0), retract(q0, share * difference(q0, q1))
 
 

@@ -14,10 +14,10 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 
-from multiarm.errors import SceneError, SweepError
+from multiarm.errors import Fault, SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
 from multiarm.scene.code import UserFunction, located
-from multiarm.scene.faults import explain, fault, shown, unknown
+from multiarm.scene.faults import explain, fault, fault_at, shown, unknown
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
@@ -92,7 +92,7 @@ class UserQuantity(Spec):
 
 
 def _entry(value: Any) -> Any:
-    """A quantity by its name, or a function: as a table, by its place, or itself."""
+    """A quantity by name, or a function: a table, the text that names it, or the function."""
     if isinstance(value, (Mapping, UserQuantity)):
         return TypeAdapter(UserQuantity).validate_python(value)
     if callable(value) or (isinstance(value, str) and ":" in value):
@@ -254,14 +254,15 @@ def read_sweep(
     return _with(data, changes) if isinstance(data, Mapping) else data, folder
 
 
-def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
+def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[Fault]]:
     """The sweep that a table describes, without its faulty parts, and the faults.
 
     The sweep is None if too little is valid. Relative paths of functions start at ``folder``.
     """
     if not isinstance(data, Mapping):
         keys = ", ".join(SweepSpec.model_fields)
-        return None, [f"$: a sweep is a table with the keys {keys}; got {shown(data)}"]
+        problem = f"a sweep is a table with the keys {keys}; got {shown(data)}"
+        return None, [fault_at((), problem)]
     folder = folder.expanduser().resolve()
     reader = TypeAdapter(SweepSpec)
     try:
@@ -278,8 +279,8 @@ def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
 def _without(data: Mapping[str, Any], faults: Sequence[Sequence[Any]]) -> dict[str, Any]:
     """A sweep's table without its faulty parts: single paths, single quantities, else keys."""
     places = [tuple(loc) for loc in faults]
-    whole = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
-    valid = {key: value for key, value in data.items() if key not in whole}
+    faulty_keys = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
+    valid = {key: value for key, value in data.items() if key not in faulty_keys}
     if isinstance(valid.get("over"), Mapping):
         bad = {loc[1] for loc in places if loc[0] == "over" and len(loc) > 1}
         valid["over"] = {k: v for k, v in _by_text(valid["over"]).items() if k not in bad}

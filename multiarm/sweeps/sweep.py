@@ -6,7 +6,6 @@ import os
 import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from multiarm.errors import SweepError
 from multiarm.results.files import resolved
 from multiarm.scene import Scene
 from multiarm.simulation.interrupts import deferred_interrupt
+from multiarm.sweeps.axes import is_integer
 from multiarm.sweeps.folder import (
     About,
     PartWriter,
@@ -212,8 +212,7 @@ MOST_WORKERS = 1000
 def _check_executor(workers: Any, dask: Any) -> None:
     if workers is not None and dask:
         raise SweepError("workers and dask exclude each other: a cluster has its own workers")
-    whole = isinstance(workers, Integral) and not isinstance(workers, bool)
-    if workers is not None and not (whole and workers >= 1):
+    if workers is not None and not (is_integer(workers) and workers >= 1):
         raise SweepError(f"workers: must be a number from 1 on, got {workers!r}")
     if workers is not None and workers > MOST_WORKERS:
         raise SweepError(

@@ -25,7 +25,7 @@ class Bar(Progress):
     ----------
     console : Console
     words, amount : callable
-        What is being done, and how much of it is done; both are asked whenever the bar is drawn.
+        What is being done, and how much of it is done, whenever the bar is drawn.
     hidden : bool
 
     Attributes
@@ -63,7 +63,7 @@ class Bar(Progress):
 
 
 class _TextNow(ProgressColumn):
-    """A text that is asked for whenever the bar is drawn."""
+    """A text that is made whenever the bar is drawn."""
 
     def __init__(self, text: Callable[[], str], style: str = "") -> None:
         super().__init__()

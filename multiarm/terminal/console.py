@@ -127,20 +127,20 @@ class _Columns(Table):
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Narrow the widest columns, down to their least widths, or render the table's halves."""
         unbounded = options.update(width=100_000)  # else nothing is wider than the terminal
-        whole, widths = [], [column.min_width or 1 for column in self.columns]
+        wanted, widths = [], [column.min_width or 1 for column in self.columns]
         for column in self.columns:
             column.width = None
             cells = (column.header, *column.cells)
-            whole.append(max(Measurement.get(console, unbounded, cell).maximum for cell in cells))
-        between = console.measure(self, options=unbounded).maximum - sum(whole)
+            wanted.append(max(Measurement.get(console, unbounded, cell).maximum for cell in cells))
+        between = console.measure(self, options=unbounded).maximum - sum(wanted)
         room = options.max_width - between
-        if sum(widths) > room and len(whole) > 2:
+        if sum(widths) > room and len(wanted) > 2:
             yield from self._halves()
             return
         if sum(widths) > room:
-            widths = [1] * len(whole)
-        while sum(widths) < min(room, sum(whole)):
-            narrow = [k for k, width in enumerate(widths) if width < whole[k]]
+            widths = [1] * len(wanted)
+        while sum(widths) < min(room, sum(wanted)):
+            narrow = [k for k, width in enumerate(widths) if width < wanted[k]]
             widths[min(narrow, key=widths.__getitem__)] += 1
         for column, width in zip(self.columns, widths, strict=True):
             column.width = width

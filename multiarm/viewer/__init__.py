@@ -37,7 +37,6 @@ def replay(
     meshes: bool = True,
     host: str | None = None,
     port: int | None = None,
-    code: bool = False,
 ) -> Path | InlineReplay | None:
     """Show a trajectory in the browser.
 
@@ -48,7 +47,9 @@ def replay(
     and balls are drawn with their axes; limits as a sector or a rail with a pointer, which is red
     beyond them. Contacts that can open, slide or stick have a mark for each state, and no arrow
     while they are open. Events are shown briefly at their place; the page lists them and marks them
-    on its time line. A failed run is shown up to its last sample.
+    on its time line. A failed run is shown up to its last sample. Functions that the scene of a
+    stored run names are not loaded: a warning says which surfaces are not drawn. A run of this
+    process has its functions.
 
     Parameters
     ----------
@@ -70,9 +71,6 @@ def replay(
         default 127.0.0.1, which only this computer (or an SSH tunnel to it) reaches; every
         computer that reaches another address can watch. ``"0.0.0.0"``: all addresses. Port 0, the
         default where only `host` is given, takes a free one.
-    code : bool
-        Load the functions that the scene of a stored run names, to draw their surfaces. Without it,
-        a warning lists what is not drawn.  A run of this process has its functions already.
 
     Returns
     -------
@@ -109,7 +107,7 @@ def replay(
             "and port"
         )
     target = None if path is None else _target(path)
-    animation = animate(trajectory, fps=fps, speed=speed, meshes=meshes, code=code)
+    animation = animate(trajectory, fps=fps, speed=speed, meshes=meshes)
     commands = printable_texts(draw(animation, speed))
     page = render(commands, printable_texts(page_facts(animation, speed)))
     if target is not None:

@@ -26,7 +26,7 @@ from multiarm.assembly.compilation import geometry_of
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
-from multiarm.scene import with_code, without_code
+from multiarm.scene import without_code
 from multiarm.scene.control import NoControl
 from multiarm.scene.faults import counted
 from multiarm.viewer.animation import (
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
     from multiarm.contacts.joint import JointFrame
     from multiarm.dynamics.system import System
-    from multiarm.grasp.seventh_contact import ContactRegion
+    from multiarm.grasp.seventh_contact.contact_region import ContactRegion
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import JointSpec
 
@@ -64,9 +64,7 @@ WHITE = np.ones(3)  # a tint that leaves colours as they are
 MOST_FRAMES = 6000
 
 
-def animate(
-    trajectory: Trajectory, *, fps: float, speed: float, meshes: bool, code: bool = False
-) -> Animation:
+def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -> Animation:
     """Return the animation of a trajectory, see :func:`multiarm.replay` for what is given.
 
     A failed run is shown up to its last sample.
@@ -77,7 +75,7 @@ def animate(
         The trajectory has no samples.
     """
     rows = frame_rows(trajectory.time, fps / speed)
-    system, missing = _system(trajectory, code)
+    system, missing = _system(trajectory)
     colors = arm_colors(system)
     bodies = [_object(trajectory, rows)]
     angles = {name: trajectory.joint_positions[name][rows] for name in system.arm_names}
@@ -114,8 +112,8 @@ def animate(
     )
 
 
-def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
-    """What is to be drawn, at the run's first sample, and what needs code to be drawn."""
+def _system(trajectory: Trajectory) -> tuple[System, list[str]]:
+    """What is to be drawn, at the run's first sample, and what is not for lack of its code."""
     # without its control, whose tables need not exist any more
     scene = trajectory.simulated_scene.model_copy(update={"control": NoControl()})
     start = {
@@ -123,7 +121,7 @@ def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
         "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[0],
         "joint_positions": {arm: q[0] for arm, q in trajectory.joint_positions.items()},
     }
-    scene, left_out = (with_code(scene, True), []) if code else without_code(scene)
+    scene, left_out = without_code(scene)
     system = geometry_of(scene, start)
     not_drawn = [item for item in left_out if item.arm]
     if not not_drawn:
@@ -131,9 +129,8 @@ def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
     arms = ", ".join(dict.fromkeys(f"arm {item.arm!r}" for item in not_drawn))
     missing = (
         f"contacts and surfaces of {arms} that need "
-        f"{', '.join(dict.fromkeys(item.what for item in not_drawn))} are not drawn, since "
-        "code that a result names is not loaded; if you trust its author, allow it with --code "
-        "(`code=True` in Python)"
+        f"{', '.join(dict.fromkeys(item.what for item in not_drawn))} are not drawn: code that a "
+        "result names is not loaded"
     )
     warnings.warn(missing, stacklevel=4)
     return system, [missing]

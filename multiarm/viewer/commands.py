@@ -223,12 +223,12 @@ class Script:
         """Append commands as they are."""
         self._commands += commands
 
-    def put(self, path: str, thing: dict[str, Any], seen: np.ndarray | None = None) -> None:
+    def put(self, path: str, drawn: dict[str, Any], seen: np.ndarray | None = None) -> None:
         """Put an object, made by a function of `commands`, at a path.
 
         It is visible in all frames, or in those of `seen`, (K,) of truth values.
         """
-        self.add(set_object(f"{ROOT}/{path}", thing))
+        self.add(set_object(f"{ROOT}/{path}", drawn))
         if seen is not None:
             self.set(path, "scale", np.where(seen, 1.0, HAIR)[:, None] * np.ones(3))
 

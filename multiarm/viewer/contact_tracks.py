@@ -218,10 +218,10 @@ def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh |
     body's frame.
     """
     around = surface.axes.T @ (touched - surface.origin)
-    whole = _unplaced(surface, around, 0.5 * extent)
-    if whole is None:
+    local = _unplaced(surface, around, 0.5 * extent)
+    if local is None:
         return None
-    vertices, triangles = whole.vertices @ surface.axes.T + surface.origin, whole.triangles
+    vertices, triangles = local.vertices @ surface.axes.T + surface.origin, local.triangles
     if surface.patch is not None:
         inside = np.array([surface.patch.excess(p) <= 0.0 for p in vertices])
         triangles = triangles[inside[triangles].all(axis=1)]

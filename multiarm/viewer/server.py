@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import socket
+import sys
 from http.server import BaseHTTPRequestHandler
 from socketserver import ThreadingTCPServer
+from typing import Any
 
 from multiarm.errors import ReplayError
 from multiarm.terminal.console import messages
@@ -49,8 +51,10 @@ class PageServer(ThreadingTCPServer):
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), _PageHandler)
 
-    def handle_error(self, *_: object) -> None:
-        """Say nothing: the browser has gone away."""
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print an error, but not that a browser has gone away."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
 
 class _PageHandler(BaseHTTPRequestHandler):

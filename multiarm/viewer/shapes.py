@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import coal
 import numpy as np
 
-from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.scene.meshes import read_mesh
 from multiarm.viewer.mesh import Mesh, box, capsule, cone, cylinder, sphere
 

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics import PANDA_FINGERS, chain_urdf
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
@@ -439,7 +440,7 @@ def test_every_constant_is_named():
 def test_a_copy_that_is_wrong_is_refused(column, panda, monkeypatch):
     """Whichever of its numbers is off, by a billionth."""
     monkeypatch.setattr(compiled_backend, "make_tables", one_constant(column, 1e-9))
-    with pytest.raises(ModelError, match="arm 'panda': its compiled copy is not the arm"):
+    with refused(ModelError, "'panda'"):
         compile_arms({"panda": panda}, GRAVITY)
 
 
@@ -464,7 +465,7 @@ def test_every_quantity_is_compared(quantity, panda, monkeypatch):
 
     found, _ = compile_arms({"panda": panda}, GRAVITY)
     monkeypatch.setattr(CompiledBackend, "terms", spoiled)
-    with pytest.raises(ModelError, match=f"{compiled_backend._WORDS[quantity]} differs"):
+    with refused(ModelError, compiled_backend._WORDS[quantity]):
         compiled_backend.verify(found.tables, found.places, {"panda": panda}, LinkTerms._fields)
 
 
@@ -514,13 +515,13 @@ def unusual(panda, *joints) -> Arm:
 
 def test_what_no_table_describes_is_said_in_words(panda):
     hinge, screw = pin.JointModelRX(), pin.JointModelHX(0.1)
-    with pytest.raises(ModelError, match="j2 turns and slides at once"):
+    with refused(ModelError, "j2"):
         unusual(panda, (0, hinge), (1, screw)).structure()
-    with pytest.raises(ModelError, match="it has branches"):
+    with refused(ModelError):
         unusual(panda, (0, hinge), (1, hinge), (1, hinge)).structure()
     short = unusual(panda, (0, hinge), (1, hinge))
     short.tip_joint = 1
-    with pytest.raises(ModelError, match="joints follow after its tip"):
+    with refused(ModelError):
         short.structure()
 
 

@@ -17,6 +17,7 @@ from mechanics import (
     single_arm,
     ur5_pair,
 )
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
@@ -281,7 +282,7 @@ def test_a_chain_that_is_too_short_is_refused_with_what_is_left():
 
 
 def test_a_flat_chain_that_would_have_to_buckle_far_is_refused():
-    with pytest.raises(SceneError, match=r"would have to move by more than 0\.\d+ rad or m"):
+    with refused(SceneError, "left: "):
         ma.compile_system(planar_hinges(apart=1.0, wider=-0.09))
 
 
@@ -319,7 +320,7 @@ def test_a_state_that_is_too_far_is_refused_as_a_state_with_every_gap(welded_ur5
 def test_a_state_that_is_not_finite_is_refused(welded_ur5_system):
     state = welded_ur5_system.initial_state()
     state.position[9] = math.nan
-    with pytest.raises(ModelError, match="not finite"):
+    with refused(ModelError, "state"):
         project_start(data_of(welded_ur5_system), welded_ur5_system.scene, state)
 
 

@@ -10,6 +10,7 @@ import trimesh
 from commands import multiarm
 from event_scenes import arm as plain_arm
 from event_scenes import box
+from refusals import refused
 from repository import SCENES
 from scipy.spatial.transform import Rotation
 
@@ -110,13 +111,13 @@ def test_a_motion_that_the_joint_leaves_free_may_be_used():
     np.testing.assert_allclose(
         system.initial_state().joint_positions["a"], [0, 0, 0.6, 0], atol=1e-8
     )
-    with pytest.raises(SceneError, match=r"arms.a.posture: .* leaves 0.000 m and 40 deg"):
+    with refused(SceneError, "arms.a.posture"):
         ma.compile_system(scene(arms, [{**joint, "kind": "weld"}]))
 
 
 def test_an_arm_that_is_too_far_away_hears_where_to_go():
     joints = [{"arm": "a", "kind": "ball", "at": DOWN}]
-    with pytest.raises(SceneError, match="move the base by") as caught:
+    with refused(SceneError, "$.arms.a.posture") as caught:
         ma.compile_system(scene({"a": {**UR5, "base": {"xyz": [1.6, 0, 0]}}}, joints))
     (text,) = caught.value.faults
     shift = np.array(text.split("move the base by [")[1].split("]")[0].split(", "), dtype=float)
@@ -205,7 +206,7 @@ def test_where_nothing_is_found_the_message_says_how_hard_it_was_tried():
     """Within the length of the arm, but turned as it cannot be."""
     turned = {"xyz": [0, 0, 0.1], "rpy": [0.0, 0.0, 0.7]}
     arms = {"a": {**plain_arm("xyzX"), "posture": "solve"}}
-    with pytest.raises(SceneError, match=r"arms.a.posture: .* were found .* in 2096 searches"):
+    with refused(SceneError, "arms.a.posture"):
         ma.compile_system(scene(arms, [{"arm": "a", "kind": "weld", "at": turned}]))
 
 
@@ -434,29 +435,25 @@ def _dexterity(arm: Arm, q: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(
-    ("base", "more", "message"),
+    ("base", "more"),
     [
-        (
-            {"solve": ["z"], "xyz": [9, 0, 0]},
-            {},
-            r"arms.a.base.solve: no 'z' of the base were",
-        ),
-        ({"solve": ["x", "x"]}, {}, "names a component twice"),
-        ({"solve": ["u"]}, {}, r"\$.arms.a.base.solve\[0\]: .*'x', 'y', 'z', 'roll', 'pitch'"),
-        ({"solve": ["yaw"], "quaternion_xyzw": [0, 0, 0, 1]}, {}, "need 'rpy' for the others"),
-        ({"solve": ["x"]}, {"posture": 6 * [0.1]}, "write 'posture: solve', or none"),
+        ({"solve": ["z"], "xyz": [9, 0, 0]}, {}),
+        ({"solve": ["x", "x"]}, {}),
+        ({"solve": ["u"]}, {}),
+        ({"solve": ["yaw"], "quaternion_xyzw": [0, 0, 0, 1]}, {}),
+        ({"solve": ["x"]}, {"posture": 6 * [0.1]}),
     ],
     ids=["out of reach", "twice", "unknown", "quaternion", "posture"],
 )
-def test_a_base_that_cannot_be_found_is_refused(base, more, message):
-    with pytest.raises(SceneError, match=message):
+def test_a_base_that_cannot_be_found_is_refused(base, more):
+    with refused(SceneError, "arms.a.base"):
         ma.compile_system(
             scene({"a": {**UR5, "base": base, **more}}, [{"arm": "a", "kind": "weld", "at": DOWN}])
         )
 
 
 def test_a_base_needs_a_place_to_be_found_for():
-    with pytest.raises(SceneError, match=r"needs the joint's place .* give \$.joints\[0\].at"):
+    with refused(SceneError, "$.joints[0].at"):
         ma.compile_system(
             scene({"a": {**UR5, "base": {"solve": ["x"]}}}, [{"arm": "a", "kind": "weld"}])
         )
@@ -541,12 +538,12 @@ def test_values_come_into_tables_of_every_form():
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("a: &same {tip: x}\nb: *same", "written out|write them out"),
-        ("a: {tip: x}\nb: {<<: {tip: y}, lock: {}}", "'<<'"),
+        "a: &same {tip: x}\nb: *same",
+        "a: {tip: x}\nb: {<<: {tip: y}, lock: {}}",
     ],
 )
-def test_values_of_tables_that_share_their_text_are_refused(text, message):
-    with pytest.raises(SceneError, match=message):
+def test_values_of_tables_that_share_their_text_are_refused(text):
+    with refused(SceneError):
         with_values(text, {("a", "posture"): "[1]", ("b", "posture"): "[2]"})

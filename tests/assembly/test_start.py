@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from commands import multiarm
 from mechanics import UR5_POSTURE, plain_gaps, scene_of, single_arm, ur5_pair
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
@@ -93,7 +94,7 @@ def test_a_joint_that_would_close_upside_down_is_refused(kind, axis, missing):
     """All gaps of a weld vanish at half a turn too, exactly or from near by."""
     turn = (math.pi - missing) * np.eye(3)[axis]
     flipped = displaced(at_tip("right"), np.zeros(3), turn)
-    with pytest.raises(SceneError, match=r"'right' the wrong way round: .* 180 degrees .*solve"):
+    with refused(SceneError, "'right'"):
         ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": kind, "at": flipped}))
 
 
@@ -119,7 +120,7 @@ def test_a_start_that_is_not_assembled_serves_evaluations_elsewhere():
     np.testing.assert_array_equal(one.object_acceleration, other.object_acceleration)
     np.testing.assert_array_equal(one.contact_forces["left"], other.contact_forces["left"])
     for run in (ma.simulate, ma.Stepper):
-        with pytest.raises(SceneError, match=r"gaps left: 0\.004 m.*`assemble=False`: give a"):
+        with refused(SceneError, "`assemble=False`"):
             run(open_)
     from_there = ma.simulate(open_, 0.05, state=state)
     np.testing.assert_array_equal(
@@ -130,7 +131,7 @@ def test_a_start_that_is_not_assembled_serves_evaluations_elsewhere():
 def test_an_arm_that_reaches_its_place_from_nowhere_can_be_compiled_without_assembly():
     arms = {"arm": {"robot": "planar_3r", "tip": "tip"}}
     scene = scene_of(arms, [{"arm": "arm", "kind": "ball", "at": {"xyz": [9.0, 0, 0]}}])
-    with pytest.raises(SceneError, match="is out of reach"):
+    with refused(SceneError, "$.arms.arm.posture"):
         ma.compile_system(scene)
     system = ma.compile_system(scene, assemble=False)
     assert np.all(system.initial_state().joint_positions["arm"] == 0.0)

@@ -208,6 +208,14 @@ def test_check_tells_verdict_regions_and_stability(designed, tmp_path):
     assert told["carrying_force"] > 4.0 * 9.81 / 7
 
 
+@pytest.mark.parametrize("name", ["grasped_block", "corner_grippers_block", "two_ur5_box"])
+def test_the_largest_force_is_the_same_over_rows_of_joints_and_over_contacts(name):
+    """Smallest largest forces: over the rows, of either sign or pushing, and over all pushes."""
+    judged = judge_grasp(ma.compile_system(ma.load_scene(SCENES / f"{name}.yaml")))
+    # tolerance of a linear program in units of the weight, ten times
+    assert judged.carrying.largest_force == pytest.approx(judged.carrying_force, rel=1e-6)
+
+
 def test_contacts_of_a_weld_hold_both_ways():
     """Every row counts twice, with opposite normals and opposite forces."""
     found = read_grasp(ma.compile_system(ma.load_scene(WELDED)))

@@ -17,9 +17,8 @@ import multiarm as ma
 from multiarm import problems
 from multiarm.cli import stability as stability_command
 from multiarm.problems import Criterion, HardCase
-from multiarm.reports.pages import scientific
-from multiarm.studies.hard_case_page import render
 from multiarm.studies.hard_cases import CaseResult, run_case, run_suite
+from multiarm.studies.hard_cases_page import render
 
 stability = command("stability", 80)
 RUN = {"duration": 0.2, "accuracy": 1e-8}
@@ -279,18 +278,3 @@ def test_page_is_whole_well_formed_and_needs_nothing_else(suite):
         assert f"multiarm stability {case.name}" in page
     assert "3 of 7 within their criteria" in page
     assert "Two hinges &amp; &lt;damping&gt;" in page
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (None, "\N{EN DASH}"),
-        (0.0, "0"),
-        (0.25, "0.25"),
-        (2.34e-14, "2.3\N{MULTIPLICATION SIGN}10⁻¹⁴"),
-        (1e-10, "10⁻¹⁰"),
-        (-3e5, "-3\N{MULTIPLICATION SIGN}10⁵"),
-    ],
-)
-def test_numbers_on_the_page_are_powers_of_ten(value, text):
-    assert scientific(value) == text

@@ -16,11 +16,12 @@ from mechanics import (
     two_arm_block,
     ur5_pair,
 )
+from refusals import refused
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.control.force_distribution import static_forces
 from multiarm.control.laws import pack_path, path_point
+from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.errors import ControlError
 
 WELDS = ({"kind": "weld"}, {"kind": "weld"})
@@ -183,7 +184,7 @@ def test_a_path_out_of_reach_names_its_waypoint():
     scene = ma.load_scene(SCENES / "two_ur5_box.yaml")
     control = scene.control.model_dump(exclude_unset=True)
     control["path"] = [{"time": 1.0, "xyz": [0, 0, 0.6]}, {"time": 2.0, "xyz": [0, 0, 2.5]}]
-    with pytest.raises(ControlError, match=r"control.path: .* waypoint 2 .*; choose a nearer pose"):
+    with refused(ControlError, "control.path"):
         ma.compile_system(scene.replace(control=control))
 
 
@@ -278,23 +279,25 @@ def test_arms_that_a_controller_leaves_out_get_no_torque(free_block_system):
 
 
 BAD = {
-    r"must be a dict .*, such as \{'one': 6 numbers\}, got \[1": lambda t, s: [1.0],
-    r"must be a dict .*, such as \{'one': 6 numbers\}, got None": lambda t, s: None,
-    r"unknown arm 'three'; arms are one, two": lambda t, s: {"three": np.zeros(6)},
-    r"torques\['one'\]: expected shape \(6,\), got \(5,\)": lambda t, s: {"one": np.zeros(5)},
-    r"torques\['one'\]: expected shape \(6,\), got \(\)": lambda t, s: {"one": 3.0},
-    r"torques\['two'\]: a number is not finite.*t = 0 s": lambda t, s: {"two": [np.nan] * 6},
-    r"torques\['one'\]: expected 6 numbers": lambda t, s: {"one": ["a"] * 6},
+    "a list": (lambda t, s: [1.0], "torques"),
+    "nothing": (lambda t, s: None, "torques"),
+    "unknown": (lambda t, s: {"three": np.zeros(6)}, "'three'"),
+    "five": (lambda t, s: {"one": np.zeros(5)}, "torques['one']"),
+    "a number": (lambda t, s: {"one": 3.0}, "torques['one']"),
+    "not finite": (lambda t, s: {"two": [np.nan] * 6}, "torques['two']"),
+    "words": (lambda t, s: {"one": ["a"] * 6}, "torques['one']"),
 }
 
 
-@pytest.mark.parametrize("message", BAD)
-def test_unusable_torques_are_a_control_error_at_the_first_evaluation(free_block_system, message):
+@pytest.mark.parametrize(("control", "place"), BAD.values(), ids=BAD)
+def test_unusable_torques_are_a_control_error_at_the_first_evaluation(
+    free_block_system, control, place
+):
     for attempt in (
-        lambda: ma.simulate(free_block_system, duration=0.1, control=BAD[message]),
-        lambda: ma.evaluate(free_block_system.with_control(BAD[message])),
+        lambda: ma.simulate(free_block_system, duration=0.1, control=control),
+        lambda: ma.evaluate(free_block_system.with_control(control)),
     ):
-        with pytest.raises(ControlError, match=message):
+        with refused(ControlError, place):
             attempt()
     # nothing of it is left behind
     assert ma.simulate(free_block_system, duration=0.01).status == "completed"

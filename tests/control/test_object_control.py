@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from mechanics import G, panda_trio, single_arm, two_arm_block, ur5_pair
+from refusals import refused
 from repository import SCENES
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
@@ -414,60 +415,45 @@ def test_free_motions_of_the_arms_are_damped_and_move_nothing_else(rng):
 @pytest.mark.parametrize("law", [computed_torque, impedance])
 def test_an_object_that_the_joints_leave_free_is_refused(law):
     ball = {"kind": "ball"}
-    with pytest.raises(ControlError, match=r"span only 5 of 6 directions.*; add an arm"):
+    with refused(ControlError, "control: "):
         law(lambda: ur5_pair(ball, ball))
 
 
 @pytest.mark.parametrize(
-    ("build", "control", "message"),
+    ("build", "control"),
     [
-        (
-            lambda: ur5_pair(WELD, HINGE),
-            {"internal_forces": {"right": [1, 2, 3]}},
-            r"internal_forces.right: 3 forces for 5 contacts; give one each: revolute 1",
-        ),
-        (
-            lambda: ur5_pair(WELD, {"kind": "prismatic"}),
-            {"squeeze": 5.0},
-            r"control.squeeze: the joint of arm 'right' cannot press .* it gives way",
-        ),
-        (
-            lambda: single_arm("ur5", "tool0", [0, -1.2, 1.5, 0, 0.5, 0], WELD),
-            {"squeeze": 5.0},
-            r"control.squeeze: the arms do not hold the object from different sides",
-        ),
+        (lambda: ur5_pair(WELD, HINGE), {"internal_forces": {"right": [1, 2, 3]}}),
+        (lambda: ur5_pair(WELD, {"kind": "prismatic"}), {"squeeze": 5.0}),
+        (lambda: single_arm("ur5", "tool0", [0, -1.2, 1.5, 0, 0.5, 0], WELD), {"squeeze": 5.0}),
         (
             lambda: single_arm("ur5", "tool0", [0, -1.2, 1.5, 0, 0.5, 0], WELD),
             {"internal_forces": {"arm": [1, 2, 3, 4, 5, 6]}},
-            r"these forces only move the object",
         ),
     ],
 )
-def test_internal_forces_that_cannot_be_are_refused(build, control, message):
-    with pytest.raises(ControlError, match=message):
+def test_internal_forces_that_cannot_be_are_refused(build, control):
+    with refused(ControlError, *control):
         computed_torque(build, **control)
 
 
-FAULTS = {
-    "unknown arm 'rigth'": {"internal_forces": {"rigth": [1.0]}},
-    r"internal_forces.left\[1\]: must be a number": {"internal_forces": {"left": [1.0, "x"]}},
-    "must be a list of forces": {"internal_forces": {"left": 3.0}},
-    "squeeze: must be at least 0": {"squeeze": -1.0},
-    "relative_damping: must be at least 0": {"relative_damping": -1.0},
-    "stiffness: must not be negative": {"stiffness": -1.0},
-    "stiffness.rotation: is missing": {"stiffness": {"translation": 1.0}},
-    r"damping.translation: must be a number, or a list of 3": {
-        "damping": {"translation": [1, 2], "rotation": 1}
-    },
-    "times of 'path' must increase": {"path": [PATH[1], PATH[0]]},
-    "unknown key 'stifness'; did you mean 'stiffness'": {"stifness": 3.0},
-}
-
-
-@pytest.mark.parametrize("message", FAULTS)
-def test_faults_of_the_laws_are_told_in_the_scene(message):
-    with pytest.raises(SceneError, match=message):
-        ur5_pair(WELD, HINGE, control={"kind": "computed_torque", **FAULTS[message]})
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"internal_forces": {"rigth": [1.0]}},
+        {"internal_forces": {"left": [1.0, "x"]}},
+        {"internal_forces": {"left": 3.0}},
+        {"squeeze": -1.0},
+        {"relative_damping": -1.0},
+        {"stiffness": -1.0},
+        {"stiffness": {"translation": 1.0}},
+        {"damping": {"translation": [1, 2], "rotation": 1}},
+        {"path": [PATH[1], PATH[0]]},
+        {"stifness": 3.0},
+    ],
+)
+def test_faults_of_the_laws_are_told_in_the_scene(parameters):
+    with refused(SceneError, *parameters):
+        ur5_pair(WELD, HINGE, control={"kind": "computed_torque", **parameters})
 
 
 def test_all_faults_of_a_law_are_told_at_once():

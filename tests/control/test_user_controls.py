@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import ur5_pair
+from refusals import refused
 from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
@@ -194,7 +195,7 @@ def test_an_installed_kind_is_loaded_when_a_scene_file_is_compiled(tmp_path, mon
     strict = ma.load_scene(path, code=False)
     for same in (strict, strict.replace(name="other"), parse_scene(text, code=False)):
         for other in (same, same.replace({"control.stiffness": 2.0})):
-            with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
+            with refused(ma.MultiarmError, "$.control.kind"):
                 ma.compile_system(other)
             assert CONTROLS.registered == {}
     looked = multiarm("check", path)
@@ -204,9 +205,7 @@ def test_an_installed_kind_is_loaded_when_a_scene_file_is_compiled(tmp_path, mon
     path.write_text(text.replace("stiffness:", "stifness:"), encoding="utf-8")
     CONTROLS.registered.clear()
     scene = ma.load_scene(path)
-    with pytest.raises(
-        ma.MultiarmError, match=r"\$\.control\.stifness: unknown key 'stifness'; di"
-    ):
+    with refused(ma.MultiarmError, "$.control.stifness"):
         ma.compile_system(scene)
 
 
@@ -220,9 +219,7 @@ def test_a_stored_run_is_looked_at_and_replayed_without_the_class(tmp_path):
     ma.replay(run, tmp_path / "run.html", open_browser=False)
     ma.report(run, tmp_path / "report.html")
     for code in (None, True):
-        with pytest.raises(
-            ma.MultiarmError, match=r"\$\.control\.kind: unknown control kind 'pull'"
-        ):
+        with refused(ma.MultiarmError, "$.control.kind"):
             ma.compile_system(run.scene, code=code)
     ma.register_control(Pull)
     again = ma.load_trajectory(tmp_path / "run.h5").scene
@@ -250,24 +247,24 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
 
 
 @pytest.mark.parametrize(
-    ("control", "message"),
+    "control",
     [
-        ({"kind": "pul"}, r"\$\.control\.kind: unknown control kind 'pul'; did you mean 'pull'\?"),
-        ({"kind": "pul"}, "kinds of your own need multiarm.register_control or their package"),
-        ({"stiffness": 1.0}, r"\$\.control: 'kind' is missing; kinds are 'none', .*'push'"),
-        ({"kind": "pull"}, r"\$\.control\.stiffness: is missing"),
-        ({"kind": "pull", "stiffness": "x"}, r"\$\.control\.stiffness: "),
-        ({"kind": "pull", "stiffness": 1, "sample_delay": True}, "control: 'sample_delay' needs"),
-        ({"kind": "push", "pushes": {"lefd": 1.0}}, r"\$\.control\.pushes\.lefd: unknown arm"),
-        ({"function": 3}, r"\$\.control\.function: must be a Python function, or name one as"),
-        ({"function": "none.py:pull"}, r"\$\.control\.function: cannot load .* there is no file"),
-        ({"kind": "function"}, r"\$\.control\.function: is missing"),
+        {"kind": "pul"},
+        {"kind": "pul"},
+        {"stiffness": 1.0},
+        {"kind": "pull"},
+        {"kind": "pull", "stiffness": "x"},
+        {"kind": "pull", "stiffness": 1, "sample_delay": True},
+        {"kind": "push", "pushes": {"lefd": 1.0}},
+        {"function": 3},
+        {"function": "none.py:pull"},
+        {"kind": "function"},
     ],
 )  # fmt: skip
-def test_faults_of_a_scene_have_their_place(control, message, tmp_path):
+def test_faults_of_a_scene_have_their_place(control, tmp_path):
     for own in (Pull, Push):
         ma.register_control(own)
-    with pytest.raises(ma.MultiarmError, match=message):
+    with refused(ma.MultiarmError, "$.control"):
         ma.compile_system(scene_of(control))
 
 
@@ -277,54 +274,45 @@ def test_a_function_of_a_scene_file_lies_in_its_folder(tmp_path):
     path = tmp_path / "scenes" / "scene.yaml"
     text = dump_scene(scene_of("none")) + "control: {function: '../elsewhere.py:pull'}\n"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ma.MultiarmError, match=r"\$\.control\.function: .* is not in the folder"):
+    with refused(ma.MultiarmError, "$.control.function"):
         ma.load_scene(path)
 
 
 @pytest.mark.parametrize(
-    ("body", "message"),
+    "body",
     [
-        ({"torques": lambda self, t, state: 1 / 0}, "the control 'odd' raised ZeroDivisionError"),
-        ({"torques": lambda self, t, state: {"lefd": 1}}, "the control 'odd'.s torques.*'lefd'"),
-        ({"torques": lambda self, t, state: {"left": 1}}, "the control 'odd'.s torques.*left"),
-        ({"build": lambda self, c: 1 / 0}, r"'odd': build\(\) raised ZeroDivisionError"),
-        ({"build": lambda self, c: 3}, r"build\(\) returned int; return a multiarm.control.Contr"),
-        ({"build": lambda self, c: ControlProgram((pull,))}, "a law that is no"),
-        (
-            {"build": lambda self, c: ControlProgram((push,), np.full(12, np.nan))},
-            "no vector of finite floats",
-        ),
-        (
-            {"torques": pull, "faults": lambda self, arms: 1 / 0},
-            r"\$\.control: control kind 'odd': faults\(\) raised ZeroDivisionError",
-        ),
+        {"torques": lambda self, t, state: 1 / 0},
+        {"torques": lambda self, t, state: {"lefd": 1}},
+        {"torques": lambda self, t, state: {"left": 1}},
+        {"build": lambda self, c: 1 / 0},
+        {"build": lambda self, c: 3},
+        {"build": lambda self, c: ControlProgram((pull,))},
+        {"build": lambda self, c: ControlProgram((push,), np.full(12, np.nan))},
+        {"torques": pull, "faults": lambda self, arms: 1 / 0},
     ],
 )
-def test_what_a_class_does_wrong_is_one_clear_error(body, message):
+def test_what_a_class_does_wrong_is_one_clear_error(body):
     body = {"kind": "odd", "__annotations__": {"kind": Literal["odd"]}, **body}
     ma.register_control(type("Odd", (ma.Control,), {"__module__": __name__, **body}))
-    with pytest.raises(ma.MultiarmError, match=message):
+    with refused(ma.MultiarmError, "'odd'"):
         ma.evaluate(ma.compile_system(scene_of({"kind": "odd"})))
 
 
 @pytest.mark.parametrize(
-    ("body", "message"),
+    "body",
     [
-        ({"__annotations__": {}}, "'kind' must be a word"),
-        ({"torques": ma.Control.torques}, "it defines neither 'torques' nor 'build'"),
-        ({"example": "control: {kind: odd, speed: 1}"}, "its example does not load"),
-        (
-            {"kind": "joint_pd", "__annotations__": {"kind": Literal["joint_pd"]}},
-            "multiarm itself has one of that name",
-        ),
+        {"__annotations__": {}},
+        {"torques": ma.Control.torques},
+        {"example": "control: {kind: odd, speed: 1}"},
+        {"kind": "joint_pd", "__annotations__": {"kind": Literal["joint_pd"]}},
     ],
 )
-def test_what_a_class_lacks_is_named_when_it_is_registered(body, message):
+def test_what_a_class_lacks_is_named_when_it_is_registered(body):
     body = {"kind": "odd", "__annotations__": {"kind": Literal["odd"]}, "torques": pull, **body}
     if not body["__annotations__"]:
         del body["kind"]
     own = type("Odd", (ma.Control,), {"__module__": __name__, **body})
-    with pytest.raises(ma.MultiarmError, match=message):
+    with refused(ma.MultiarmError, "Odd" if body.get("kind") != "joint_pd" else "'joint_pd'"):
         ma.register_control(own)
-    with pytest.raises(ma.MultiarmError, match=r"it is no subclass of multiarm\.Control"):
+    with refused(ma.MultiarmError, "Scene"):
         ma.register_control(Scene)

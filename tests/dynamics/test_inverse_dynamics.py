@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.contacts.internal_forces import InternalForces
+from multiarm.dynamics.forces.internal_forces import InternalForces
 from multiarm.errors import GraspError, ModelError, SolverError
 
 HINGES = ({"kind": "revolute"}, {"kind": "revolute", "axis": [1, 0, 0]})

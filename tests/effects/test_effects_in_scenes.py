@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mechanics import UR5_POSTURE, chain_urdf, scene_of, ur5_pair
+from refusals import refused
 from repository import SCENES
 
 import multiarm as ma
@@ -279,9 +280,9 @@ def test_a_urdf_that_says_nothing_is_a_warning():
 
 def test_negative_numbers_of_a_urdf_are_a_fault(tmp_path):
     scene = chain_of(tmp_path, "<dynamics damping='-1' friction='-2'/>")
-    with pytest.raises(SceneError, match=r"joint_damping.*'joint_1', 'joint_2', 'joint_3'.*>= 0"):
+    with refused(SceneError, "'joint_1'"):
         scene(joint_damping="urdf")
-    with pytest.raises(SceneError, match=r"joint_friction\.torque: .*<dynamics friction>"):
+    with refused(SceneError, "joint_friction.torque"):
         scene(joint_friction="urdf")
     assert scene(joint_damping=1.0).effects.joint_damping == 1.0
 

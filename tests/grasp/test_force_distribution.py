@@ -11,10 +11,10 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from multiarm.errors import GraspError
+from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.force_distribution import distribute_forces
-from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.load_maps import liftable, load_capacity, worst_force
+from multiarm.grasp.forces.force_distribution import distribute_forces
+from multiarm.grasp.forces.load_maps import liftable, load_capacity, worst_force
 from multiarm.programs import least_distance, nonnegative_least_squares
 
 # slack of the bounds, and the linear programs' own tolerance, relative to the forces

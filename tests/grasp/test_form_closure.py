@@ -20,9 +20,9 @@ from scipy.optimize import OptimizeResult, linprog
 from scipy.spatial import ConvexHull
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, LEAST_MARGIN, evenest
+from multiarm.grasp.closure.balances import BAND, LEAST_MARGIN, evenest
+from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
 from multiarm.grasp.contacts import Contacts, wrenches_of
-from multiarm.grasp.form_closure import closed_many, is_form_closure
 
 # Seven contacts on a box: two of them 2e-10 m apart; normals that are off by 1e-7.
 HARD = json.loads((DATA / "hard_contacts.json").read_text())
@@ -165,7 +165,7 @@ def balanced_set(rng, count, d):
             return chosen
         force = -total[:2]
         arm = np.array([-force[1], force[0]]) * Fraction(-total[2], force @ force)
-        return Contacts.along([*chosen.given[0], tuple(arm)], [*chosen.given[1], tuple(force)])
+        return Contacts.along([*chosen.written[0], tuple(arm)], [*chosen.written[1], tuple(force)])
     return concurrent_set(rng, count, d)
 
 
@@ -310,7 +310,7 @@ def test_the_margin_of_a_unique_balance_is_its_smallest_push_without_rounding(na
     contacts = hard(name)
     rows = list(zip(*given_columns(contacts), strict=True))
     balance = plane_normals(rows)[0]  # orthogonal to the six rows of W: the null vector
-    sizes = np.linalg.norm(np.array(contacts.given[1]), axis=1)
+    sizes = np.linalg.norm(np.array(contacts.written[1]), axis=1)
     pushes = [push * Fraction(size) for push, size in zip(balance, sizes, strict=True)]
     t = min(push / sum(pushes) for push in pushes)
     # the sum of a null vector of length 1 is known to some 1e-16
@@ -613,7 +613,7 @@ def test_many_decisions_in_parts_are_those_of_the_whole(rng, monkeypatch):
     points = rng.normal(size=(50, 4, 2))
     normals = -points / np.linalg.norm(points, axis=2, keepdims=True)
     whole = closed_many(points, normals)
-    monkeypatch.setattr("multiarm.grasp.form_closure.CHUNK", 7)
+    monkeypatch.setattr("multiarm.grasp.closure.form_closure.CHUNK", 7)
     assert np.array_equal(closed_many(points, normals).closed, whole.closed)
 
 
@@ -906,7 +906,7 @@ def test_seven_contacts_are_decided_without_scipy():
     code = (
         "import sys, numpy as np\n"
         "from multiarm.grasp.contacts import Contacts\n"
-        "from multiarm.grasp.form_closure import is_form_closure\n"
+        "from multiarm.grasp.closure.form_closure import is_form_closure\n"
         "p = np.random.default_rng(0).normal(size=(7, 3))\n"
         "is_form_closure(Contacts.along(p, -p)).closed\n"
         "print('scipy' in sys.modules)\n"

@@ -10,12 +10,12 @@ import pytest
 import shapely
 from matplotlib.patches import FancyArrowPatch, PathPatch
 
-from multiarm.grasp.blocks import design_block_grasp
+from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.designs.blocks import design_block_grasp
+from multiarm.grasp.designs.wide_bodies import design_wide_grasp
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
-from multiarm.grasp.wide_design import design_wide_grasp
+from multiarm.grasp.seventh_contact.contact_region import ContactRegion, seventh_contact_region
 from multiarm.plots.grasp_figures import REGION, Eye, draw_grasp
 
 

@@ -16,19 +16,19 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp import placements
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.margin_bounds import margin_bound, margins, quick_bounds
-from multiarm.grasp.optimisation import optimise_grasp
-from multiarm.grasp.placements import (
+from multiarm.grasp.designs.grippers import clearest_approach
+from multiarm.grasp.optimisation import placements
+from multiarm.grasp.optimisation.face_search import margin_bound, margins, quick_bounds
+from multiarm.grasp.optimisation.optimisation import optimise_grasp
+from multiarm.grasp.optimisation.placements import (
     face_choices,
     positively_spanning,
     seven_touches,
     touch_regions,
 )
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.reachability import clearest_approach
 
 BLOCK = Polyhedron.box([1.2, 1.0, 0.8])
 REACH = 0.25

@@ -12,8 +12,12 @@ from scipy.linalg import expm
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.independent_contacts import block_inverse, independence, violated_conditions
-from multiarm.grasp.special_selections import case_I, case_II, case_III, three_moments
+from multiarm.grasp.six_contacts.independent_contacts import (
+    block_inverse,
+    independence,
+    violated_conditions,
+)
+from multiarm.grasp.six_contacts.special_selections import case_I, case_II, case_III, three_moments
 
 
 def worked(name):

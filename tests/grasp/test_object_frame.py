@@ -13,13 +13,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.object_frame import (
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.pose.object_frame import (
     THESIS_FACES,
     object_frame_from_contacts,
     object_frame_from_faces,
     object_frame_on_body,
 )
-from multiarm.grasp.polyhedron import Polyhedron
 
 PAIR = np.array([0, 1, 2, 0, 1, 2, 0])
 SIDE = np.array([1, 1, 1, -1, -1, -1, 1])

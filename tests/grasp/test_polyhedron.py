@@ -15,11 +15,11 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import convex_corner, corner_frame, shared_corner
-from multiarm.grasp.body_class import classify, roundness
-from multiarm.grasp.boundaries import triangles_of
-from multiarm.grasp.face import Face
-from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.body.body_class import classify, roundness
+from multiarm.grasp.body.boundaries import triangles_of
+from multiarm.grasp.body.face import Face
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.designs.grippers import convex_corner, corner_frame, shared_corner
 
 # Sums of some hundred products, relative to their size.
 ROUNDING = 1e-12

@@ -15,18 +15,21 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.face import Face
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face import Face
-from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import (
+from multiarm.grasp.seventh_contact.contact_region import (
     ContactRegion,
-    basic_solutions,
-    circuits,
     region_of,
     seventh_contact_region,
 )
-from multiarm.grasp.wrench_cones import closes_on_surface, is_independent, wrench_cone
+from multiarm.grasp.seventh_contact.moment_route import basic_solutions, circuits
+from multiarm.grasp.seventh_contact.wrench_cones import (
+    closes_on_surface,
+    is_independent,
+    wrench_cone,
+)
 
 METHODS = ("inverse", "moments")
 BLOCK = WORKED["example_2_1"]

@@ -16,20 +16,24 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from multiarm.errors import GraspError
-from multiarm.grasp.blocks import design_block_grasp
-from multiarm.grasp.closure_radii import (
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.designs.blocks import design_block_grasp
+from multiarm.grasp.face_contacts import Gripper
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.stability.closure_radii import (
     Minor,
     _of_discs,
     closure_radius,
     independence_radius,
     tangents_of,
 )
-from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face_contacts import Gripper
-from multiarm.grasp.form_closure import closed_many, is_form_closure
-from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.stability import configuration_stability, monte_carlo_stability, own_regions
+from multiarm.grasp.stability.configuration_stability import (
+    configuration_stability,
+    monte_carlo_stability,
+    own_regions,
+)
 
 BLOCK = WORKED["example_2_1"]["inputs"]
 

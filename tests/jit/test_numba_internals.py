@@ -17,7 +17,6 @@ NAMES = [
     ("numba.core.compiler", "Compiler"),
     ("numba.core.datamodel", "models.PrimitiveModel"),
     ("numba.core.errors", "NumbaTypeError"),
-    ("numba.core.typing", "Context.resolve_function_type"),
     ("numba.core.typing.templates", "AttributeTemplate"),
     ("numba.core.typing.templates", "ConcreteTemplate"),
     ("numba.core.typing.templates", "infer_global"),
@@ -30,7 +29,7 @@ LIBRARY = [
     "enable_object_caching", "finalize", "get_pointer_to_function",
 ]  # fmt: skip
 CODE_GENERATOR = ["_module_pass_manager"]
-COMPILER = ["__init__", "compile_extra", "define_pipelines"]
+COMPILER = ["compile_extra", "define_pipelines"]
 LIBRARY_FIELDS = ["_codegen", "_final_module", "_linking_libraries", "_shared_module", "_finalized"]
 CACHE_FILE = ["_load_index", "_load_data", "_source_stamp"]
 

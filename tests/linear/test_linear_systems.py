@@ -23,6 +23,7 @@ from mechanics import (
     sledge_urdf,
     ur5_pair,
 )
+from refusals import refused
 from repository import SCENES
 from scipy.linalg import expm, solve_continuous_are
 from scipy.optimize import brentq
@@ -324,13 +325,13 @@ def test_a_minimum_of_the_potential_is_found_where_accelerations_have_others(see
 
 def test_a_search_that_ends_too_early_claims_nothing_of_what_is_elsewhere(monkeypatch):
     monkeypatch.setattr(equilibrium_module, "MOST_STEPS", 2)
-    with pytest.raises(SolverError, match=r"none found in 4 steps.*is not known"):
+    with pytest.raises(SolverError, match="is not known"):
         ma.find_equilibrium(ma.compile_system(soft_scene(1034)))
 
 
 def test_a_force_without_a_spring_drives_on_without_end(cart):
     system = cart(kind="weld", control={"kind": "constant", "torques": {"a": 3.0}})
-    with pytest.raises(SolverError, match=r"drive the system on without end.*such as springs"):
+    with pytest.raises(SolverError, match="drive the system on without end"):
         ma.find_equilibrium(system)
 
 
@@ -347,7 +348,7 @@ def test_drives_that_do_not_start_at_rest_are_refused(cart):
     lag = {"actuator_lag": {"time_constant": 0.03, "start": "zero"}}
     system = cart(kind="weld", control={"kind": "constant", "torques": {"a": 3.0}}, effects=lag)
     assert ma.linearise(system).rate[-1] == pytest.approx(3.0 / 0.03)
-    with pytest.raises(SolverError, match=r"do not start at rest; write `start: command`"):
+    with refused(SolverError, "`start: command`"):
         ma.find_equilibrium(system)
 
 
@@ -395,7 +396,7 @@ def test_states_of_own_effects_may_start_at_rest_but_for_roundings(cart):
             assert found.state.joint_positions["a"][0] == pytest.approx(0.3 / 500.0, rel=1e-9)
             assert found.stability == "stable"
         else:
-            with pytest.raises(SolverError, match="let effects of your own start where"):
+            with refused(SolverError, "effects"):
                 ma.find_equilibrium(system)
 
 
@@ -410,7 +411,7 @@ def test_given_torques_hold_a_posture():
     hanging = ma.find_equilibrium(system, torques={})
     low, high = (state.object_position[2] for state in (hanging.state, system.initial_state()))
     assert low < high - 0.1 and hanging.stability != "unstable", "arms without torques hang down"
-    with pytest.raises(ModelError, match="unknown arm 'third'; arms are left, right"):
+    with refused(ModelError, "'third'"):
         ma.find_equilibrium(system, torques={"third": [0.0]})
 
 
@@ -423,7 +424,7 @@ def test_the_system_goes_to_scipy_with_its_names(cart):
     assert whole.A.shape == (4, 4) and whole.D.shape == (len(linear.output_names), 1)
     some = linear.to_scipy(outputs=["object/z", "a/rail"])
     np.testing.assert_array_equal(some.C[1], linear.C[linear.output_names.index("a/rail")])
-    with pytest.raises(SolverError, match=r"unknown output 'a/railing'.*'a/rail'"):
+    with refused(SolverError, "'a/railing'"):
         linear.to_scipy(outputs=["a/railing"])
     # forces: the weight at rest, to first order unchanged by a swing
     force = [name for name in linear.output_names if name.endswith("/force")]
@@ -451,8 +452,8 @@ def test_modes_move_on_the_joints():
     )  # fmt: skip
     assert 0.03 < np.abs(moved).max() < 0.06
     assert "damping ratio" in shown.events[0]["text"]
-    for wrong, match in (({"modes": [99]}, "modes 1 to"), ({"amplitude": 0.0}, "greater than 0")):
-        with pytest.raises(SolverError, match=match):
+    for wrong in ({"modes": [99]}, {"amplitude": 0.0}):
+        with refused(SolverError, *wrong):
             modes_trajectory(linear, **wrong)
 
 
@@ -473,7 +474,7 @@ def test_the_command_shows_modes_and_writes_them(tmp_path):
 
 
 def test_what_is_no_system_is_said():
-    with pytest.raises(ModelError, match=r"ma\.linearise\(system, t, state\)"):
+    with refused(ModelError, "ma.linearise"):
         ma.linearise("scene")
-    with pytest.raises(ModelError, match=r"ma\.find_equilibrium\(system, state, torques\)"):
+    with refused(ModelError, "ma.find_equilibrium"):
         ma.find_equilibrium(None)

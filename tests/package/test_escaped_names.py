@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import unicodedata
 import warnings
-from dataclasses import replace
 from html.parser import HTMLParser
 from io import StringIO
 
@@ -22,8 +20,7 @@ from multiarm.cli import app
 from multiarm.results.files import printable, printable_texts, save_page
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
-from multiarm.studies.work_precision import page as accuracy_page
-from multiarm.studies.work_precision.results import all_series
+from multiarm.studies import work_precision_page as accuracy_page
 from multiarm.terminal import console as terminal
 
 STEERING = "\x1b[31m\x07\r\x9b2J\x7f\u202e\u2066\u200f\u2028"
@@ -183,14 +180,12 @@ def test_a_terminal_gets_no_codes_but_those_of_styles():
     assert steering(console.file.getvalue()) == set()
 
 
-def test_data_in_a_page_cannot_close_its_script(monkeypatch, tmp_path):
-    def hostile(found):
-        return [replace(item, name=HOSTILE) for item in all_series(found)]
-
-    monkeypatch.setattr(accuracy_page, "all_series", hostile)
-    save_page(accuracy_page.render(sample_accuracy()), tmp_path / "page.html")
+def test_names_on_a_page_of_a_study_are_no_markup(tmp_path):
+    study = sample_accuracy()
+    study.scene = {**study.scene, "name": HOSTILE, "text": HOSTILE}
+    study.refusals = {HOSTILE: HOSTILE}
+    save_page(accuracy_page.render(study), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert steering(text) == set()
-    assert Page(text).tags.count("script") == 2
-    data = json.loads(text.split('id="data">')[1].split("</script>")[0])
-    assert {series["name"] for series in data["series"]} == {printable(HOSTILE)}
+    assert Page(text).tags.count("script") == 0
+    assert without_breaks(Page(text).words).count(NAME) == 5, "title, heading, program, why, scene"

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from mechanics import EPS, first_difference
 from scipy.spatial.transform import Rotation
 
+from multiarm.geometry.screws import skew
 from multiarm.spatial import (
     difference,
     matrix_to_quaternion,
     quaternion_to_matrix,
     retract,
-    skew,
     write_chart_rate,
 )
 

@@ -14,9 +14,10 @@ import multiarm
 from multiarm.reports import pages
 from multiarm.reports.report import render as run_page
 from multiarm.results.sinks import MemorySink
-from multiarm.studies.effect_costs.page import render as effects_page
+from multiarm.studies.effect_costs_page import render as effects_page
 from multiarm.studies.hard_cases import SuiteResult
-from multiarm.studies.work_precision.page import render as accuracy_page
+from multiarm.studies.tables import TextTable
+from multiarm.studies.work_precision_page import render as accuracy_page
 
 MARKUP = re.compile(r"</?(a|div|head|html|li|p|script|section|span|style|su[bp]|t[dhr])\b[^<]*>")
 SOURCES = [*Path(multiarm.__file__).parent.rglob("*.py")]
@@ -49,7 +50,7 @@ def test_no_module_has_markup_in_its_strings():
 def test_values_are_escaped_and_one_that_is_not_given_is_an_error():
     machine = {**sample_ledger().machine, "processor": "a <quiet> machine"}
     given = {"suite": SuiteResult((), machine, 1.0), "cases": [], "simulated_s": 1.0}
-    given["shown_events"] = 12
+    given |= {"overview": TextTable("", "", (), ()), "shown_events": 12}
     assert "a &lt;quiet&gt; machine" in pages.render("stability.html", **given)
     del given["cases"]
     with pytest.raises(jinja2.UndefinedError, match="'cases' is undefined"):

@@ -8,6 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from page_reader import Page
+from refusals import refused
 from repository import ROOT, SUPPORT
 from sample_run import CHANNELS, JOINTS, SCENE, earlier_run, record, rows_of, samples
 
@@ -181,14 +182,6 @@ def test_every_joint_has_a_look_of_its_own_and_a_piece_of_its_line_before_its_na
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_runs_of_few_samples_are_drawn(count):
-    block = {name: values[:count] for name, values in samples().items()}
-    run = record(MemorySink(), [block], status="failed", message="it stopped")
-    assert "it stopped" in Page(render(run)).text
-
-
-@pytest.mark.slow
 def test_figures_leave_pyplot_alone():
     code = (
         "import sys; from sample_run import record; from multiarm.results.sinks import MemorySink;"
@@ -260,7 +253,7 @@ def test_hostile_names_are_shown_and_not_run():
     assert "$\\bad$" in page.text
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("status", ["completed", "interrupted", "failed"])
 def test_the_status_is_said_in_words_and_shown_in_colour(status):
     page = render(record(MemorySink(), status=status, message="what to do next"))
@@ -273,8 +266,8 @@ def test_the_report_gives_the_numbers_of_the_run(page, run):
     summary = run.summary()
     assert number(summary["position_drift_max_m"], "m") in text
     assert number(summary["energy_balance_max_J"], "J") in text
-    assert "Steps 1,234" in text
-    assert "integrator" in text.lower()
+    assert "Steps 1,234 (17 rejected), 9,876 evaluations" in text
+    assert "Method dop853" in text
     assert run.provenance["python"] in text
 
 
@@ -283,7 +276,7 @@ def test_ink_follows_the_theme_of_the_page(page):
     assert "var(--ink)" in page
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_a_scene_that_cannot_be_parsed_still_has_a_report():
     run = record(MemorySink(), metadata={"scene": "name: [unclosed"})
     assert "A run without a name" in Page(render(run)).text
@@ -296,9 +289,9 @@ def test_the_report_is_written_and_its_place_returned(run, tmp_path, page):
     assert path.read_text(encoding="utf-8") == page
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_a_place_that_cannot_be_written_is_named(run, tmp_path):
-    with pytest.raises(TrajectoryError, match=r"cannot write '.*nowhere/r.html': No such file"):
+    with refused(TrajectoryError, "r.html"):
         report(run, tmp_path / "nowhere" / "r.html")
-    with pytest.raises(TrajectoryError, match="Is a directory"):
+    with refused(TrajectoryError, str(tmp_path)):
         report(run, tmp_path)

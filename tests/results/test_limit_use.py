@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 from repository import SCENES
 from sample_run import JOINTS, SCENE, numbered_block, record
 
@@ -122,7 +123,7 @@ def test_a_torque_cut_off_at_its_limit_is_no_warning():
     ],
 )
 def test_limits_that_cannot_be_read_are_named(limits):
-    with pytest.raises(TrajectoryError, match=r"limits of arm 'left'.*joint_limits"):
+    with refused(TrajectoryError, "'left'"):
         _ = recorded(limits).limit_use
 
 

@@ -4,7 +4,6 @@ import itertools
 import json
 import pickle
 import random
-import re
 import subprocess
 import sys
 import tracemalloc
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import ROOT, SUPPORT
 from sample_run import (
     CHANNELS,
@@ -108,14 +108,14 @@ def test_energy_balance_is_energy_gained_less_work_done():
 
 def test_unknown_arm_names_the_arms():
     run = record(MemorySink())
-    with pytest.raises(TrajectoryError, match="unknown arm 'rigth'; arms are 'left', 'right'"):
+    with refused(TrajectoryError, "'rigth'"):
         run.joint_positions["rigth"]
     assert run.joint_positions.get("rigth") is None
     assert list(run.joint_positions) == ["left", "right"]
 
 
 def test_unknown_channel_names_the_channels():
-    with pytest.raises(TrajectoryError, match="unknown channel 'speed'; channels are time, object"):
+    with refused(TrajectoryError, "'speed'"):
         record(MemorySink()).channel("speed")
 
 
@@ -205,7 +205,7 @@ def test_a_file_whose_wrench_or_tip_has_another_shape_is_refused(tmp_path, name)
         file[f"arms/left/{name}"] = values[:, 1:]
         attributes["columns"] = attributes["columns"][1:]
         file[f"arms/left/{name}"].attrs.update(attributes)
-    with pytest.raises(TrajectoryError, match=f"'arms/left/{name}' has another shape"):
+    with refused(TrajectoryError, f"'arms/left/{name}'"):
         load_trajectory(tmp_path / "run.h5")
 
 
@@ -325,8 +325,7 @@ def test_a_number_that_is_not_finite_or_too_large_is_refused_by_name_and_time(
     sink.open(CHANNELS, {})
     block["arms/left/joint_torque"][7, 2] = bad
     block["energy/work"][9] = np.nan
-    expected = re.escape(f"'arms/left/joint_torque' (elbow_joint) is {bad} at t = 0.07 s")
-    with pytest.raises(TrajectoryError, match=expected):
+    with refused(TrajectoryError, "'arms/left/joint_torque' (elbow_joint)", "at t = 0.07 s"):
         sink.append(rows_of(CHANNELS, block))
     run = sink.finish("failed", "not finite", {})
     assert np.array_equal(run.time, block["time"][:7])
@@ -338,7 +337,7 @@ def test_a_time_that_is_not_finite_is_refused():
     sink, block = MemorySink(), samples()
     sink.open(CHANNELS, {})
     block["time"][3] = np.nan
-    with pytest.raises(TrajectoryError, match="'time' is nan at sample 3"):
+    with refused(TrajectoryError, "'time'"):
         sink.append(rows_of(CHANNELS, block))
 
 
@@ -347,7 +346,7 @@ def test_a_block_of_the_wrong_shape_is_refused(tmp_path, sink_in):
     sink, rows = sink_in(tmp_path), rows_of(CHANNELS, samples())
     sink.open(CHANNELS, {})
     for wrong in (rows[:, 1:], np.hstack([rows, rows[:, :1]]), rows[0]):
-        with pytest.raises(TrajectoryError, match=rf"expected \(k, {rows.shape[1]}\)"):
+        with refused(TrajectoryError, "block"):
             sink.append(wrong)
     assert len(sink.finish("failed", "", {})) == 0
 
@@ -384,29 +383,22 @@ def test_a_run_in_memory_is_pickled_with_its_origin():
 
 
 def test_an_unknown_status_is_refused():
-    with pytest.raises(TrajectoryError, match="unknown status 'done'"):
+    with refused(TrajectoryError, "'done'"):
         record(MemorySink(), status="done")
 
 
 @pytest.mark.parametrize("arm", ["", ".", "..", "a//b"])
 def test_an_arm_name_that_is_no_path_is_refused(arm):
-    with pytest.raises(TrajectoryError, match="name the arm with letters"):
+    with refused(TrajectoryError, "'arms/"):
         Channel(f"arms/{arm}/joint_position", (1,))
 
 
 # Places that cannot be written
 
 
-@pytest.mark.parametrize(
-    ("place", "told"),
-    [
-        ("nowhere/run.h5", r"no folder '.*nowhere'; create it first"),
-        (".", "it is a folder; name a file in it"),
-        ("/dev/null", "'/dev/null' exists and is not a trajectory"),
-    ],
-)
-def test_a_place_that_holds_no_run_is_named_before_the_run_starts(tmp_path, place, told):
-    with pytest.raises(TrajectoryError, match=told):
+@pytest.mark.parametrize("place", ["nowhere/run.h5", ".", "/dev/null"])
+def test_a_place_that_holds_no_run_is_named_before_the_run_starts(tmp_path, place):
+    with refused(TrajectoryError):
         Hdf5Sink(tmp_path / place).open(CHANNELS, {})
 
 
@@ -422,7 +414,7 @@ def test_somebody_elses_file_is_not_touched(tmp_path, hdf5):
         lambda: Hdf5Sink(path).open(CHANNELS, {}),
         lambda: record(MemorySink()).save(path),
     ):
-        with pytest.raises(TrajectoryError, match=r"exists and is not a traj.* move it away"):
+        with refused(TrajectoryError, "run.h5"):
             write()
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
@@ -542,21 +534,21 @@ def misshapen_file(path):
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    "make",
     [
-        (lambda path: None, r"run.h5': there is no such file"),
-        (lambda path: path.mkdir(), "it is a folder"),
-        (lambda path: path.write_bytes(b""), r"run\.h5' is not an HDF5 file"),
-        (lambda path: path.write_text("name: a scene\n"), r"run\.h5' is not an HDF5 file"),
-        (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + b"\x03" * 90), r"run.h5' is damaged"),
-        (another_file, "an HDF5 file, but not a trajectory of multiarm"),
-        (misshapen_file, "channel 'energy/work' has another shape"),
-        (newer_file, r"format version 99; .* update multiarm"),
+        lambda path: None,
+        lambda path: path.mkdir(),
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_text("name: a scene\n"),
+        lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + b"\x03" * 90),
+        another_file,
+        misshapen_file,
+        newer_file,
     ],
 )
-def test_what_is_no_run_that_can_be_read_is_refused_with_the_reason(tmp_path, make, told):
+def test_what_is_no_run_that_can_be_read_is_refused_with_the_reason(tmp_path, make):
     make(tmp_path / "run.h5")
-    with pytest.raises(TrajectoryError, match=told):
+    with refused(TrajectoryError, "run.h5"):
         load_trajectory(tmp_path / "run.h5")
 
 
@@ -567,7 +559,7 @@ def test_numbers_that_no_run_writes_are_refused_with_channel_and_file(tmp_path, 
     record(Hdf5Sink(tmp_path / "run.h5"))
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         file[channel][-1] = value
-    with pytest.raises(TrajectoryError, match=r"run\.h5' cannot be used: .*(position|times)"):
+    with refused(TrajectoryError, "run.h5"):
         load_trajectory(tmp_path / "run.h5").read(channel)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from mechanics import ur5_pair
+from refusals import refused
 from user_classes import empty_registries
 
 import multiarm as ma
@@ -113,7 +114,7 @@ def test_a_look_at_a_scene_runs_no_file(sort, folder):
         system, (left,) = compile_for_inspection(scene, arms="compiled")
         assert NAMED[sort][2] in left.what and system.scene.arms.keys() == {"left", "right"}
         assert named_code(scene.model_copy(update={"name": "other"})) == named_code(scene)
-    with pytest.raises(ma.MultiarmError, match="RuntimeError: loaded"):
+    with refused(ma.MultiarmError, "parts.py:"):
         ma.compile_system(load_scene(path))
 
 
@@ -143,7 +144,7 @@ def test_a_stored_run_names_the_class_and_loads_nothing(folder):
     run = ma.load_trajectory(folder / "run.h5")
     assert run.scene.effects.named == {f"{folder}/parts.py:Magnet": {"strength": 3.0}}
     ma.replay(run, folder / "run.html")
-    with pytest.raises(SceneError, match="RuntimeError: loaded"):
+    with refused(SceneError, "parts.py:Magnet"):
         ma.compile_system(run.scene, code=True)
 
 
@@ -170,6 +171,6 @@ def test_a_file_that_changed_is_read_again(folder):
     path = scene_file(folder, NAMED["effect"][0])
     ma.compile_system(load_scene(path))
     (folder / "parts.py").write_text(CLASSES.replace("strength: float", "force: float"))
-    with pytest.raises(ma.MultiarmError, match="unknown key 'strength'; keys are 'force'"):
+    with refused(ma.MultiarmError, "'strength'"):
         ma.compile_system(load_scene(path))
     assert EFFECTS.names() == []  # files offer nothing to scenes that do not name them

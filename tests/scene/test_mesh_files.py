@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib.metadata
+import struct
 from pathlib import Path
 
 import coal
 import numpy as np
 import pytest
 import trimesh
-from malformed_inputs import stl
 
 from multiarm.scene.meshes import MOST_MESH_BYTES, read_mesh
 
@@ -20,6 +20,17 @@ ROBOT_MESHES = [
     "panda_description/meshes/visual/link6.dae",
 ]
 SINGLE = float(np.finfo(np.float32).eps)  # the readers agree to the rounding of the files
+
+
+def stl(count: int | None = None, bad: float | None = None) -> bytes:
+    """A tetrahedron as binary STL that may declare another number of triangles."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    triangles = corners[np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])]
+    if bad is not None:
+        triangles[1, 1, 1] = bad
+    body = b"".join(struct.pack("<12fH", 0, 0, 1, *t.ravel(), 0) for t in triangles)
+    return b"\0" * 80 + struct.pack("<I", 4 if count is None else count) + body
+
 
 SQUARE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
   <asset><unit name="centimeter" meter="0.01"/></asset>

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -253,7 +254,7 @@ MASS = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>"
 def test_what_would_be_another_arm_in_mujoco_is_refused(text, expected, tmp_path):
     path = tmp_path / "arm.xml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(SceneError, match=r"arm\.mjcf: ") as error:
+    with refused(SceneError, "arm.mjcf") as error:
         resolve_arm(ArmSpec(mjcf=path))
     assert expected in str(error.value)
 
@@ -266,7 +267,7 @@ def test_a_file_is_shown_like_a_robot(hard):
 
 
 def test_an_arm_has_one_source(hard):
-    with pytest.raises(SceneError, match=r"'mjcf' \(a MuJoCo file\), got both"):
+    with refused(SceneError, "'mjcf'"):
         ArmSpec(robot="ur5", mjcf=hard)
-    with pytest.raises(SceneError, match="no MJCF file at"):
+    with refused(SceneError):
         resolve_arm(ArmSpec(mjcf=hard.with_name("none.xml")))

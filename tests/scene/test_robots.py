@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 from repository import ROOT, SCENES, WORKED
 from typer.testing import CliRunner
 
@@ -65,12 +66,12 @@ def chain_text(kinds: list[str], extra: str = "") -> str:
 
 
 @pytest.mark.parametrize(
-    ("axis", "words"),
-    [("0 0 0", "its axis has length zero"), ("0 1", "3 finite numbers"), ("x y z", "3 finite")],
+    "axis",
+    ["0 0 0", "0 1", "x y z"],
 )
-def test_an_axis_that_is_no_direction_is_refused(axis, words, tmp_path):
+def test_an_axis_that_is_no_direction_is_refused(axis, tmp_path):
     text = chain_text(["revolute"]).replace("0 0 1", axis)
-    with pytest.raises(ModelError, match=words):
+    with refused(ModelError, "r.urdf"):
         read_urdf(write_urdf(tmp_path / "r.urdf", text))
 
 
@@ -143,7 +144,7 @@ def test_meshes_of_every_robot_are_found(name):
 
 
 def test_unknown_robot_names_alternatives():
-    with pytest.raises(SceneError, match=r"unknown robot 'ur6'; did you mean 'ur5'.*'urdf:'"):
+    with refused(SceneError, "'ur6'"):
         find_robot("ur6")
 
 
@@ -163,12 +164,22 @@ def test_near_names_are_those_of_arms_or_else_of_any_robot(name, near):
 def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr("multiarm.scene.robots._share_folder", lambda: None)
     assert set(available_robots()) == set(OWN)
-    with pytest.raises(SceneError, match="pip install example-robot-data"):
+    with refused(SceneError, "pip install example-robot-data"):
         find_robot("ur5")
 
 
 # --- the package robot_descriptions ---
 
+PACKAGE = """
+class Description:
+    def __init__(self, repository, has_urdf=True):
+        self.repository, self.has_urdf = repository, has_urdf
+DESCRIPTIONS = {
+    "lathe_description": Description("here"), "crane_description": Description("away"),
+    "hoist_mj_description": Description("here", has_urdf=False),
+    "winch_description": Description("here"),
+}
+"""
 MODULE = """
 from os import path as _path
 from ._cache import clone_to_cache as _clone_to_cache
@@ -181,7 +192,11 @@ CACHE = """
 import os
 def clone_to_cache(name):
     assert os.environ["GIT_ALLOW_PROTOCOL"] == "none", "git may fetch"
-    return os.path.join(os.environ["ROBOT_DESCRIPTIONS_CACHE"], REPOSITORIES[name].cache_path)
+    path = os.path.join(os.environ["ROBOT_DESCRIPTIONS_CACHE"], REPOSITORIES[name].cache_path)
+    if not os.path.isdir(path):
+        print("Cloning ...")
+        raise OSError("git could not fetch")
+    return path
 from ._repositories import REPOSITORIES
 """
 REPOSITORIES = """
@@ -197,11 +212,12 @@ def descriptions(tmp_path, monkeypatch):
     package = tmp_path / "site" / "robot_descriptions"
     package.mkdir(parents=True)
     for name, text in {
-        "__init__": "",
+        "__init__": PACKAGE,
         "_cache": CACHE,
         "_repositories": REPOSITORIES,
         "lathe_description": MODULE.format(repository="here"),
         "crane_description": MODULE.format(repository="away"),
+        "winch_description": MODULE.replace("URDF", "XACRO").format(repository="here"),
         "hoist_mj_description": MODULE.replace("URDF", "MJCF").format(repository="here"),
     }.items():
         (package / f"{name}.py").write_text(text)
@@ -209,24 +225,28 @@ def descriptions(tmp_path, monkeypatch):
     write_urdf(tmp_path / "cache" / "here" / "arm.urdf", chain_text(["revolute", "fixed"]))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    robots._sources.cache_clear()
     yield tmp_path
-    robots._sources.cache_clear()
     for module in [name for name in sys.modules if name.startswith("robot_descriptions")]:
         del sys.modules[module]
 
 
 def test_described_robots_are_used_if_they_are_there_and_never_fetched(descriptions):
-    assert robots.described_robots() == ("crane_description", "lathe_description")
+    assert robots.described_robots() == (
+        "crane_description", "lathe_description", "winch_description"
+    )  # fmt: skip
     entry = available_robots()["lathe_description"]
     assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
+    assert entry.urdf == (descriptions / "cache" / "here" / "arm.urdf").resolve()
+    assert "robot_descriptions.lathe_description" not in sys.modules
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)
-    assert "crane_description" not in available_robots()
+    assert not {"crane_description", "winch_description"} & available_robots().keys()
     listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
     assert "(python -m robot_descriptions pull NAME): crane_description" in listed
-    with pytest.raises(SceneError, match="python -m robot_descriptions pull crane_description"):
+    with refused(SceneError, "python -m robot_descriptions pull crane_description"):
         find_robot("crane_description")
-    with pytest.raises(SceneError, match="did you mean 'crane_description'"):
+    with refused(SceneError, "'winch_description'"):
+        find_robot("winch_description")
+    with refused(SceneError, "'crane_description'"):
         find_robot("crans_description")
     assert not (descriptions / "cache" / "away").exists()
     assert "robot_descriptions.crane_description" not in sys.modules
@@ -234,7 +254,7 @@ def test_described_robots_are_used_if_they_are_there_and_never_fetched(descripti
 
 
 def test_without_robot_descriptions_the_message_says_what_to_install():
-    with pytest.raises(SceneError, match="pip install robot_descriptions"):
+    with refused(SceneError, "pip install robot_descriptions"):
         find_robot("iiwa14_description")
 
 
@@ -270,21 +290,15 @@ def test_the_only_end_of_a_file_is_its_tip_and_the_flange_before_others(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("spec", "expected"),
+    "spec",
     [
-        (
-            {"robot": "baxter"},
-            "of baxter it may be 'left_gripper', 'right_gripper';.*robots baxter'",
-        ),
-        ({"robot": "tiago_pro"}, r"it may be .*'head_front_camera_link', .* shows all links"),
-        (
-            {"robot": "ur5", "tool": {"robot": "panda_collision", "mount": "tool0"}},
-            "of panda_collision it may be 'panda_hand_tcp', 'panda_leftfinger'",
-        ),
+        {"robot": "baxter"},
+        {"robot": "tiago_pro"},
+        {"robot": "ur5", "tool": {"robot": "panda_collision", "mount": "tool0"}},
     ],
 )
-def test_a_tip_that_nothing_tells_is_asked_for_with_candidates(spec, expected):
-    with pytest.raises(SceneError, match=rf"\$\.arms\.a\.tip: is missing \(the link.*{expected}"):
+def test_a_tip_that_nothing_tells_is_asked_for_with_candidates(spec):
+    with refused(SceneError, "$.arms.a.tip"):
         scene_of(spec)
 
 
@@ -332,7 +346,7 @@ def test_a_posture_outside_its_limits_is_a_warning():
 @pytest.mark.parametrize("kind", ["planar", "floating"])
 def test_other_movable_joints_on_the_chain_are_refused(kind, tmp_path):
     path = write_urdf(tmp_path / "arm.urdf", chain_text(["revolute", kind]))
-    with pytest.raises(SceneError, match=f"joint 'j1' on the way to 'l2' is {kind}"):
+    with refused(SceneError, "'j1'"):
         resolve_arm(ArmSpec(urdf=path, tip="l2"))
     assert resolve_arm(ArmSpec(urdf=path, tip="l1")).joint_names == ("j0",)
 
@@ -345,7 +359,7 @@ def test_chains_have_one_to_sixteen_joints(count, accepted, tmp_path):
     if accepted:
         assert len(resolve_arm(spec).joints) == count
     else:
-        with pytest.raises(SceneError, match="movable joint"):
+        with refused(SceneError, "arm.tip"):
             resolve_arm(spec)
 
 
@@ -365,16 +379,16 @@ def test_a_tool_continues_the_chain():
 
 
 @pytest.mark.parametrize(
-    ("changes", "expected"),
+    "changes",
     [
-        ({"mount": "tol"}, r"arm\.tool\.mount: unknown link 'tol'; did you mean 'tool'"),
-        ({"robot": "corner_griper"}, r"arm\.tool\.robot: unknown robot 'corner_griper'; did you"),
-        ({"robot": "textbook_6r"}, "tool and robot both have a joint named"),
+        {"mount": "tol"},
+        {"robot": "corner_griper"},
+        {"robot": "textbook_6r"},
     ],
 )
-def test_faults_of_tools_are_told(changes, expected):
+def test_faults_of_tools_are_told(changes):
     tool = {"robot": "corner_gripper", "mount": "tool", **changes}
-    with pytest.raises(SceneError, match=expected):
+    with refused(SceneError, "arm.tool"):
         resolve_arm(ArmSpec(robot="textbook_6r", tip="corner", tool=tool))
 
 
@@ -382,40 +396,31 @@ def test_faults_of_tools_are_told(changes, expected):
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    "text",
     [
-        ("<robot", "not valid XML"),
-        ("<sdf/>", "not a URDF file: its root element is <sdf>"),
-        ("<mujoco/>", "root element is <mujoco>; name it with 'mjcf:'"),
-        (
-            "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
-            "xacro file; expand it first",
-        ),
-        ("<robot/>", "exactly one root link"),
-        ("<robot><link name='a'/><link name='b'/></robot>", "exactly one root link"),
-        ("<robot><link name='a'/><link name='a'/></robot>", "more than one link named 'a'"),
-        (
-            "<robot><link name='a'/><joint name='j' type='hinge'><parent link='a'/>"
-            "<child link='b'/></joint></robot>",
-            "unknown type 'hinge'",
-        ),
-        (
-            "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/>"
-            "<child link='b'/></joint></robot>",
-            "unknown link 'b'",
-        ),
-        ("<robot><link/></robot>", "has no 'name'"),
+        "<robot",
+        "<sdf/>",
+        "<mujoco/>",
+        "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
+        "<robot/>",
+        "<robot><link name='a'/><link name='b'/></robot>",
+        "<robot><link name='a'/><link name='a'/></robot>",
+        "<robot><link name='a'/><joint name='j' type='hinge'><parent link='a'/>"
+        "<child link='b'/></joint></robot>",
+        "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/>"
+        "<child link='b'/></joint></robot>",
+        "<robot><link/></robot>",
     ],
 )
-def test_broken_urdf_files_are_told(text, expected, tmp_path):
+def test_broken_urdf_files_are_told(text, tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(text)
-    with pytest.raises(ModelError, match=expected):
+    with refused(ModelError, str(path)):
         read_urdf(path)
 
 
 def test_a_missing_urdf_is_a_fault_of_the_scene(tmp_path):
-    with pytest.raises(SceneError, match=r"\$\.arms\.a\.urdf: no URDF file at"):
+    with refused(SceneError, "$.arms.a.urdf"):
         scene_of({"urdf": str(tmp_path / "none.urdf"), "tip": "x"})
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 import pydoc
+import re
 
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import ROOT, SCENES
 
 import multiarm as ma
@@ -62,16 +64,23 @@ def scene_with(path: str, value: object) -> dict:
     return data
 
 
-def faults_of(data: object) -> list[str]:
-    with pytest.raises(SceneError) as caught:
+def faults_of(data: object, *places: str) -> list[str]:
+    with refused(SceneError, *places) as caught:
         parse_scene(data)
     return caught.value.faults
 
 
 def only_fault(path: str, value: object) -> str:
-    faults = faults_of(scene_with(path, value))
-    assert len(faults) == 1, faults
-    return faults[0]
+    """The fault of a scene with this value; it is named where the value stands, or next to it."""
+    (fault,) = faults_of(scene_with(path, value))
+    assert is_at(path, fault), fault
+    return fault
+
+
+def is_at(path: str, fault: str) -> bool:
+    """Whether a fault names the value at ``a.b.0.c``, a part of it, or the table around it."""
+    place = re.sub(r"\.(\d+)", r"[\1]", f"$.{path}")
+    return fault.startswith((place, place.rpartition(".")[0] + ":"))
 
 
 # --- what is accepted --------------------------------------------------------------------------
@@ -335,7 +344,7 @@ def test_help_of_a_part_shows_what_is_ours(shown):
 def test_replace_validates_again():
     scene = parse_scene(TWO_ARMS)
     assert scene.replace(run={"duration": 3.0}).run.duration == 3.0
-    with pytest.raises(SceneError, match=r"\$\.run\.duration"):
+    with refused(SceneError, "$.run.duration"):
         scene.replace(run={"duration": -3.0})
 
 
@@ -400,124 +409,105 @@ def test_an_object_of_known_inertia_needs_no_shape():
     assert parse_scene(dump_scene(scene)) == scene and "shape" not in dump_scene(scene)
     assert only_fault("object", {"mass": 20}).startswith("$.object: needs its 'shape', or 'iner")
     floor = {"object": {"mass": 20, "inertia": [1, 2, 2.5]}, "effects": {"floor": {}}}
-    with pytest.raises(SceneError, match=r"the object has no 'shape'; name the points"):
+    with refused(SceneError, "'shape'"):
         ma.compile_system(parse_scene(yaml.safe_dump({**TWO_ARMS, **floor})))
 
 
 @pytest.mark.parametrize(
-    ("inertia", "reason"),
+    "inertia",
     [
-        ([1, 1, 5], "no rigid body has this inertia"),
-        ([1, 2, 0, 1, 0, 1], "must be positive definite"),
-        ([[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "must be symmetric"),
-        ([1, 1], "write three principal moments"),
-        ([1, 1, float("nan")], "must be finite"),
-        ([[1, 0], [0, 1], [0, 0]], "write three principal moments"),
+        [1, 1, 5],
+        [1, 2, 0, 1, 0, 1],
+        [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]],
+        [1, 1],
+        [1, 1, float("nan")],
+        [[1, 0], [0, 1], [0, 0]],
     ],
 )
-def test_inertias_that_no_body_has_are_refused(inertia, reason):
-    fault = only_fault("object.inertia", inertia)
-    assert fault.startswith("$.object.inertia")
-    assert reason in fault
+def test_inertias_that_no_body_has_are_refused(inertia):
+    only_fault("object.inertia", inertia)
 
 
 # --- faults of single values -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "expected"),
+    ("path", "value"),
     [
-        ("object.mass", -2, "$.object.mass: must be greater than 0, got -2"),
-        ("object.mass", "heavy", "$.object.mass: must be a number, got 'heavy'"),
-        ("object.mass", True, "$.object.mass: must be a number, got True"),
-        ("object.mass", float("inf"), "$.object.mass: must be finite, got inf"),
-        ("gravity", [0, 0], "$.gravity: must be a list of 3 numbers, got [0, 0]"),
-        ("gravity", [0, 0, "g"], "$.gravity[2]: must be a number, got 'g'"),
-        ("object.shape", {"box": [1, 1, 0]}, "must be greater than 0"),
-        ("object.shape", {"sphere": 1, "box": [1, 1, 1]}, "needs exactly one of"),
-        ("object.shape", {"cone": 1}, "unknown shape 'cone'"),
-        ("object.shape", {"mesh": {"file": "a.stl"}}, "a mesh needs 'inertia'"),
-        ("object.pose", {"quaternion_xyzw": [0, 0, 0, 0]}, "the identity is [0, 0, 0, 1]"),
-        ("object.pose", {"rpy": [1, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}, "keep one of them"),
-        ("object.color", "blueish", "unknown colour 'blueish'"),
-        ("object.twist", [0] * 5, "must be a list of 6 numbers"),
-        ("arms.left.robot", None, "'urdf' (a file) or 'mjcf' (a MuJoCo file), got neither"),
-        ("arms.left.urdf", "x.urdf", "got both"),
-        ("arms.left.tip", "tol", "$.arms.left.tip: unknown link 'tol'; did you mean 'tool'?"),
-        ("arms.left.robot", "ur6", "unknown robot 'ur6'; did you mean 'ur5'?"),
-        ("arms.left.posture", [0, 1], "2 values for 6 movable joints"),
-        ("arms.left.posture", {"joint_7": 1}, "$.arms.left.posture.joint_7: unknown joint"),
-        ("arms.left.velocity", [0] * 7, "7 values for 6 movable joints"),
-        ("arms.left.posture", [0, 0, 0, 0, 0, "x"], "$.arms.left.posture[5]: must be a number"),
-        ("arms.left.lock", {"finger": 0}, "$.arms.left.lock.finger: unknown joint 'finger'"),
-        ("arms.left.tol", {}, "unknown key 'tol'; did you mean 'tool'?"),
-        ("joints.0.kind", "hing", "$.joints[0].kind: unknown joint kind 'hing'; kinds are 'weld'"),
-        ("joints.0.kind", ["weld"], "$.joints[0].kind: unknown joint kind \"['weld']\""),
-        ("joints.0.arm", "lefd", "$.joints[0].arm: unknown arm 'lefd'; did you mean 'left'?"),
-        ("joints.1.axis", [0, 0, 1], "$.joints[1].axis: unknown key 'axis'; keys are"),
-        ("joints.1.size", 0, "$.joints[1].size: must be greater than 0"),
-        ("joints.1.at", {"xzy": [0, 0, 0]}, "$.joints[1].at.xzy: unknown key 'xzy'; did you mean"),
-        ("control", {"kind": "pd"}, "$.control.kind: unknown control kind 'pd'"),
-        ("control", {"stiffness": 3}, "$.control: 'kind' is missing; kinds are 'none', 'constant'"),
-        ("control", {"kind": "constant"}, "$.control.torques: is missing"),
-        ("control", {"kind": "constant", "torques": {"leg": 1}}, "unknown arm 'leg'"),
-        ("control", {"kind": "constant", "torques": {"left": [1]}}, "1 value for 6 movable"),
-        ("effects", {"wind": 3}, "$.effects.wind: unknown effect 'wind'; effects are"),
-        ("effects", {"joint_damping": -1}, "must not be negative"),
-        ("effects", {"joint_damping": {"left": {"joint_9": 1}}}, "unknown joint 'joint_9'"),
-        ("run", {"duration": 0}, "$.run.duration: must be greater than 0"),
-        ("run", {"accuracy": 1e-6, "step": 0.1}, "'accuracy' and 'step' exclude each other"),
-        ("run", {"integrator": "rk4"}, "add 'step'"),
-        ("run", {"integrator": "rk5", "step": 0.1}, "unknown method 'rk5'; did you mean 'rk4'?"),
-        ("run", {"integrator": "dopri5", "step": 0.1}, "chooses its own steps"),
-        ("run", {"integrator": "rk4", "accuracy": 1e-3}, "cannot aim at 'accuracy'"),
-        ("run", {"step": 0.1}, "'step' needs an integrator of fixed step"),
-        (
-            "run",
-            {"stabilization": "springs"},
-            "$.run.stabilization.kind: unknown stabilization 'springs'",
-        ),
-        ("arms", {}, "a scene needs at least one arm"),
-        ("arms.floor", {"robot": "ur5"}, "no arm can be named 'floor': results have the floor's"),
-        ("joints", {"left": "weld"}, "$.joints: must be a list"),
-        ("objet", 1, "$.objet: unknown key 'objet'; did you mean 'object'?"),
+        ("object.mass", -2),
+        ("object.mass", "heavy"),
+        ("object.mass", True),
+        ("object.mass", float("inf")),
+        ("gravity", [0, 0]),
+        ("gravity", [0, 0, "g"]),
+        ("object.shape", {"box": [1, 1, 0]}),
+        ("object.shape", {"sphere": 1, "box": [1, 1, 1]}),
+        ("object.shape", {"cone": 1}),
+        ("object.shape", {"mesh": {"file": "a.stl"}}),
+        ("object.pose", {"quaternion_xyzw": [0, 0, 0, 0]}),
+        ("object.pose", {"rpy": [1, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}),
+        ("object.color", "blueish"),
+        ("object.twist", [0] * 5),
+        ("arms.left.robot", None),
+        ("arms.left.urdf", "x.urdf"),
+        ("arms.left.tip", "tol"),
+        ("arms.left.robot", "ur6"),
+        ("arms.left.posture", [0, 1]),
+        ("arms.left.posture", {"joint_7": 1}),
+        ("arms.left.velocity", [0] * 7),
+        ("arms.left.posture", [0, 0, 0, 0, 0, "x"]),
+        ("arms.left.lock", {"finger": 0}),
+        ("arms.left.tol", {}),
+        ("joints.0.kind", "hing"),
+        ("joints.0.kind", ["weld"]),
+        ("joints.0.arm", "lefd"),
+        ("joints.1.axis", [0, 0, 1]),
+        ("joints.1.size", 0),
+        ("joints.1.at", {"xzy": [0, 0, 0]}),
+        ("control", {"kind": "pd"}),
+        ("control", {"stiffness": 3}),
+        ("control", {"kind": "constant"}),
+        ("control", {"kind": "constant", "torques": {"leg": 1}}),
+        ("control", {"kind": "constant", "torques": {"left": [1]}}),
+        ("effects", {"wind": 3}),
+        ("effects", {"joint_damping": -1}),
+        ("effects", {"joint_damping": {"left": {"joint_9": 1}}}),
+        ("run", {"duration": 0}),
+        ("run", {"accuracy": 1e-6, "step": 0.1}),
+        ("run", {"integrator": "rk4"}),
+        ("run", {"integrator": "rk5", "step": 0.1}),
+        ("run", {"integrator": "dopri5", "step": 0.1}),
+        ("run", {"integrator": "rk4", "accuracy": 1e-3}),
+        ("run", {"step": 0.1}),
+        ("run", {"stabilization": "springs"}),
+        ("arms", {}),
+        ("arms.floor", {"robot": "ur5"}),
+        ("joints", {"left": "weld"}),
+        ("objet", 1),
     ],
 )
-def test_each_fault_is_told_at_its_place_with_a_way_out(path, value, expected):
-    faults = faults_of(scene_with(path, value))
-    assert any(expected in fault for fault in faults), faults
-    assert all(fault.startswith("$") for fault in faults)
+def test_each_fault_is_told_at_its_place_with_a_way_out(path, value):
+    assert any(is_at(path, fault) for fault in faults_of(scene_with(path, value)))
 
 
 @pytest.mark.parametrize(
-    ("joint", "expected"),
+    "joint",
     [
-        ({"kind": "corner_gripper", "faces": ["x", "y", "z"]}, "4 points and 4 faces"),
-        ({"kind": "corner_gripper", "faces": ["x", "y", "z", "x"]}, "point 0"),
-        ({"kind": "point_on_cylinder"}, "radius: is missing"),
-        (
-            {"kind": "point_on_sphere", "radius": 0.1, "inside": True, "tip_radius": 0.2},
-            "does not fit into a hollow sphere",
-        ),
-        ({"kind": "revolute", "axis": [0, 0, 0]}, "must have a direction"),
-        ({"kind": "contacts", "contacts": []}, "is empty"),
-        (
-            {"kind": "contacts", "contacts": [{"arm": {"point": [0, 0, 0]}, "object": {}}]},
-            "$.joints[0].contacts[0].object: needs exactly one of",
-        ),
-        (
-            {
-                "kind": "contacts",
-                "contacts": [{"arm": {"point": [0, 0, 0]}, "object": {"point": [0, 0, 0]}}],
-            },
-            "make no point contact",
-        ),
+        {"kind": "corner_gripper", "faces": ["x", "y", "z"]},
+        {"kind": "corner_gripper", "faces": ["x", "y", "z", "x"]},
+        {"kind": "point_on_cylinder"},
+        {"kind": "point_on_sphere", "radius": 0.1, "inside": True, "tip_radius": 0.2},
+        {"kind": "revolute", "axis": [0, 0, 0]},
+        {"kind": "contacts", "contacts": []},
+        {"kind": "contacts", "contacts": [{"arm": {"point": [0, 0, 0]}, "object": {}}]},
+        {
+            "kind": "contacts",
+            "contacts": [{"arm": {"point": [0, 0, 0]}, "object": {"point": [0, 0, 0]}}],
+        },
     ],
 )
-def test_faults_of_joints_are_told(joint, expected):
-    fault = only_fault("joints.0", {"arm": "left", **joint})
-    assert fault.startswith("$.joints[0]")
-    assert expected in fault
+def test_faults_of_joints_are_told(joint):
+    only_fault("joints.0", {"arm": "left", **joint})
 
 
 BALL = {"sphere": {"radius": 0.1}}
@@ -535,70 +525,52 @@ def hollow(geometry, **changes):
 
 
 @pytest.mark.parametrize(
-    ("arm", "body", "expected"),
+    ("arm", "body"),
     [
-        (FACE, FACE, "along a line or a face; use a sphere, a torus or an ellipsoid"),
-        (FACE, ROD, "a plane on the arm and a cylinder of radius 0.1 m on the object make no"),
-        (ROD, FACE, "along a line or a face"),
-        (FACE, HORN, "along a line or a face"),
-        (FACE, hollow(BALL), "a plane is straight and cannot touch a hollow from within"),
-        (ROD, hollow(ROD, radius=0.5), "a cylinder is straight"),
-        (hollow(EGG), HORN, "a cone is straight"),
-        (hollow(BALL), hollow(ROD), "both are touched from within; leave out 'inside'"),
-        (hollow(BLOB), hollow(BALL), "both are touched from within"),
-        (BALL, hollow(BALL), "it does not fit; make the inner surface smaller or the hollow one"),
-        (hollow(ROD), BALL, "a hollow cylinder of radius 0.1 m on the arm and a sphere of radius"),
-        (BALL, hollow(RING), "a hollow torus with a tube of radius 0.1 m"),
-        (EGG, hollow(BALL, radius=0.13), "an ellipsoid on the arm and a hollow sphere"),
-        (RING, hollow(BALL, radius=0.35), "does not fit"),
-        (RING, hollow(ROD, radius=0.1), "does not fit"),
-        ({"point": [0, 0, 0]}, {"point": [0, 0, 0]}, "two points have no normal"),
-        (BALL, {"cone": {"half_angle": 1.6}}, "'half_angle' lies between 0 and pi / 2 rad"),
-        (BALL, {"torus": {"circle_radius": 1, "tube_radius": 1}}, "closes itself"),
-        (BALL, {"ellipsoid": {"semi_axes": [1, 0, 1]}}, "must be greater than 0"),
-        (BALL, {"ellipsoid": {"semi_axes": [1, 1]}}, "semi_axes"),
+        (FACE, FACE),
+        (FACE, ROD),
+        (ROD, FACE),
+        (FACE, HORN),
+        (FACE, hollow(BALL)),
+        (ROD, hollow(ROD, radius=0.5)),
+        (hollow(EGG), HORN),
+        (hollow(BALL), hollow(ROD)),
+        (hollow(BLOB), hollow(BALL)),
+        (BALL, hollow(BALL)),
+        (hollow(ROD), BALL),
+        (BALL, hollow(RING)),
+        (EGG, hollow(BALL, radius=0.13)),
+        (RING, hollow(BALL, radius=0.35)),
+        (RING, hollow(ROD, radius=0.1)),
+        ({"point": [0, 0, 0]}, {"point": [0, 0, 0]}),
+        (BALL, {"cone": {"half_angle": 1.6}}),
+        (BALL, {"torus": {"circle_radius": 1, "tube_radius": 1}}),
+        (BALL, {"ellipsoid": {"semi_axes": [1, 0, 1]}}),
+        (BALL, {"ellipsoid": {"semi_axes": [1, 1]}}),
         (
             BALL,
             {"ellipsoid": {"semi_axes": [1, 1, 1], "rpy": [1, 0, 0], "quaternion_xyzw": [1] * 4}},
-            "object.ellipsoid: gives both 'rpy' and 'quaternion_xyzw'; keep one of them",
         ),
-        (BALL, {"plane": {"normal": [0, 0, 1], "inside": True}}, "unknown key 'inside'"),
-        (BALL, {"ball": {}}, "unknown surface 'ball'; surfaces are 'point', 'sphere'"),
-        (BALL, {**FACE, **ROD}, "needs exactly one of 'point', 'sphere', 'plane', 'cylinder'"),
-        (BALL, {"surface": {}}, "needs either 'distance' or 'parametrisation', got neither"),
-        (BALL, {"surface": {"distance": 3}}, "must be a Python function, or name one as 'file.py"),
-        (BALL, {"surface": {"distance": "blob"}}, "must be a Python function, or name one"),
-        (BALL, {"surface": {"distance": "a:b", "parametrisation": "a:b"}}, "got both"),
-        (
-            BALL,
-            {"surface": {"distance": "a:b", "u": [0, 1]}},
-            "'u' cannot be given with 'distance'",
-        ),
-        (
-            BALL,
-            {"surface": {"parametrisation": "a:b", "u": [0, 1]}},
-            "needs the ranges 'u' and 'v'",
-        ),
-        (
-            BALL,
-            {"surface": {"parametrisation": "a:b", "u": [1, 0], "v": [0, 1]}},
-            "surface.u: must run from a smaller to a larger number, got [1, 0]",
-        ),
-        (BALL, {"surface": {"distance": "a:b", "length": 0}}, "must be greater than 0"),
-        (BALL, hollow(ROD, radius=1, patch={"min": [0, 0]}), "patch.min: must be a list of 3"),
-        (BALL, hollow(ROD, radius=1, patch={"min": [0, "a", 0]}), "patch.min[1]: must be a number"),
-        (
-            BALL,
-            hollow(ROD, radius=1, patch={"min": [None, 1, 0], "max": [0, 1, None]}),
-            "along y 'min' 1 must be less than 'max' 1",
-        ),
+        (BALL, {"plane": {"normal": [0, 0, 1], "inside": True}}),
+        (BALL, {"ball": {}}),
+        (BALL, {**FACE, **ROD}),
+        (BALL, {"surface": {}}),
+        (BALL, {"surface": {"distance": 3}}),
+        (BALL, {"surface": {"distance": "blob"}}),
+        (BALL, {"surface": {"distance": "a:b", "parametrisation": "a:b"}}),
+        (BALL, {"surface": {"distance": "a:b", "u": [0, 1]}}),
+        (BALL, {"surface": {"parametrisation": "a:b", "u": [0, 1]}}),
+        (BALL, {"surface": {"parametrisation": "a:b", "u": [1, 0], "v": [0, 1]}}),
+        (BALL, {"surface": {"distance": "a:b", "length": 0}}),
+        (BALL, hollow(ROD, radius=1, patch={"min": [0, 0]})),
+        (BALL, hollow(ROD, radius=1, patch={"min": [0, "a", 0]})),
+        (BALL, hollow(ROD, radius=1, patch={"min": [None, 1, 0], "max": [0, 1, None]})),
     ],
 )
-def test_surfaces_that_cannot_be_or_touch_are_refused_with_one_fault(arm, body, expected):
+def test_surfaces_that_cannot_be_or_touch_are_refused_with_one_fault(arm, body):
     contact = {"arm": arm, "object": body}
     fault = only_fault("joints.0", {"arm": "left", "kind": "contacts", "contacts": [contact]})
     assert fault.startswith("$.joints[0].contacts[0]")
-    assert expected in fault
 
 
 @pytest.mark.parametrize(
@@ -630,43 +602,32 @@ def test_surfaces_that_can_touch_in_a_point_are_accepted_either_way_round(arm, b
 
 
 @pytest.mark.parametrize(
-    ("joint", "expected"),
+    "joint",
     [
-        ({"kind": "wrenches"}, "wrenches: is missing (a list of [fx, fy, fz, mx, my, mz])"),
-        ({"kind": "wrenches", "wrenches": []}, "'wrenches' is empty"),
-        ({"kind": "wrenches", "wrenches": [[1, 0, 0]]}, "wrenches[0]: must be a list of 6 numbers"),
-        ({"kind": "wrenches", "wrenches": [[0] * 6]}, "wrench 1 is zero (counted from 1)"),
-        (
-            {"kind": "wrenches", "wrenches": [[1] * 6], "carried_by": "tip"},
-            "carried_by: unknown value 'tip'; choices are 'object', 'arm'",
-        ),
-        (
-            {
-                "kind": "wrenches",
-                "wrenches": [
-                    [1, 0, 0, 0, 0, 0],
-                    [0, 1, 0, 0, 0, 1],
-                    [0, 0, 1, 0, 0, 0],
-                    [3, -2, 0, 0, 0, -2],
-                    [0, 0, 1e-9, 0, 0, 0],
-                ],
-            },
-            "wrench 4 is a combination of wrenches 1 and 2; wrench 5 is a combination of wrench 3",
-        ),
-        (
-            {"kind": "revolute", "limits": [0.1, 1]},
-            "limits: limits are counted from where the joint's two frames coincide",
-        ),
-        ({"kind": "revolute", "limits": [1, -1]}, "must run from a smaller to a larger number"),
-        ({"kind": "prismatic", "limits": 0.5}, "must be a list of two numbers, from and to"),
-        ({"kind": "cylindrical", "limits": [-1, 1]}, "did you mean 'turn_limits'"),
-        ({"kind": "ball", "limits": [-1, 1]}, "unknown key 'limits'"),
+        {"kind": "wrenches"},
+        {"kind": "wrenches", "wrenches": []},
+        {"kind": "wrenches", "wrenches": [[1, 0, 0]]},
+        {"kind": "wrenches", "wrenches": [[0] * 6]},
+        {"kind": "wrenches", "wrenches": [[1] * 6], "carried_by": "tip"},
+        {
+            "kind": "wrenches",
+            "wrenches": [
+                [1, 0, 0, 0, 0, 0],
+                [0, 1, 0, 0, 0, 1],
+                [0, 0, 1, 0, 0, 0],
+                [3, -2, 0, 0, 0, -2],
+                [0, 0, 1e-9, 0, 0, 0],
+            ],
+        },
+        {"kind": "revolute", "limits": [0.1, 1]},
+        {"kind": "revolute", "limits": [1, -1]},
+        {"kind": "prismatic", "limits": 0.5},
+        {"kind": "cylindrical", "limits": [-1, 1]},
+        {"kind": "ball", "limits": [-1, 1]},
     ],
 )
-def test_faults_of_wrenches_and_limits_are_told(joint, expected):
-    fault = only_fault("joints.0", {"arm": "left", **joint})
-    assert fault.startswith("$.joints[0]")
-    assert expected in fault
+def test_faults_of_wrenches_and_limits_are_told(joint):
+    only_fault("joints.0", {"arm": "left", **joint})
 
 
 def test_a_seventh_wrench_is_always_too_many():
@@ -723,9 +684,9 @@ def test_an_arm_with_two_joints_is_a_fault():
 
 
 def test_parts_built_in_python_refuse_with_the_same_error():
-    with pytest.raises(SceneError, match=r"Pose\.xyz\[1\]: must be a number"):
+    with refused(SceneError, "Pose.xyz[1]"):
         Pose(xyz=[0, "a", 0])
-    with pytest.raises(SceneError, match="unknown key 'raduis'; did you mean 'radius'"):
+    with refused(SceneError, "'raduis'"):
         ObjectSpec(shape={"cylinder": {"raduis": 1, "height": 2}}, mass=1)
 
 
@@ -745,36 +706,36 @@ def test_no_word_of_the_validation_library_reaches_the_user():
 
 def test_missing_file_is_told_with_its_neighbours(tmp_path):
     (tmp_path / "other.yaml").write_text("")
-    with pytest.raises(SceneError, match=r"no scene file at .*scene\.yaml; .* other\.yaml"):
+    with refused(SceneError, "scene.yaml"):
         load_scene(tmp_path / "scene.yaml")
-    with pytest.raises(SceneError, match="cannot read"):
+    with refused(SceneError, str(tmp_path)):
         load_scene(tmp_path)
 
 
 def test_broken_yaml_is_told_with_line_and_column(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text("name: x\nobject: {mass: 1\narms: [\n")
-    with pytest.raises(SceneError, match=r"line \d+, column \d+") as caught:
+    with refused(SceneError, str(path)) as caught:
         load_scene(path)
     assert str(path) in str(caught.value)
 
 
 def test_a_key_that_stands_twice_is_a_fault():
     text = yaml.safe_dump(TWO_ARMS) + "\ngravity: [0, 0, 0]\n"
-    with pytest.raises(SceneError, match="key 'gravity' stands twice in one table"):
+    with refused(SceneError, "'gravity'"):
         parse_scene(text)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "just words"])
 def test_a_text_that_is_no_table_is_refused(text):
-    with pytest.raises(SceneError, match="a scene is a table with the keys name, gravity"):
+    with refused(SceneError, "$: "):
         parse_scene(text)
 
 
 def test_binary_file_is_refused(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(SceneError, match="not a text file"):
+    with refused(SceneError, str(path)):
         load_scene(path)
 
 

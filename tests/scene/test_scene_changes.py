@@ -7,6 +7,7 @@ import pytest
 import yaml
 from mechanics import ur5_pair
 from pydantic import BaseModel
+from refusals import refused
 from repository import SCENES
 
 import multiarm as ma
@@ -159,9 +160,7 @@ def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
     ma.register_effect(Pull)
     pulled = ur5_pair({"kind": "weld"}, {"kind": "weld"}, effects={"pull": {"force": 1.0}})
     assert value_at(pulled.replace({"effects.pull.force": 2.0}), "effects.pull.force") == 2.0
-    with pytest.raises(
-        SceneError, match=r"\$\.effects\.pull\.forse: unknown key 'forse'; did you mean 'force'"
-    ):
+    with refused(SceneError, "$.effects.pull.forse"):
         pulled.replace({"effects.pull.forse": 2.0})
 
 
@@ -246,9 +245,9 @@ def test_a_copy_with_changes_is_checked_like_what_is_written(scene, part, update
 
 
 def test_a_scene_is_not_changed_in_place_and_says_how_it_is(scene):
-    with pytest.raises(SceneError, match=r"ObjectSpec\.mass: .*scene\.replace"):
+    with refused(SceneError, "ObjectSpec.mass"):
         scene.object.mass = 3.0
-    with pytest.raises(SceneError, match=r"Scene\.gravity: .*scene\.replace"):
+    with refused(SceneError, "Scene.gravity"):
         scene.gravity = None
 
 

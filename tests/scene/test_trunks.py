@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mechanics import scene_of
+from refusals import refused
 from repository import SCENES
 from scipy.spatial.transform import Rotation
 
@@ -169,21 +170,17 @@ def test_a_replay_shows_every_link_once_and_the_trunk_in_its_own_colours(moving)
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "message"),
+    ("left", "right"),
     [
-        ({"lock": {}}, {"lock": {}}, r"'torso_lift_joint': hold .* lock: \{torso_lift_joint: 0\}"),
-        ({}, {"lock": {}}, r"lock: \{torso_lift_joint: 0.15\}; or give .* different bases"),
-        ({}, {"lock": {"torso_lift_joint": 0.2}}, r"'torso_lift_joint' at 0.15, 'right' at 0.2"),
-        (
-            {"lock": {**TORSO, "head_1_joint": 0.1}},
-            {"lock": {**TORSO, "head_1_joint": 0.2}},
-            r"\$.arms.right.lock.head_1_joint: arms 'left' and 'right' are one robot",
-        ),
+        ({"lock": {}}, {"lock": {}}),
+        ({}, {"lock": {}}),
+        ({}, {"lock": {"torso_lift_joint": 0.2}}),
+        ({"lock": {**TORSO, "head_1_joint": 0.1}}, {"lock": {**TORSO, "head_1_joint": 0.2}}),
     ],
     ids=["trunk moves", "one arm holds it", "held at two positions", "head at two positions"],
 )
-def test_arms_of_one_robot_have_to_agree_on_the_rest(left, right, message):
-    with pytest.raises(SceneError, match=message) as caught:
+def test_arms_of_one_robot_have_to_agree_on_the_rest(left, right):
+    with refused(SceneError, "$.arms") as caught:
         pair(tiago("left", **left), tiago("right", **right))
     assert len(caught.value.faults) == 1
 

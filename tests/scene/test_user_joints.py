@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from commands import multiarm
 from mechanics import kernel_rows, random_pose, ur5_pair
+from refusals import refused
 from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
@@ -295,7 +296,7 @@ def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, mo
         assert code.place == place and code.arm == "left" and f"({__name__}:" in code.what
         assert all(own.registered == {} for own in REGISTRIES)
         assert dump_scene(scene) == text
-        with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
+        with refused(ma.MultiarmError, "$.joints[0]"):
             ma.compile_system(ma.load_scene(path, code=False))
         looked = multiarm("check", path)
         assert looked.exit_code == 0, looked.output
@@ -314,7 +315,7 @@ def test_a_fault_of_an_installed_class_has_its_place_when_it_is_loaded(tmp_path,
     path = tmp_path / "scene.yaml"
     path.write_text(text, encoding="utf-8")
     scene = ma.load_scene(path)
-    with pytest.raises(ma.MultiarmError, match=r"\$\.joints\[0\]\.widht: unknown key 'widht'; did"):
+    with refused(ma.MultiarmError, "$.joints[0].widht"):
         ma.compile_system(scene)
 
 
@@ -340,7 +341,7 @@ def test_a_stored_run_is_looked_at_and_replayed_without_the_class(own, joint, tm
         ma.replay(run, tmp_path / "run.html", open_browser=False)
     assert (tmp_path / "run.html").stat().st_size > 1000
     for code in (None, True):
-        with pytest.raises(ma.MultiarmError, match=r"unknown (joint kind|surface) .* or their pac"):
+        with refused(ma.MultiarmError, "$.joints[0]"):
             ma.compile_system(run.scene, code=code)
     register(own)
     again = ma.load_trajectory(tmp_path / "run.h5").scene
@@ -375,33 +376,30 @@ GOOD = [Contact("a", point(np.zeros(3)), plane(np.zeros(3), [0, 0, 1]))]
 
 
 @pytest.mark.parametrize(
-    ("records", "message"),
+    "records",
     [
-        (lambda self: 1 / 0, r"joint kind 'odd': records\(\) raised ZeroDivisionError"),
-        (lambda self: 3, r"joint kind 'odd': records\(\) returned 3; return a list of"),
-        (lambda self: [3], r"joint kind 'odd': records\(\) returned \[3\]; return a list of"),
-        (lambda self: [], r"records\(\) returned no contact; a joint has at least one"),
-        (
-            lambda self: [Contact("a", point([0, 0, math.nan]), GOOD[0].object)],
-            r"returned contact 'a' with a number that is not finite or a direction that is zero",
-        ),
-        (lambda self: [Contact("a", 3, GOOD[0].object)], "'a' with 3 as its surface on the arm"),
-        (lambda self: [replace(GOOD[0], mu=-1.0)], "with mu = -1.0; .* is not negative"),
-        (lambda self: [replace(GOOD[0], name=None)], "contact None with None as its name"),
-        (lambda self: [replace(GOOD[0], arm=sphere([0, 0, 0], -0.01))], "with a negative size"),
-        (lambda self: [replace(GOOD[0], minus=Contact("b", 3, 4))], "with 3 as its surface"),
+        lambda self: 1 / 0,
+        lambda self: 3,
+        lambda self: [3],
+        lambda self: [],
+        lambda self: [Contact("a", point([0, 0, math.nan]), GOOD[0].object)],
+        lambda self: [Contact("a", 3, GOOD[0].object)],
+        lambda self: [replace(GOOD[0], mu=-1.0)],
+        lambda self: [replace(GOOD[0], name=None)],
+        lambda self: [replace(GOOD[0], arm=sphere([0, 0, 0], -0.01))],
+        lambda self: [replace(GOOD[0], minus=Contact("b", 3, 4))],
     ],
 )
-def test_records_that_cannot_be_are_one_clear_error(records, message):
+def test_records_that_cannot_be_are_one_clear_error(records):
     joint_of(records)
-    with pytest.raises(ma.MultiarmError, match="joint of arm 'left': .*" + message):
+    with refused(ma.MultiarmError, "joint of arm 'left'"):
         ma.compile_system(scene_of({"kind": "odd"}))
 
 
 @pytest.mark.parametrize("offset", [3.0, [0, 0], [0, 0, math.inf]])
 def test_an_offset_is_three_numbers(offset):
     joint_of(lambda self: GOOD, offset=lambda self: offset)
-    with pytest.raises(ma.MultiarmError, match=r"offset\(\) must return 3 numbers"):
+    with refused(ma.MultiarmError, "joint of arm 'left'"):
         ma.compile_system(scene_of({"kind": "odd"}))
 
 
@@ -416,18 +414,18 @@ def test_a_surface_may_have_the_name_of_anything_else(name):
 @pytest.mark.parametrize("free", [(3, 4), (0, 1, 2), (3, 3, 4)])
 def test_motions_that_a_kind_calls_free_are_those_that_its_contacts_leave(free):
     joint_of(Hitch.records, free=free)
-    with pytest.raises(ma.MultiarmError, match="its contacts leave turn x, turn y, turn z free"):
+    with refused(ma.MultiarmError, "joint of arm 'left'"):
         ma.compile_system(scene_of({"kind": "odd"}))
 
 
 @pytest.mark.parametrize(
-    ("found", "message"),
-    [(lambda: 1 / 0, "raised ZeroDivisionError"), (lambda: "egg", "returned str; return a surf")],
+    "found",
+    [lambda: 1 / 0, lambda: "egg"],
 )
-def test_a_surface_that_cannot_be_is_one_clear_error(found, message):
+def test_a_surface_that_cannot_be_is_one_clear_error(found):
     odd = type("Odd", (ma.Surface,), {"name": "odd", "record": lambda self: found()})
     ma.register_surface(odd)
-    with pytest.raises(ma.MultiarmError, match=r"surface 'odd': record\(\) " + message):
+    with refused(ma.MultiarmError, "surface 'odd'"):
         ma.compile_system(scene_of(touching({"odd": {}})))
 
 
@@ -466,32 +464,32 @@ class Flat(ma.Surface):
 
 
 @pytest.mark.parametrize(
-    ("register", "own", "message"),
+    ("register", "own"),
     [
-        (ma.register_joint, Nameless, "'kind' must be a word, written as kind: Literal"),
-        (ma.register_joint, Idle, "it does not define 'records'"),
-        (ma.register_joint, Misled, "'limited' names 'reach', which is no field"),
-        (ma.register_joint, Vague, "an annotation names what is not known where the class is def"),
-        (ma.register_joint, dict, "it is no subclass of multiarm.Joint"),
-        (ma.register_joint, Egg, "it is no subclass of multiarm.Joint"),
-        (ma.register_surface, Hitch, "it is no subclass of multiarm.Surface"),
-        (ma.register_surface, Flat, "it does not define 'record'"),
-        (ma.register_surface, ma.Surface, "'name' must be a word that a scene can have as a key"),
+        (ma.register_joint, Nameless),
+        (ma.register_joint, Idle),
+        (ma.register_joint, Misled),
+        (ma.register_joint, Vague),
+        (ma.register_joint, dict),
+        (ma.register_joint, Egg),
+        (ma.register_surface, Hitch),
+        (ma.register_surface, Flat),
+        (ma.register_surface, ma.Surface),
     ],
 )
-def test_a_class_that_lacks_something_cannot_be_registered(register, own, message):
-    with pytest.raises(ma.MultiarmError, match=f"cannot be registered: {message}"):
+def test_a_class_that_lacks_something_cannot_be_registered(register, own):
+    with refused(ma.MultiarmError, own.__name__):
         register(own)
 
 
 def test_names_that_are_taken_are_refused():
     ma.register_joint(Hitch)
     assert ma.register_joint(Hitch) is Hitch
-    with pytest.raises(ma.MultiarmError, match=r"joint kind 'hitch': .* is registered under that"):
+    with refused(ma.MultiarmError, "'hitch'"):
         joint_of(lambda self: GOOD, "hitch")
-    with pytest.raises(ma.MultiarmError, match="joint kind 'weld': multiarm itself has one"):
+    with refused(ma.MultiarmError, "'weld'"):
         joint_of(lambda self: GOOD, "weld")
-    with pytest.raises(ma.MultiarmError, match="surface 'cone': multiarm itself has one"):
+    with refused(ma.MultiarmError, "'cone'"):
         ma.register_surface(type("Cone", (Egg,), {"name": "cone"}))
 
 
@@ -512,7 +510,7 @@ def test_surfaces_of_one_s_own_may_say_how_they_bend_and_whether_they_are_hollow
 
     Bent.__qualname__ = Marble.__qualname__
     ma.register_surface(Bent)
-    with pytest.raises(ma.MultiarmError, match="a hollow marble on the arm and a plane on the obj"):
+    with refused(ma.MultiarmError, "$.joints[0].contacts[0]"):
         scene_of(joint)
 
 

@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 from mechanics import SHORT, true_error
+from refusals import refused
 
 import multiarm as ma
 from multiarm.errors import TrajectoryError
@@ -90,7 +91,7 @@ def test_a_trajectory_in_memory_can_be_pickled(ring):
 def test_reading_a_closed_trajectory_says_that_it_is_closed(ring, tmp_path, stored):
     run = ma.simulate(ring, certificate=False, out=tmp_path / "r.h5" if stored else None, **SHORT)
     run.close()
-    with pytest.raises(TrajectoryError, match="was closed"):
+    with refused(TrajectoryError):
         run.read("object/twist")
 
 

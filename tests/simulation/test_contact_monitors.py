@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mechanics import scene_of, single_arm, state_at
+from refusals import refused
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
@@ -72,7 +73,7 @@ def test_events_are_those_of_one_run(sliding):
 
 def test_start_outside_the_patch_is_refused(sliding):
     table = {"plane": {"normal": [0, 0, 1], "patch": {"min": [0.1, -1, None], "max": [1, 1, None]}}}
-    with pytest.raises(SceneError, match=r"'c' touches 0\.1 m outside the patch"):
+    with refused(SceneError, "'c'"):
         sliding(table, {"point": [0, 0, 0]})
 
 

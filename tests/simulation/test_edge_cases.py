@@ -10,11 +10,12 @@ from mechanics import (
     data_of,
     ur5_pair,
 )
+from refusals import refused
 
 import multiarm as ma
 from multiarm.assembly.loop_closure import projection_tolerance, scene_size
-from multiarm.control.force_distribution import static_forces
 from multiarm.dynamics.equations import largest
+from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.step import coefficients, error_estimate, make_step
@@ -135,7 +136,7 @@ def test_a_controller_may_not_evaluate_a_system_with_itself(free_block_system):
         return {}
 
     holder.append(free_block_system.with_control(asks))
-    with pytest.raises(ControlError, match="evaluates a system that it is part of"):
+    with refused(ControlError, "the controller"):
         ma.simulate(holder[0], duration=0.01)
 
 
@@ -178,7 +179,7 @@ def test_a_short_pulse_of_a_controller_is_not_stepped_over():
 
 @pytest.mark.parametrize("max_step", [0.0, -1.0, math.nan])
 def test_a_longest_step_is_positive(free_block_system, max_step):
-    with pytest.raises(ma.MultiarmError, match="max_step"):
+    with refused(ma.MultiarmError, "max_step"):
         ma.simulate(free_block_system, duration=0.01, max_step=max_step)
 
 
@@ -215,5 +216,5 @@ def test_a_run_uses_the_solver_of_its_system(solver):
 
 
 def test_a_ring_needs_two_arms():
-    with pytest.raises(ModelError, match="at least 2 arms"):
+    with refused(ModelError, "ring"):
         ring_of_arms(1)

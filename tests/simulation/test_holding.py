@@ -139,6 +139,19 @@ def test_less_friction_takes_more_squeeze_and_so_more_torque(box):
     assert least[0] < least[1]
 
 
+@pytest.mark.parametrize("mu", [0.8, 0.1])
+def test_the_largest_force_is_the_squeeze_that_friction_needs(box, mu):
+    """Six equal normal forces: in all they are the weight over mu, and no other six are smaller."""
+    _, capacity = carrying(gripped(box, {"contact_friction": mu}))
+    smallest = 9.81 / mu  # of 6 kg; the polygon in the cone takes up to 1 / cos(pi / 16) of it
+    assert smallest * (1.0 - 1e-6) < capacity.largest_force
+    assert capacity.largest_force < smallest / np.cos(np.pi / 16) * (1.0 + 1e-6)
+
+
+def test_where_no_forces_carry_there_is_no_largest_one(box):
+    assert carrying(gripped(box, {}))[1].largest_force is None
+
+
 @pytest.mark.parametrize(("gravity", "verdict"), [(-9.81, "carried"), (9.81, "pushing")])
 def test_fingertips_push_an_object_and_do_not_pull_it(box, gravity, verdict):
     """One arm behind the box, which weighs along the normals: onto the fingertips, or off them."""

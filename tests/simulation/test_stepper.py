@@ -9,6 +9,7 @@ import pytest
 from event_scenes import GRAVITY, arm, ball, ball_on_plate, box, on_floor
 from loose_scenes import cart_with_box
 from mechanics import ur5_pair
+from refusals import refused
 
 import multiarm as ma
 from multiarm.errors import ControlError, ModelError, SceneError, SolverError
@@ -258,7 +259,7 @@ def test_a_failed_step_leaves_the_last_good_state(tmp_path):
     scene = cart_with_box(tmp_path, effects, velocity=1.0)
     stepper = ma.Stepper(ma.compile_system(parse_scene(scene)), max_step=1e-3)
     stepper.advance(0.02, {"cart": [5.0]})
-    with pytest.raises(SolverError, match=r"at t = 0\.0\d+ s .*the wind tunnel is off"):
+    with refused(SolverError, "external_wrenches[0]"):
         stepper.advance(0.02, {"cart": [5.0]})
     t = stepper.time
     assert 0.02 <= t <= 0.03
@@ -275,7 +276,7 @@ def test_a_run_that_hardly_gets_on_is_ended(ur5_system, monkeypatch):
     scene = ur5_system.scene
     hasty = scene.replace(run=scene.run.model_copy(update={"most_steps": 10.0}))
     stepper = ma.Stepper(ma.compile_system(hasty, like=ur5_system), max_step=1e-3)
-    with pytest.raises(SolverError, match="most_steps"):
+    with refused(SolverError, "most_steps"):
         stepper.advance(0.1, {})
 
 
@@ -291,7 +292,7 @@ def test_a_sampled_control_that_fails_is_asked_again_and_keeps_its_times(tmp_pat
 
     scene = parse_scene(cart_with_box(tmp_path, {}))
     stepper = ma.Stepper(ma.compile_system(scene, flaky, sample_time=0.02))
-    with pytest.raises(SolverError, match=r"at t = 0\.06 s .*no signal"):
+    with refused(SolverError, "the controller"):
         stepper.advance(0.1)
     failing[0] = False
     state = stepper.advance(0.05)
@@ -303,34 +304,34 @@ def test_a_sampled_control_that_fails_is_asked_again_and_keeps_its_times(tmp_pat
 @pytest.mark.parametrize("duration", [0.0, -1.0, math.nan, math.inf])
 def test_a_duration_is_positive(ur5_system, duration):
     stepper = ma.Stepper(ur5_system)
-    with pytest.raises(SolverError, match="advance: the duration must be greater than 0 s"):
+    with refused(SolverError, "advance: "):
         stepper.advance(duration, {})
     assert stepper.time == 0.0
 
 
 @pytest.mark.parametrize(
-    ("torques", "words"),
+    "torques",
     [
-        ({"middle": [0.0] * 6}, "torques: unknown arm 'middle'; arms are left, right"),
-        ({"left": [0.0] * 5}, r"torques\['left'\]: expected shape \(6,\), got \(5,\)"),
-        ({"left": [math.nan] * 6}, r"torques\['left'\]: a number is not finite"),
-        ([0.0] * 12, "torques: must be a dict with numbers by arm"),
+        {"middle": [0.0] * 6},
+        {"left": [0.0] * 5},
+        {"left": [math.nan] * 6},
+        [0.0] * 12,
     ],
 )
-def test_torques_that_do_not_fit_are_refused(ur5_system, torques, words):
+def test_torques_that_do_not_fit_are_refused(ur5_system, torques):
     stepper = ma.Stepper(ur5_system)
     stepper.advance(T, {})
     before = stepper.state
-    with pytest.raises(ControlError, match=words):
+    with refused(ControlError, "torques"):
         stepper.advance(T, torques)
     np.testing.assert_array_equal(stepper.state.velocity, before.velocity)
     assert stepper.advance(T, {}) is not None and stepper.time == 2 * T
 
 
 def test_settings_and_states_are_checked_and_recording_is_on_request(ur5_system, block_system):
-    with pytest.raises(SceneError, match="'accuracy' and 'step' exclude each other"):
+    with refused(SceneError, "'accuracy'"):
         ma.Stepper(ur5_system, accuracy=1e-6, step=1e-3)
-    with pytest.raises(ModelError, match="belongs to a system with arms one, two"):
+    with refused(ModelError, "arms one, two"):
         ma.Stepper(ur5_system, block_system.initial_state())
-    with pytest.raises(SolverError, match=r"`Stepper\(record=True\)`"):
+    with refused(SolverError, "`Stepper(record=True)`"):
         ma.Stepper(ur5_system).trajectory()

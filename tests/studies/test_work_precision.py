@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-import json
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pandas
 import pytest
-from mechanics import scene_of, single_arm, ur5_pair
+from mechanics import single_arm, ur5_pair
 from repository import SCENES
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
-from multiarm.scene import find_robot
+from multiarm.studies import reference as references
+from multiarm.studies import work_precision as studies
 from multiarm.studies.mujoco_peer import TorqueTape
 from multiarm.studies.peers import (
     NOT_INSTALLED,
@@ -29,42 +31,35 @@ from multiarm.studies.peers import (
     make_peers,
     sinusoid,
 )
-from multiarm.studies.timing import OutOfTime
-from multiarm.studies.work_precision import reference as references
-from multiarm.studies.work_precision import study as studies
-from multiarm.studies.work_precision.page import comparison, described, recommendation
-from multiarm.studies.work_precision.plan import STALE
-from multiarm.studies.work_precision.points import (
+from multiarm.studies.reference import Motion, Reference, make_reference
+from multiarm.studies.settings import (
     BY_ACCURACY,
     COARSEST,
-    COMPLETED,
-    FAILED,
     OURS,
-    TOO_SLOW,
-    Measured,
-    Point,
     Setting,
     halved_steps,
     our_ladders,
+    short,
+)
+from multiarm.studies.timing import OutOfTime, clocked_run
+from multiarm.studies.work_precision import (
+    COMPLETED,
+    FAILED,
+    LEVELS,
+    STALE,
+    TOO_SLOW,
+    Point,
+    Run,
+    Study,
+    decades,
     run_ours,
     run_peer,
-    short,
-    too_slow,
+    run_study,
 )
-from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
-from multiarm.studies.work_precision.results import (
-    LEVELS,
-    Results,
-    all_series,
-    decades,
-    read_results,
-    scene_digest,
-)
-from multiarm.studies.work_precision.study import run_study
+from multiarm.studies.work_precision_page import comparison, recommendation
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
-MACHINE = {"processor": "a", "version": "1", "python": "3", "dependencies": {}, "platform": "p"}
 
 
 def ring(kind: str = "weld", duration: float = 0.1):
@@ -91,16 +86,14 @@ def point(wall: float, error: float, **more) -> Point:
     return Point(about, COMPLETED, wall_time_s=wall, steps=1, evaluations=4, errors=errors)
 
 
-def results_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Results:
-    """Results of the ring scene with these points."""
-    scene = ring_of_arms(2, duration=1.0, accuracy=accuracy)
-    results = Results.of(scene, MACHINE)
+def study_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Study:
+    """A study of the ring scene with these points."""
+    study = Study.of(ring_of_arms(2, duration=1.0, accuracy=accuracy))
     quantities = dict.fromkeys(("motion", "position", "rotation", "joints", "force"), digits)
     about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
-    results.found_reference(Reference(Motion(np.zeros((1, 8))), quantities, 0.01, 0.01, about))
-    for item in points:
-        results.replace(item)
-    return results
+    study.reference = Reference(Motion(np.zeros((1, 8))), quantities, 0.01, 0.01, about)
+    study.points = {item.setting.key: item for item in points}
+    return study
 
 
 def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -> Point:
@@ -132,9 +125,10 @@ def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch)
     heavier = ma.compile_system(ring().replace(gravity=[0.0, 0.0, -9.8101]))
 
     def wrong(system, limit_s, **options):
-        return limited(heavier if "solver" in options else system, limit_s, **options)
+        dense = options["solver"] == "dense"
+        return clocked_run(heavier if dense else system, limit_s, **options)
 
-    monkeypatch.setattr(references, "limited", wrong)
+    monkeypatch.setattr(references, "clocked_run", wrong)
     digits = make_reference(system).digits
     # holding torques follow the weight: what differs are roundings of nothing but the sinusoids
     assert digits["force"] == pytest.approx(1e-4 * 5.0, rel=10.0)
@@ -256,12 +250,6 @@ def test_failing_settings_are_points_with_a_reason(system, reference):
     assert (late.status, late.message) == (TOO_SLOW, "not done after 0.02 s")
 
 
-def test_points_survive_their_file(system, reference):
-    for about in (setting(0.01), setting(0.5)):
-        found = measure_ours(system, about, reference, 10.0)
-        assert Point.from_dict(found.as_dict()) == found
-
-
 # --- the study ------------------------------------------------------------------------------------
 
 
@@ -272,37 +260,39 @@ class Law:
         self.order, self.floor, self.seconds = order, floor, seconds
         self.runs: list[Setting] = []
 
-    def __call__(self, system, about: Setting, limit_s: float) -> Measured:
+    def __call__(self, system, about: Setting, limit_s: float) -> Run:
         if about.method == BY_ACCURACY:
-            return Measured(Point(about, FAILED, "not by accuracy"))
+            return Run(Point(about, FAILED, "not by accuracy"))
         self.runs.append(about)
         error = max(about.value**self.order, self.floor)
         found = point(self.seconds / about.value, error)
-        return Measured(replace(found, setting=about))
+        return Run(replace(found, setting=about))
 
 
 @pytest.fixture
 def fast_study(monkeypatch, system, reference):
     """A study of one ladder of Runge-Kutta steps whose points follow a law."""
 
-    def run(law, results=None, **options):
+    def run(law, **options) -> Study:
         ladder = [our_ladders(0.01, 0.1, 0.005)[-1]]
-        made = replace(reference, wall_time_s=0.0)
-        monkeypatch.setattr(studies, "make_reference", lambda *_: made)
+        instant = replace(reference, wall_time_s=0.0)
+        monkeypatch.setattr(studies, "make_reference", lambda *_: instant)
         monkeypatch.setattr(studies, "our_ladders", lambda *_: ladder)
         monkeypatch.setattr(studies, "run_ours", law)
-        return run_study(system.scene, results, peers=False, **options)
+        *_, study = run_study(system.scene, peers=False, **options)
+        assert study.finished
+        return study
 
     return run
 
 
-def values(results: Results) -> list[float]:
-    return sorted((item.setting.value for item in results.points.values()), reverse=True)
+def values(study: Study) -> list[float]:
+    return sorted((item.setting.value for item in study.points.values()), reverse=True)
 
 
-def halvings(results: Results) -> list[int]:
+def halvings(study: Study) -> list[int]:
     """How often the first step was halved for each setting."""
-    found = values(results)
+    found = values(study)
     return [round(math.log2(found[0] / value)) for value in found]
 
 
@@ -333,7 +323,7 @@ def test_an_accident_at_the_first_setting_does_not_end_a_ladder(fast_study):
 
     def stalled_once(system, about, limit_s):
         found = law(system, about, limit_s)
-        return too_slow(about, limit_s) if len(law.runs) == 1 else found
+        return studies._too_slow(about, limit_s) if len(law.runs) == 1 else found
 
     assert list(fast_study(stalled_once).points) == list(fast_study(Law(seconds=1e-9)).points)
 
@@ -352,7 +342,7 @@ def test_the_fastest_run_counts(fast_study):
     times = itertools.count()
 
     def law(system, about, limit_s):
-        return Measured(replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about))
+        return Run(replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about))
 
     results = fast_study(law)
     (found,) = results.points.values()
@@ -367,14 +357,6 @@ def test_every_fourth_setting_comes_first_and_half_of_them_are_quick(fast_study)
     quick = fast_study(Law(seconds=1e-9), quick=True)
     assert all(place % 2 == 0 for place in halvings(quick))
     assert {item.repeats for item in quick.points.values()} == {studies.QUICK_REPEATS}
-
-
-def test_a_finished_study_measures_nothing(fast_study, system, tmp_path):
-    path = tmp_path / "study.json"
-    fast_study(Law(seconds=1e-9), Results.of(system.scene, MACHINE, path))
-    law = Law(seconds=1e-9)
-    fast_study(law, read_results(path))
-    assert law.runs == []
 
 
 def test_progress_names_what_is_measured(fast_study):
@@ -399,14 +381,12 @@ def random_costs(seed: int) -> dict[str, tuple[float, float]]:
 
 
 class World:
-    """Runs that follow laws: errors fall and costs rise along each ladder, but for disturbances.
+    """Runs that follow laws: errors fall and costs rise along each ladder.
 
-    Every run advances the clock by its cost; one of them, by its number, may be interrupted.  Some
-    quick settings may be ``slowed`` by a factor when they are run for the first time.
+    Every run advances the clock by its cost; one of them, by its number, may be interrupted.
     """
 
-    def __init__(self, seed: int, interrupt_at: int | None = None, slowed: float = 1.0):
-        self.slowed = slowed
+    def __init__(self, seed: int, interrupt_at: int | None = None):
         self.now, self.seed, self.runs, self.calls = 0.0, seed, [], 0
         self.interrupt_at = interrupt_at
         self.costs = random_costs(seed)
@@ -419,22 +399,20 @@ class World:
             raise KeyboardInterrupt
         self.now += seconds
 
-    def run(self, system, about: Setting, limit_s: float) -> Measured:
+    def run(self, system, about: Setting, limit_s: float) -> Run:
         order, cost = self.costs[about.series]
         place = self.places[about.key]
         rng = np.random.default_rng([self.seed, *about.key.encode()])
         wall, luck = cost * 1.6**place * rng.uniform(0.9, 1.1), rng.uniform(0.8, 1.25)
-        if rng.random() < 0.3 and self.slowed * wall < 0.2 and about.key not in self.runs:
-            wall *= self.slowed
         self.call(min(wall, limit_s))
         self.runs.append(about.key)
         if wall > limit_s:
-            return too_slow(about, limit_s)
+            return studies._too_slow(about, limit_s)
         error = max(0.1 * 2.0 ** (-order * place), 1e-14) * luck
         motion = Motion(EXACT.positions.copy(), EXACT.forces + 100.0 * error)
         motion.positions[:, 0] += error
         point = Point(about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853")
-        return Measured(point, motion)
+        return Run(point, motion)
 
     def reference(self, *_) -> Reference:
         self.call(60.0)
@@ -446,163 +424,60 @@ class World:
 def study_in(monkeypatch, system):
     """Runs a study in a world; keeps the system, and its peers away."""
 
-    def run(world: World, results=None, **options) -> Results:
+    def run(world: World) -> Iterator[Study]:
         monkeypatch.setattr(studies, "clock", lambda: world.now)
         monkeypatch.setattr(studies, "run_ours", world.run)
         monkeypatch.setattr(studies, "make_reference", world.reference)
         monkeypatch.setattr(studies, "compile_system", lambda _scene: system)
-        return run_study(system.scene, results, peers=False, **options)
+        return run_study(system.scene, peers=False)
 
     return run
 
 
-def front(results: Results, quantity: str) -> set[str]:
-    """Settings that no other one beats in both time and error."""
-    rows = [
-        (key, found.wall_time_s, max(found.error(quantity), DIGITS[quantity]))
-        for key, found in results.points.items()
-        if found.completed
-    ]
-    return {
-        key
-        for key, time, error in rows
-        if not any(t <= time and e <= error and (t, e) != (time, error) for _, t, e in rows)
-    }
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
-def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed):
-    whole = study_in(World(seed), thorough=True)
-    found = study_in(World(seed, slowed=1.0 if seed % 2 else 4.0))
-    assert found.left_out and not whole.left_out
-    assert len(found.points) < 0.85 * len(whole.points)
-    assert set(found.points) <= set(whole.points)
-    for quantity in DIGITS:
-        assert front(whole, quantity) <= set(found.points)
-        assert [d.ours.setting for d in decades(found, quantity)] == [
-            d.ours.setting for d in decades(whole, quantity)
-        ]
-
-
 @pytest.mark.slow
 def test_first_results_come_soon_and_claim_no_error_below_their_uncertainty(study_in):
-    world, shown = World(3), []
-
-    def watch(results):
-        errors = {key: found.error("motion") for key, found in results.points.items()}
-        shown.append((world.now, results.reference, errors, results.planned))
-
-    results = study_in(world, watch=watch)
-    when, first, errors, planned = shown[0]
+    world = World(3)
+    course = study_in(world)
+    study = next(course)
+    when, first, planned = world.now, study.reference, study.planned
+    errors = {key: item.error("motion") for key, item in study.points.items()}
     assert when < studies.FIRST_RESULTS + studies.LEAST_PATIENCE
     assert first.first
     assert first.digits["motion"] > 0.0
     assert {Setting(*key.split("/")[:3], "", 0.0).series for key in errors} == set(world.costs)
     assert planned > len(errors)
-    later = [item for item in shown if not item[1].first]
-    assert later[0][0] >= when + 60.0, "the reference takes its time"
+    next(course)
+    assert world.now >= when + 60.0, "the reference takes its time"
+    assert not study.reference.first
     # each run's error is what its law says, once the full reference is there
     for key, before in errors.items():
-        after = results.points[key].error("motion")
+        after = study.points[key].error("motion")
         assert after > 0.0
         assert abs(before - after) <= 3.0 * first.digits["motion"]
-    assert all(item[3] is not None for item in shown[:-1])
-    assert shown[-1][3] is None is results.planned
+    assert [step.finished for step in course][-1]
 
 
-def test_a_slow_scene_shows_its_runs_by_accuracy_first(study_in):
-    world, when = World(0), []
+@pytest.mark.slow
+def test_the_first_of_all_runs_by_accuracy_are_shown_of_a_slow_scene(study_in):
+    world = World(0)
     world.costs = {name: (order, 1.0) for name, (order, _) in world.costs.items()}
-    study_in(world, watch=lambda results: when.append((world.now, len(results.points))))
-    assert when[0][0] < 20.0
-    assert when[0][1] >= 2
+    study = next(study_in(world))
+    assert world.now < 20.0
+    assert len(study.points) >= 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("part", [0.0, 0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9])
-def test_an_interrupted_study_goes_on_where_it_was(study_in, system, tmp_path, part):
-    path = tmp_path / "study.json"
+@pytest.mark.parametrize("part", [0.01, 0.3, 0.9])
+def test_an_interrupted_study_has_what_was_measured(study_in, part):
     whole = World(1)
-    expected = study_in(whole)
-    world = World(1, interrupt_at=1 + int(part * whole.calls))
+    *_, finished = study_in(whole)
+    world, states = World(1, interrupt_at=1 + int(part * whole.calls)), []
     with pytest.raises(KeyboardInterrupt):
-        study_in(world, Results.of(system.scene, MACHINE, path))
-    kept = read_results(path)
-    again = World(1)
-    results = study_in(again, read_results(path))
-    assert list(results.points)[: len(kept.points)] == list(kept.points)
-    assert front(results, "motion") == front(expected, "motion")
-    for key, found in results.points.items():
-        assert found.errors == pytest.approx(expected.points.get(key, found).errors)
-        before = kept.points[key].repeats if key in kept.points else 0
-        runs = again.runs.count(key)
-        if kept.reference is None and key == again.runs[0]:
-            runs -= 1  # which only loads what is compiled
-        assert found.repeats == before + runs
-
-
-@pytest.mark.slow
-def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, tmp_path):
-    path, world = tmp_path / "study.json", World(1)
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    world.reference = interrupted
-    with pytest.raises(KeyboardInterrupt):
-        study_in(world, Results.of(system.scene, MACHINE, path))
-    kept = read_results(path)
-    assert kept.reference.first
-    assert kept.reference.motion.positions.shape == EXACT.positions.shape
-    again, shown = World(1), []
-    study_in(again, read_results(path), watch=lambda _: shown.append(again.now))
-    assert shown[0] == 0.0, "what is known is shown at once"
-    assert not read_results(path).reference.first
-
-
-@pytest.mark.slow
-def test_files_of_other_formats_are_refused_with_the_remedy(study_in, system, tmp_path):
-    path = tmp_path / "study.json"
-    study_in(World(2), Results.of(system.scene, MACHINE, path))
-    data = json.loads(path.read_text(encoding="utf-8"))
-    path.write_text(json.dumps({**data, "format": "multiarm accuracy, 1"}), encoding="utf-8")
-    with pytest.raises(MultiarmError, match=r"'multiarm accuracy, 1'.* measure anew: .*--fresh"):
-        read_results(path)
-
-
-def test_results_are_of_a_scene_and_a_machine():
-    scene = ring()
-    one = Results.of(scene, MACHINE)
-    assert one.stale(Results.of(scene, MACHINE)) == ""
-    moved = scene.replace(gravity=[0.0, 0.0, -9.0])
-    assert one.stale(Results.of(moved, MACHINE)) == "the scene has changed"
-    assert one.stale(Results.of(scene, {**MACHINE, "processor": "b"})) == "it is of another machine"
-    assert one.stale(Results.of(scene, {**MACHINE, "version": "2"})) == "versions have changed"
-    # how the scene is run is what the study varies
-    other = scene.replace(run={"duration": 0.1, "integrator": "rk4", "step": 1e-3})
-    assert scene_digest(other) == scene_digest(scene)
-    longer = scene.replace(run={"duration": 0.2})
-    assert scene_digest(longer) != scene_digest(scene)
-
-
-def test_a_changed_robot_is_another_scene(tmp_path):
-    urdf = tmp_path / "arm.urdf"
-    text = find_robot("planar_3r").urdf.read_text(encoding="utf-8")
-    urdf.write_text(text, encoding="utf-8")
-    arm = {"urdf": str(urdf), "tip": "tip", "posture": [0.1, 0.2, 0.3]}
-    scene = scene_of({"arm": arm}, [{"arm": "arm", "kind": "weld"}])
-    before = scene_digest(scene)
-    urdf.write_text(text.replace("</robot>", "<!-- another --></robot>"), encoding="utf-8")
-    assert scene_digest(scene) != before
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "multiarm accuracy, 2"}'])
-def test_other_files_are_refused(tmp_path, text):
-    path = tmp_path / "other.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(MultiarmError, match="is not the file of an accuracy study"):
-        read_results(path)
+        states.extend(study_in(world))
+    assert (states == []) == (part == 0.01), "nothing to show before the first results"
+    if states:
+        study = states[-1]
+        assert not study.finished and study.left_out and not finished.left_out
+        assert set(study.points) <= set(finished.points)
 
 
 # --- what is cheapest -----------------------------------------------------------------------------
@@ -621,7 +496,7 @@ def test_the_cheapest_of_each_decade_is_that_of_brute_force():
             )
             for k, wall in enumerate(rng.uniform(0.1, 1.0, size=12))
         ]
-        found = {decade.level: decade for decade in decades(results_of(points, digits))}
+        found = {row.level: row for row in decades(study_of(points, digits), "motion").itertuples()}
         for level in LEVELS:
             able = [
                 item
@@ -634,73 +509,71 @@ def test_the_cheapest_of_each_decade_is_that_of_brute_force():
                 assert level not in found
                 continue
             best = [min(x, key=lambda p: p.wall_time_s, default=None) for x in (ours, peers)]
-            assert [found[level].ours, found[level].peer] == best
+            keys = [None if item is None else item.setting.key for item in best]
+            row = found[level]
+            assert [*pandas.Series([row.key, row.key_peer]).replace({np.nan: None})] == keys
             if all(best):
-                assert found[level].ratio == best[1].wall_time_s / best[0].wall_time_s
+                assert row.peer_over_ours == best[1].wall_time_s / best[0].wall_time_s
 
 
 def test_errors_below_the_digits_are_not_ranked():
     exact = point(1.0, 0.0)
-    found = decades(results_of([exact], digits=2e-7))
-    assert [decade.level for decade in found][-1] == 1e-6
+    assert decades(study_of([exact], digits=2e-7), "motion")["level"].min() == 1e-6
 
 
 def test_the_recommendation_says_what_to_take_and_what_more_costs():
     by_accuracy = setting(1e-5, BY_ACCURACY, "", "accuracy")
     first = replace(point(3.1e-3, 5e-7), setting=by_accuracy, used="dop853")
     second = point(6.2e-3, 5e-10, method="dop853", kind="none", knob="tolerance")
-    assert recommendation(results_of([first, second])) == (
+    assert recommendation(study_of([first, second])) == (
         "For errors below 1e-6 take accuracy 1e-5 (dop853, projection): 3.1 ms for 1 s of motion; "
         "1e-9 costs 2 times that."
     )
-    assert described(second) == "tolerance 0.0062 (dop853, no stabilization)"
+    assert second.setting.advice("") == "tolerance 0.0062 (dop853, no stabilization)"
 
 
 def test_the_recommendation_aims_at_the_scenes_accuracy():
     coarse, fine = point(1e-3, 5e-4), point(2e-3, 5e-7)
-    text = recommendation(results_of([coarse, fine], accuracy=1e-3))
+    text = recommendation(study_of([coarse, fine], accuracy=1e-3))
     assert text.startswith("For errors below 0.001 take step 0.001 s (rk4, projection): 1 ms")
     assert text.endswith("1e-6 costs 2 times that.")
 
 
 def test_each_quantity_has_the_scenes_own_aim():
     run = {"duration": 0.1, "accuracy": {"position": 1e-4, "rotation": 1e-5, "force": 1e-2}}
-    about = Results.of(ring().replace(run=run), MACHINE).about["scene"]["accuracy"]
-    assert about == {
+    assert Study.of(ring().replace(run=run)).scene["accuracy"] == {
         "motion": 1e-5, "position": 1e-4, "rotation": 1e-5, "joints": 1e-5, "force": 1e-2,
     }  # fmt: skip
 
 
 def test_the_recommendation_admits_what_cannot_be_had():
     only = point(1e-3, 5e-3)
-    assert recommendation(results_of([only])) == (
+    assert recommendation(study_of([only])) == (
         "No setting reached 1e-6. For errors below 0.01 take step 0.001 s (rk4, projection): 1 ms "
         "for 1 s of motion."
     )
     failed = replace(only, status=FAILED)
-    assert "nothing can be recommended" in recommendation(results_of([failed]))
+    assert "nothing can be recommended" in recommendation(study_of([failed]))
     assert "No setting reached 0.001. For errors below 0.1 N take " in recommendation(
-        results_of([only]), "force"
+        study_of([only]), "force"
     )
 
 
 def test_peers_are_compared_at_two_levels():
     ours, peer = point(1e-3, 1e-10), point(5e-3, 1e-10, solver="Drake", method="discrete", kind="")
-    assert comparison(results_of([ours, peer])) == (
+    assert comparison(study_of([ours, peer])) == (
         "The best peer takes 5 times our time to reach 1e-6 (Drake, discrete, step 0.005 s), and "
         "5 times our time to reach 1e-9 (Drake, discrete, step 0.005 s)."
     )
-    assert comparison(results_of([ours])) == ""
+    assert comparison(study_of([ours])) == ""
 
 
 def test_series_put_ours_first_and_go_from_coarse_to_fine():
     peer = point(1e-3, 1e-3, solver="Drake", method="discrete", kind="")
-    found = all_series(results_of([peer, point(2.0, 1e-9, value=0.1), point(1.0, 1e-3, value=0.2)]))
-    assert [(item.name, item.ours) for item in found] == [
-        ("rk4, projection", True), ("Drake, discrete", False),
-    ]  # fmt: skip
-    assert [item.setting.value for item in found[0].points] == [0.2, 0.1]
-    assert found[0].best("motion").setting.value == 0.1
+    table = study_of([peer, point(2.0, 1e-9, value=0.1), point(1.0, 1e-3, value=0.2)]).table
+    assert list(table["series"]) == ["rk4, projection", "rk4, projection", "Drake, discrete"]
+    assert list(table["ours"]) == [True, True, False]
+    assert list(table["value"])[:2] == [0.2, 0.1]
 
 
 # --- peers ----------------------------------------------------------------------------------------

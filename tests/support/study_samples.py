@@ -8,7 +8,7 @@ import numpy as np
 from commands import MACHINE
 
 from multiarm.problems import ring_of_arms
-from multiarm.studies.effect_costs.entries import (
+from multiarm.studies.effect_costs import (
     CANDIDATE,
     FORCE,
     JOINTS,
@@ -21,16 +21,9 @@ from multiarm.studies.effect_costs.entries import (
     Estimate,
     Ledger,
 )
-from multiarm.studies.work_precision.points import (
-    BY_ACCURACY,
-    COMPLETED,
-    FAILED,
-    OURS,
-    Point,
-    Setting,
-)
-from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
-from multiarm.studies.work_precision.results import Results
+from multiarm.studies.reference import QUANTITIES, Motion, Reference
+from multiarm.studies.settings import BY_ACCURACY, OURS, Setting
+from multiarm.studies.work_precision import COMPLETED, FAILED, Point, Study
 
 
 def law(solver: str, method: str, kind: str, order: int, cost: float) -> list[Point]:
@@ -51,16 +44,16 @@ def law(solver: str, method: str, kind: str, order: int, cost: float) -> list[Po
     return found
 
 
-def sample_accuracy() -> Results:
+def sample_accuracy() -> Study:
     """A study with two methods of ours, a peer's, a failed setting and a peer that is not there."""
-    results = Results.of(ring_of_arms(2).replace(name="arms & <disc>"), MACHINE)
+    study = Study.of(ring_of_arms(2).replace(name="arms & <disc>"))
     check = {"solver": "dense", "integrator": "dopri5", "tolerance": 1e-13}
     about = {"integrator": "dop853", "tolerance": 1e-14, "check": check}
     digits = dict.fromkeys(QUANTITIES, 1e-13)
-    results.found_reference(Reference(Motion(np.zeros((1, 8))), digits, 0.01, 0.01, about))
+    study.reference = Reference(Motion(np.zeros((1, 8))), digits, 0.01, 0.01, about)
     by_accuracy = Setting(OURS, BY_ACCURACY, "", "accuracy", 1e-9)
     first = law(OURS, "rk4", "projection", 4, 1e-5)
-    for point in (
+    points = (
         replace(
             first[0], setting=by_accuracy, used="dop853", errors=dict.fromkeys(QUANTITIES, 0.0)
         ),
@@ -68,10 +61,11 @@ def sample_accuracy() -> Results:
         *law(OURS, "rk4", "none", 4, 0.7e-5),
         *law("MuJoCo", "Euler", "", 1, 2e-5),
         Point(Setting(OURS, "rk4", "none", "step", 0.5), FAILED, "it went <apart>"),
-    ):
-        results.replace(point)
-    results.refusals = {"MuJoCo": "not installed: pip install mujoco"}
-    return results
+    )
+    study.points = {point.setting.key: point for point in points}
+    study.machine, study.finished = MACHINE, True
+    study.refusals = {"MuJoCo": "not installed: pip install mujoco"}
+    return study
 
 
 def sample_ledger() -> Ledger:

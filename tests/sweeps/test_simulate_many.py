@@ -11,6 +11,7 @@ from many_runs import assert_same_run, random_states
 from mechanics import (
     ur5_pair,
 )
+from refusals import refused
 
 import multiarm as ma
 from multiarm.errors import ModelError, SceneError, SolverError, TrajectoryError
@@ -160,7 +161,7 @@ def test_what_cannot_be_asked_is_refused_before_any_run(
 def test_states_are_as_many_as_parameters_finite_and_of_these_arms(
     system, states, free_block_system
 ):
-    with pytest.raises(ModelError, match="2 states and 1 sets of parameters"):
+    with refused(ModelError, "2 states"):
         ma.simulate_many(system, states=states[:2], parameters=[{}])
     broken = states[0].copy()
     broken.velocity[3] = np.nan

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from many_runs import assert_same_run, random_states
+from refusals import refused
 from repository import ROOT
 
 import multiarm as ma
@@ -172,7 +173,7 @@ def test_results_keep_no_file_open(welded_ur5_system, tmp_path):
     opened = [os.readlink(entry) for entry in Path("/proc/self/fd").iterdir() if entry.is_symlink()]
     assert not [path for path in opened if str(tmp_path) in path]
     found[5].close()
-    with pytest.raises(TrajectoryError, match="was closed"):
+    with refused(TrajectoryError):
         found[5].read("time")
 
 
@@ -188,10 +189,10 @@ def test_a_pattern_and_a_folder_name_files_in_order(tmp_path, monkeypatch):
 
 def test_foreign_files_are_not_replaced(welded_ur5_system, tmp_path):
     (tmp_path / "run_0002.h5").write_text("a diary")
-    with pytest.raises(TrajectoryError, match=r"run_0002.h5' exists and is not a trajectory"):
+    with refused(TrajectoryError, "run_0002.h5"):
         ma.simulate_many(welded_ur5_system, parameters=[{}, {}], out=tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(TrajectoryError, match="cannot make the folder"):
+    with refused(TrajectoryError, str(tmp_path)):
         ma.simulate_many(welded_ur5_system, parameters=[{}], out=tmp_path / "file")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "run_0002.h5"]
 
@@ -246,5 +247,5 @@ def test_a_result_whose_file_another_run_has_replaced_says_so(welded_ur5_system,
     first = ma.simulate_many(welded_ur5_system, states=starts[:1], out=tmp_path, **RUN)
     second = ma.simulate_many(welded_ur5_system, states=starts[1:], out=tmp_path, **RUN)
     assert second[0].object_position.shape[1] == 3
-    with pytest.raises(TrajectoryError, match=r"run_0001\.h5' is not the file any more"):
+    with refused(TrajectoryError, "run_0001.h5"):
         _ = first[0].object_position

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 from mechanics import ur5_pair
+from refusals import refused
 from sweep_runs import FUNCTIONS, KEEP, MASS, OVER, RUN, jobs_of, repeatable, statuses
 
 from multiarm.errors import SweepError
@@ -85,10 +86,6 @@ def test_a_run_on_which_workers_of_a_cluster_die_is_a_row_that_says_so(scene, tm
 def test_a_cluster_that_is_not_there_is_told(monkeypatch):
     monkeypatch.setattr(executors, "PATIENCE", 0.5)
     monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
-    for address, text in [
-        ("tcp://127.0.0.1:9", r"no scheduler answers at 'tcp://127\.0\.0\.1:9'"),
-        (True, r"no scheduler is named; give its address"),
-        (3, r"no scheduler is named; give its address"),
-    ]:
-        with pytest.raises(SweepError, match=text), executors.connected(address):
+    for address in ("tcp://127.0.0.1:9", True, 3):
+        with refused(SweepError, "dask: "), executors.connected(address):
             pass

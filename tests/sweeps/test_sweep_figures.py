@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas
 import pytest
+from refusals import refused
 
 from multiarm.errors import SweepError
 from multiarm.plots.sweep_figures import (
@@ -189,8 +190,8 @@ def test_ten_thousand_runs_make_a_figure_of_bounded_size():
 
 
 def test_what_cannot_be_drawn_is_said():
-    with pytest.raises(SweepError, match="has no run with a number to draw"):
+    with refused(SweepError, "s.sweep"):
         sweep_overview(sweep_of(0))
     named = sweep_of(60, lambda run: ({"name": f"n{run}"}, *grid_row(run)[1:]))
-    with pytest.raises(SweepError, match="nothing to draw over: name varies as a number"):
+    with refused(SweepError, "s.sweep"):
         sweep_overview(named)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 import pickle
 import random
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mechanics import ur5_pair
+from refusals import refused
 from scipy import stats
 from sweep_runs import jobs_of
 
@@ -95,7 +95,7 @@ def test_the_scene_of_a_run_has_its_values_and_the_run_of_the_sweep(scene):
     assert found == scene.replace(
         {MASS: 7.0, "run.duration": 0.5, "run.output_step": 0.1, "run.accuracy": 1e-3}
     )
-    with pytest.raises(SweepError, match=r"there is no run 3; runs are 1 to 2"):
+    with refused(SweepError, "run 3"):
         plan.values(3)
     # another choice of steps replaces the file's
     plan = make_plan(scene, over, run={"integrator": "rk4", "step": 1e-3})
@@ -199,7 +199,7 @@ def test_a_plan_is_as_long_as_a_table_may_be(scene):
     plan = make_plan(scene, over, repeat=100)
     assert plan.count == len(plan.table) == 100_000
     assert plan.values(100_000)[MASS] == 2.0
-    with pytest.raises(SweepError, match=r"makes 1,001,000 runs; at most 1,000,000 are possible"):
+    with refused(SweepError, "$.over"):
         make_plan(scene, over, repeat=1001)
 
 
@@ -217,7 +217,7 @@ def test_of_a_long_axis_some_values_are_tried_the_first_and_the_last_among_them(
     assert len(tried) < 40
     masses = [values[MASS] for values in tried if MASS in values]
     assert min(masses) == 1.0 and max(masses) == 2.0
-    with pytest.raises(SweepError, match=r"linspace: the value -1.0: must be greater than 0"):
+    with refused(SweepError, "$.over['object.mass'].linspace"):
         make_plan(scene, {MASS: {"linspace": [1, -1, 10_000]}})
 
 
@@ -396,33 +396,33 @@ def test_what_contradicts_itself_is_told(scene, changes, text):
 def test_values_that_are_right_only_together_are_right(scene):
     over = {"run.integrator": ["rk4", "semi_implicit_euler"], "run.step": [1e-3]}
     assert make_plan(scene, over).scene_of(2).run.integrator == "semi_implicit_euler"
-    with pytest.raises(SweepError, match=r"\$\.over\['run\.integrator'\]"):
+    with refused(SweepError, "$.over['run.integrator']"):
         make_plan(scene, {"run.integrator": ["rk4"]})
 
 
 @pytest.mark.parametrize(
-    ("content", "text"),
+    "content",
     [
-        (None, "; sweeps in that folder: other.yaml"),
-        (b"\xff\xfe\x00", "is not a text file; a sweep is YAML"),
-        (b"over: {a: [1, 2", "this is not YAML"),
-        (b"over: {a: [1]}\nover: {b: [1]}", "key 'over' stands twice"),
-        (b"- 1", "a sweep is a table with the keys over, combine"),
-        (b"", "a sweep is a table with the keys over, combine"),
+        None,
+        b"\xff\xfe\x00",
+        b"over: {a: [1, 2",
+        b"over: {a: [1]}\nover: {b: [1]}",
+        b"- 1",
+        b"",
     ],
 )
-def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
+def test_a_file_that_is_no_sweep_is_told(scene, content, tmp_path):
     (tmp_path / "other.yaml").touch()
     if content is not None:
         (tmp_path / "sweep.yaml").write_bytes(content)
-    with pytest.raises(SweepError, match=re.escape(text)):
+    with refused(SweepError, "sweep.yaml"):
         make_plan(scene, tmp_path / "sweep.yaml")
 
 
 def test_a_sweep_needs_a_scene(scene, tmp_path):
-    with pytest.raises(SweepError, match=r"a sweep needs a scene, or the path of its file"):
+    with refused(SweepError, "scene"):
         make_plan(3, {MASS: [1]})
-    with pytest.raises(SceneError, match=r"no scene file"):
+    with refused(SceneError, "none.yaml"):
         make_plan(Path(tmp_path / "none.yaml"), {MASS: [1]})
-    with pytest.raises(SweepError, match=r"\$\.over: is missing"):
+    with refused(SweepError, "$.over"):
         make_plan(scene, None)

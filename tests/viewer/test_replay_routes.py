@@ -20,6 +20,7 @@ import psutil
 import pytest
 from commands import multiarm
 from page_reader import View
+from refusals import refused
 from repository import ROOT, SCENES
 
 import multiarm as ma
@@ -148,7 +149,7 @@ def test_a_full_disk_leaves_no_piece_of_a_page(downloads, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("builtins.open", full)
-    with pytest.raises(ReplayError, match=f"cannot write the replay to {downloads}.*No space"):
+    with pytest.raises(ReplayError, match=str(downloads)):
         browsers.temporary_page("page")
     assert list(downloads.iterdir()) == []
 
@@ -282,6 +283,23 @@ def test_every_request_gets_the_page_while_other_connections_wait():
             thread.join()
 
 
+@pytest.mark.parametrize(
+    ("error", "printed"),
+    [
+        (ConnectionResetError("gone"), False),
+        (BrokenPipeError("gone"), False),
+        (KeyError("x"), True),
+    ],
+)
+def test_a_browser_that_goes_away_is_no_error_and_a_fault_of_ours_is(error, printed, capsys):
+    with listening("<p>page</p>", LOOPBACK, 0) as server:
+        try:
+            raise error
+        except Exception:
+            server.handle_error(None, ("127.0.0.1", 1))
+    assert (type(error).__name__ in capsys.readouterr().err) == printed
+
+
 def test_every_address_has_the_name_of_this_computer():
     with listening("page", "0.0.0.0", 0) as server:
         assert server.server_address[0] == "0.0.0.0"
@@ -291,21 +309,19 @@ def test_every_address_has_the_name_of_this_computer():
 
 @pytest.mark.parametrize("host", ["", "192.0.2.1", "no such host"])
 def test_an_address_that_is_not_ours_is_refused(host):
-    with pytest.raises(ReplayError, match="cannot serve the replay at"):
+    with refused(ReplayError):
         listening("page", host, 0)
 
 
 def test_a_port_that_is_taken_is_refused():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(
-            ReplayError, match=rf"127\.0\.0\.1, port {port}: .*in use.*; name an address"
-        ):
+        with pytest.raises(ReplayError, match=rf"127\.0\.0\.1, port {port}: "):
             listening("page", LOOPBACK, port)
 
 
 @pytest.mark.parametrize("options", [{"port": 0}, {"host": LOOPBACK}])
 def test_a_page_is_written_or_served_and_not_both(run, tmp_path, options):
-    with pytest.raises(ReplayError, match="either written to a file or served"):
+    with refused(ReplayError):
         ma.replay(run, tmp_path / "run.html", **options)
     assert not (tmp_path / "run.html").exists()

@@ -11,6 +11,7 @@ from pathlib import Path
 import coal
 import numpy as np
 import pytest
+from refusals import refused
 
 from multiarm.errors import ReplayError
 from multiarm.scene import ObjectSpec
@@ -175,7 +176,7 @@ def test_endless_run_is_thinned_with_a_warning():
 
 
 def test_trajectory_without_samples_is_refused():
-    with pytest.raises(ReplayError, match="no samples"):
+    with refused(ReplayError):
         frame_rows(np.zeros(0), 30.0)
 
 

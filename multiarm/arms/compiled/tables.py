@@ -17,10 +17,10 @@ import numpy as np
 
 from multiarm.arms.terms import ArmStructure
 from multiarm.contacts.kernel import BODY_WIDTH
+from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import LANES
 from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, view
-from multiarm.spatial import skew
 
 # Arms with more joints are left to Pinocchio.
 MOST_JOINTS = 16

@@ -4,7 +4,7 @@ r"""From a grasp to a scene that runs: hands on real arms, postures, a path, con
 squeeze says how hard the fingertips must press.
 
 **The squeeze** keeps all fingertips in contact along a path.  The control lets the contacts share a
-wrench ``w`` with the forces (:mod:`multiarm.control.force_distribution`)
+wrench ``w`` with the forces (:mod:`multiarm.dynamics.forces.compiled`)
 
 .. math:: \lambda(w) = W_o^+ w + s\,\lambda_s, \qquad W_o \lambda_s = 0,
 
@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.bases import Stand
-from multiarm.contacts.internal_forces import distribute, internal_forces
 from multiarm.control.object_control import packed_path, reference_motion
+from multiarm.dynamics.forces.internal_forces import distribute, internal_forces
 from multiarm.errors import GraspError
+from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import FaceContacts
-from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import (
     Progress,
     UnreachableError,
@@ -188,8 +188,8 @@ def _require_hold(grasp: FaceContacts, arms: Sequence[str]) -> None:
 
 def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
     """Check the numbers before the long search; ``chosen`` ones may be left out."""
-    given = {**positive, **{name: value for name, value in chosen.items() if value is not None}}
-    for name, value in given.items():
+    numbers = {**positive, **{name: value for name, value in chosen.items() if value is not None}}
+    for name, value in numbers.items():
         if not isinstance(value, Real) or not math.isfinite(value):
             raise GraspError(f"{name} is a finite number, not {value!r}")
         if name in positive and not float(value) > 0.0:
@@ -305,7 +305,7 @@ def motion_wrenches(
         World axes [m/s^2].
     """
     parameters = packed_path([w.time for w in path], [w.matrix() for w in path])
-    found = []
+    wrenches = []
     for begin, end in pairwise(path):
         for x in SAMPLES:
             t = begin.time + x * (end.time - begin.time)
@@ -314,8 +314,8 @@ def motion_wrenches(
             omega, alpha = R.T @ twist[3:], R.T @ change[3:]
             force = mass * R.T @ (change[:3] - gravity)
             moment = inertia @ alpha + np.cross(omega, inertia @ omega)
-            found.append(np.concatenate([force, moment]))
-    return np.array(found)
+            wrenches.append(np.concatenate([force, moment]))
+    return np.array(wrenches)
 
 
 def needed_squeeze(contacts: Contacts, wrenches: np.ndarray, least: float) -> float:

@@ -8,8 +8,8 @@ the search for postures.
 
 Each arm holds its corner from a base on the ground or on a pedestal, somewhere beyond the corner as
 seen from the middle of the object.  Heights of the object, places of the bases and turns of the
-hands are tried in turn; whether a place will do is decided by inverse kinematics
-(:mod:`multiarm.assembly.inverse_kinematics`) at every pose that the object shall pass.  The best is
+hands are tried in turn; inverse kinematics (:mod:`multiarm.assembly.inverse_kinematics`) decides
+about a place, at every pose that the object shall pass.  The best is
 the one whose worst arm is farthest from singular postures, from the limits of its joints, from the
 object and from the ground.  The object stands upright, as its file has it; where the arms reach it
 so from nowhere, it is turned until both hands come from the side.
@@ -29,18 +29,18 @@ from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.errors import GraspError
-from multiarm.grasp.face import frame_of
+from multiarm.grasp.body.face import across, frame_of
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.designs.grippers import clearest_approach
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.reachability import clearest_approach
 from multiarm.scene import ArmSpec, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 
-# Fingers of a small gripper are at least so long [m]; those of a large one grow with it.
+# Least length of fingers [m], and their length over the size of the gripper.
 SHORTEST, SLENDER = 0.1, 0.6
 # A hand comes to each of its faces at an angle with at least this sine.
 LEAST_CLEARANCE = 0.05
-# The palm clears every face that the gripper touches by so many radii of a fingertip.
+# Clearance of the palm from every face that the gripper touches, in radii of a fingertip.
 CLEAR = 6.0
 # Digits of lengths in a scene, and of directions.
 DIGITS, DIRECTION_DIGITS = 12, 15
@@ -99,8 +99,7 @@ def hand_pose(
     stand_off = max(
         SHORTEST, SLENDER * grasp.gripper_size(gripper.name), CLEAR * tip_radius / steepest
     )
-    side = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-    side /= np.linalg.norm(side)
+    side = across(z)
     x = np.cos(turn) * side + np.sin(turn) * np.cross(z, side)
     return frame_of(z, x, gripper.corner - stand_off * z)
 
@@ -316,8 +315,8 @@ def _sideways(grasp: FaceContacts) -> list[np.ndarray]:
     """
     ways = np.array([approach(grasp, gripper) for gripper in grasp.grippers])
     axis = np.linalg.eigh(ways.T @ ways)[1][:, 0]
-    across = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    return [np.linalg.inv(frame_of(up, across, np.zeros(3))) for up in (axis, -axis)]
+    side = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    return [np.linalg.inv(frame_of(up, side, np.zeros(3))) for up in (axis, -axis)]
 
 
 def _places(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,17 +22,17 @@ from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.records import Contact
-from multiarm.grasp.balances import LEAST_MARGIN
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.balances import LEAST_MARGIN
+from multiarm.grasp.closure.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import Gripper
-from multiarm.grasp.force_distribution import distribute_forces
-from multiarm.grasp.form_closure import FormClosure, is_form_closure
+from multiarm.grasp.forces.force_distribution import distribute_forces
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.independent_contacts import independence
-from multiarm.grasp.object_frame import object_frame_on_body
-from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, region_of
-from multiarm.grasp.stability import configuration_stability
+from multiarm.grasp.pose.object_frame import object_frame_on_body
+from multiarm.grasp.seventh_contact.contact_region import ContactRegion, region_of
+from multiarm.grasp.six_contacts.independent_contacts import independence
+from multiarm.grasp.stability.configuration_stability import configuration_stability
 from multiarm.scene import ObjectSpec
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.spatial import quaternion_to_matrix
@@ -122,6 +122,15 @@ class SceneGrasp:
         return region_of(self.contacts, j, self.body.faces[face]) or None
 
 
+class _Touch(NamedTuple):
+    """A contact of the object, or its pulling side."""
+
+    row: int  # among the rows of all joints
+    arm: str
+    number: int  # among the rows of the arm's joint
+    pulls: bool
+
+
 def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
     """The grasp of a scene at a state, by default at its start.
 
@@ -136,7 +145,7 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
     R = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
     points, normals = (points - state.object_position) @ R, normals @ R
     body = body_of(system.scene.object)
-    found: list[tuple[int, str, int, bool]] = []
+    touches: list[_Touch] = []
     left_out, row = [], -1
     for arm in system.arm_names:
         for k, contact in enumerate(system.contacts[arm]):
@@ -144,26 +153,27 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
             if not _in_a_point(contact):
                 left_out.append(f"{arm}/{contact.name}")
                 continue
-            found.append((row, arm, k, False))
+            touches.append(_Touch(row, arm, k, pulls=False))
             if not contact.pushes_only:
-                found.append((row, arm, k, True))
-    if not found:
+                touches.append(_Touch(row, arm, k, pulls=True))
+    if not touches:
         raise GraspError("no joint of this scene holds the object by contacts in points")
     names = [
-        f"{arm}/{system.contacts[arm][k].name}{', pulling' if pulls else ''}"
-        for _, arm, k, pulls in found
+        f"{touch.arm}/{system.contacts[touch.arm][touch.number].name}"
+        f"{', pulling' if touch.pulls else ''}"
+        for touch in touches
     ]
-    rows = [row for row, *_ in found]
-    signs = np.array([-1.0 if pulls else 1.0 for *_, pulls in found])
+    rows = [touch.row for touch in touches]
+    signs = np.array([-1.0 if touch.pulls else 1.0 for touch in touches])
     contacts = Contacts(points[rows], signs[:, None] * normals[rows], names)
     faces = tuple(
-        None if body is None or pulls else _face_of(body, point, normal)
-        for point, normal, (*_, pulls) in zip(contacts.points, contacts.normals, found, strict=True)
+        None if body is None or touch.pulls else _face_of(body, point, normal)
+        for point, normal, touch in zip(contacts.points, contacts.normals, touches, strict=True)
     )
     return SceneGrasp(
         contacts=contacts,
-        rows=tuple((arm, k) for _, arm, k, _ in found),
-        pulls=tuple(pulls for *_, pulls in found),
+        rows=tuple((touch.arm, touch.number) for touch in touches),
+        pulls=tuple(touch.pulls for touch in touches),
         faces=faces,
         body=body,
         left_out=tuple(left_out),
@@ -376,14 +386,14 @@ def judge_grasp(
 
 
 def _contacts(grasp: SceneGrasp, evaluation: Evaluation) -> list[ContactFacts]:
-    found = []
+    facts = []
     coefficients = grasp.closure.coefficients
     for j, ((arm, row), pulls, face) in enumerate(
         zip(grasp.rows, grasp.pulls, grasp.faces, strict=True)
     ):
         region = grasp.regions[j]
         force = float(evaluation.contact_forces[arm][row])
-        found.append(
+        facts.append(
             ContactFacts(
                 name=grasp.contacts.names[j],
                 arm=arm,
@@ -397,7 +407,7 @@ def _contacts(grasp: SceneGrasp, evaluation: Evaluation) -> list[ContactFacts]:
                 room=None if region is None else float(region.depth(grasp.contacts.points[j])),
             )
         )
-    return found
+    return facts
 
 
 def _stability(grasp: SceneGrasp) -> StabilityFacts | None:
@@ -405,16 +415,18 @@ def _stability(grasp: SceneGrasp) -> StabilityFacts | None:
     if not grasp.only_pushes or contacts.count < 7:
         return None
     try:
-        found = configuration_stability(contacts)
-        six = independence(contacts.subset(found.six))
+        stability = configuration_stability(contacts)
+        six = independence(contacts.subset(stability.six))
     except GraspError:  # no six of them are independent, which the verdict says
         return None
     return StabilityFacts(
-        six=[contacts.names[j] for j in found.six],
+        six=[contacts.names[j] for j in stability.six],
         determinant=float(six.determinant) / contacts.length**3,
-        independence_limit=found.delta_max,
-        closure_radius=found.radius.lower if grasp.closure and found.radius is not None else None,
-        poor=found.poor,
+        independence_limit=stability.delta_max,
+        closure_radius=stability.radius.lower
+        if grasp.closure and stability.radius is not None
+        else None,
+        poor=stability.poor,
     )
 
 
@@ -424,8 +436,8 @@ def _carrying_force(system: System, grasp: SceneGrasp) -> float | None:
         return None
     R = scene.object.pose.matrix()[:3, :3]
     weight = np.append(-scene.object.mass * R.T @ np.array(scene.gravity), np.zeros(3))
-    found = distribute_forces(grasp.contacts, weight)
-    return found.value if found else None
+    distribution = distribute_forces(grasp.contacts, weight)
+    return distribution.value if distribution else None
 
 
 def _frame(grasp: SceneGrasp) -> np.ndarray | None:
@@ -434,14 +446,14 @@ def _frame(grasp: SceneGrasp) -> np.ndarray | None:
     if grasp.body is None or len(faces) < len(grasp.contacts) or not grasp.only_pushes:
         return None
     try:
-        found = object_frame_on_body(
+        frame = object_frame_on_body(
             grasp.contacts.points, grasp.body, faces, point_covariance=MEASURED, previous=np.eye(4)
         )
     except GraspError:  # too few contacts, or not closed
         return None
-    if found.covariance is None:
+    if frame.covariance is None:
         return None
-    variances = np.diag(found.covariance).reshape(2, 3).sum(axis=1)
+    variances = np.diag(frame.covariance).reshape(2, 3).sum(axis=1)
     return np.sqrt(variances) if np.all(np.isfinite(variances)) else None
 
 

@@ -84,18 +84,18 @@ class EffectKind(Spec):
         return []
 
 
-def or_only(key: str, written: Any, *others: str) -> BeforeValidator:
-    """Let the value of one key, which may be a table itself, stand for the whole table.
+def or_only(key: str, written: Any, *further_keys: str) -> BeforeValidator:
+    """Let the value of one key, which may be a table itself, stand for the effect's table.
 
-    A table with one of the ``others`` or with ``key`` is the whole one; ``written`` is the type of
+    A table with ``key`` or one of the ``further_keys`` is the effect's; ``written`` is the type of
     the key's value.
     """
 
-    def whole(value: Any) -> Any:
+    def table(value: Any) -> Any:
         if value is None or isinstance(value, EffectKind):
             return value
-        if isinstance(value, Mapping) and set(value) & {key, *others}:
+        if isinstance(value, Mapping) and set(value) & {key, *further_keys}:
             return value
         return {key: value}
 
-    return BeforeValidator(whole, json_schema_input_type=written)
+    return BeforeValidator(table, json_schema_input_type=written)

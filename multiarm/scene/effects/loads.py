@@ -66,8 +66,10 @@ class Drag(EffectKind):
     @model_validator(mode="after")
     def _something_resists(self) -> Self:
         if (self.area is None) != (self.coefficient is None):
-            given, lacking = ("area", "coefficient")[:: 1 if self.coefficient is None else -1]
-            raise fault(f"{given!r} needs {lacking!r} too: force = density coefficient area u^2/2")
+            present, missing = ("area", "coefficient")[:: 1 if self.coefficient is None else -1]
+            raise fault(
+                f"{present!r} needs {missing!r} too: force = density coefficient area u^2/2"
+            )
         if self.area is None and not any((*self.linear, *self.angular, *self.quadratic)):
             raise fault(
                 "resists nothing; give 'linear', 'angular', 'quadratic', or 'area' and "
@@ -255,15 +257,15 @@ effects:
     @model_validator(mode="after")
     def _one_time_course(self) -> Self:
         courses = ("sinusoid", "pulse", "table", "function")
-        given = [name for name in courses if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise fault(f"gives {' and '.join(map(repr, given))}; keep one of them")
-        whole = self.function is not None or (self.table is not None and self.table.file)
+        present = [name for name in courses if getattr(self, name) is not None]
+        if len(present) > 1:
+            raise fault(f"gives {' and '.join(map(repr, present))}; keep one of them")
+        gives_wrench = self.function is not None or (self.table is not None and self.table.file)
         sized = [name for name in ("force", "torque") if getattr(self, name) is not None]
-        if whole and sized:
+        if gives_wrench and sized:
             source = "function" if self.function is not None else "file of the table"
             raise fault(f"the {source} gives force and torque; remove {listed(sized)}")
-        if not whole and not sized:
+        if not gives_wrench and not sized:
             raise fault("needs 'force', 'torque' or both (3 numbers each)")
         return self
 

@@ -21,7 +21,7 @@ from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.geometry import Contact, plane, point
-from multiarm.geometry.screws import ZeroPitch, zero_pitch
+from multiarm.geometry.screws import ZeroPitch, skew, zero_pitch
 from multiarm.scene.faults import fault
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.values import Positive, Vec6
@@ -67,10 +67,10 @@ class WrenchesJoint(Joint):
         dependent = _dependent_rows(self.wrenches, self.size)
         if dependent:
             texts = [
-                f"wrench {row} is a combination of {_counted(others)}"
-                if others
+                f"wrench {row} is a combination of {_counted(combined)}"
+                if combined
                 else f"wrench {row} is zero"
-                for row, others in dependent.items()
+                for row, combined in dependent.items()
             ]
             raise fault(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
         return self
@@ -138,7 +138,7 @@ def _centre_and_axis(wrenches: np.ndarray, size: float) -> tuple[np.ndarray, np.
     across = np.eye(3) - slides @ slides.T
     equations, right = [np.zeros((0, 3))], [np.zeros(0)]
     for v, w in zip((free[:3] @ mixes[:turns].T).T, (free[3:] @ mixes[:turns].T).T, strict=True):
-        equations.append(across @ np.cross(w / size, np.eye(3)).T)  # v + w x centre is a slide
+        equations.append(across @ skew(w / size))  # v + w x centre is a slide
         right.append(-across @ v)
     solution = np.linalg.lstsq(np.vstack(equations), np.concatenate(right), rcond=tolerance)[0]
     way = ways[:, 0] * np.sign(ways[np.argmax(np.abs(ways[:, 0])), 0])

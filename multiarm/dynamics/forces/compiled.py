@@ -1,0 +1,99 @@
+r"""Distribution of a wrench over the contacts: forces of least norm, and internal forces.
+
+The contact forces that put a desired wrench ``w`` on the object are (thesis, 3.4)
+
+.. math:: \lambda = W_o^+ w + (1 - W_o^+ W_o)\,\lambda_s
+
+the forces of least norm, plus the internal part of desired forces :math:`\lambda_s`, which does not
+move the object.  Both come from one solution, :math:`\lambda = \lambda_s + W_o^+ (w - W_o
+\lambda_s)`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from multiarm.dynamics.solver.factors import solve_semidefinite
+from multiarm.jit.kernels import allocating, copy, kernel
+
+
+@kernel
+def write_wrench_products(Wo, A, scale):
+    """Write ``W_o W_o^T`` into ``A[:6, :6]``, its rows and columns times ``scale`` (6,), written.
+
+    Moments are divided by the longest lever arm, so that all rows are forces; below 1e-6 m lever
+    arms are rounding errors, which must not be scaled up to a direction of their own.
+    """
+    longest = 1e-6
+    for k in range(Wo.shape[0]):
+        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
+    for i in range(6):
+        scale[i] = 1.0 if i < 3 else 1.0 / longest
+    for i in range(6):
+        for j in range(6):
+            A[i, j] = 0.0
+            for k in range(Wo.shape[0]):
+                A[i, j] += Wo[k, i] * Wo[k, j]
+            A[i, j] *= scale[i] * scale[j]
+
+
+@allocating
+def static_forces(Wo, weight, force):
+    r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
+
+    ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  The solution is exact when
+    the contacts can carry the wrench, else that of least squares, with moments over the longest
+    lever arm.
+    """
+    A, b, x, scale = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.empty(6)
+    write_wrench_products(Wo, A, scale)
+    for i in range(6):
+        b[i] = scale[i] * weight[i]
+    solve_semidefinite(A, b, x)
+    for k in range(Wo.shape[0]):
+        force[k] = 0.0
+        for i in range(6):
+            force[k] += Wo[k, i] * scale[i] * x[i]
+
+
+@allocating
+def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
+    r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
+
+    Parameters
+    ----------
+    wrench : (6,)
+        About the centre of mass, world axes [N, N m].
+    Wo : (N, 6), rows : int (n + 1,)
+        Rows of all contacts in world axes, and where each arm's begin.
+    rotation : (9,)
+        Of the object, row by row.
+    offsets : (N,), pressing : (6 n,)
+        Desired forces of the contacts, and a desired wrench of every arm on the object (about its
+        centre of mass, its axes).  Only their internal part remains.
+    force : (N,), written
+    """
+    desired, remaining = np.empty(offsets.size), np.empty(6)
+    copy(offsets, desired)
+    for i in range(rows.size - 1):
+        on_object, any_pressing = pressing[6 * i : 6 * i + 6], False
+        for a in range(6):
+            any_pressing = any_pressing or on_object[a] != 0.0
+        if any_pressing:
+            r0, r1, world = rows[i], rows[i + 1], np.zeros(6)
+            for a in range(3):
+                for b in range(3):
+                    world[a] += rotation[3 * a + b] * on_object[b]
+                    world[3 + a] += rotation[3 * a + b] * on_object[3 + b]
+            static_forces(Wo[r0:r1], world, force[r0:r1])
+            for k in range(r0, r1):
+                desired[k] += force[k]
+    copy(wrench, remaining)
+    for k in range(desired.size):
+        for i in range(6):
+            remaining[i] -= Wo[k, i] * desired[k]
+    static_forces(Wo, remaining, force)
+    for k in range(desired.size):
+        force[k] += desired[k]

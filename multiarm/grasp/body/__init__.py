@@ -1,0 +1,1 @@
+"""Bodies bounded by plane faces, and their classes (thesis, 2.2.3)."""

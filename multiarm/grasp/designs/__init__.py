@@ -1,0 +1,1 @@
+"""Grasps constructed for classes of bodies, or searched (thesis, 2.2.3)."""

@@ -1,0 +1,1 @@
+"""Displacements that a grasp bears (thesis, 2.3)."""
