@@ -158,7 +158,8 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     table = read_table(control, names)
     zero, gains = control.outside == "zero", np.zeros(0)
     laws: tuple[Kernel, ...] = (recorded_torque,)
-    reach, derivatives = OPEN_LOOP, (None,)
+    reach = OPEN_LOOP
+    derivatives: tuple[Kernel | None, ...] = (None,)
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
         values = table.stacked(names, start_angles(context))
