@@ -36,9 +36,9 @@ from multiarm.results.trajectory import plain
 from multiarm.scene import Scene
 from multiarm.studies.peers import (
     PEERS,
+    Clock,
     Grid,
     Peer,
-    TimeSeries,
     control_torque,
     largest_gap,
     make_peers,
@@ -191,27 +191,28 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Ru
 
     A feedback controller, which is ours and is called back, costs the peer nothing.
     """
-    series = TimeSeries(Grid.of(system.scene.run), limit_s)
-    drive = sinusoid(system) or series.off_the_clock(partial(control_torque, system))
+    clock, grid, start = Clock(limit_s), Grid.of(system.scene.run), system.initial_state()
+    drive = sinusoid(system) or clock.off_the_clock(partial(control_torque, system))
     try:
         with np.errstate(all="ignore"):
-            peer.follow(series, system.initial_state(), setting.method, setting.value, drive)
+            course = peer.follow(clock, grid, start, setting.method, setting.value, drive)
+            samples = list(itertools.takewhile(lambda sample: sample.is_finite, course))
     except OutOfTime:
         return _too_slow(setting, limit_s)
     except Exception as error:
         return Run(Point(setting, FAILED, error_text(error).splitlines()[0]))
-    if len(series.states) <= series.grid.intervals:
-        reason = f"the state is no longer finite after {series.reached:.3g} s"
+    if len(samples) <= grid.intervals:
+        reason = f"the state is no longer finite after {samples[-1].time:.3g} s"
         return Run(Point(setting, FAILED, reason))
     point = Point(
         setting,
         COMPLETED,
-        wall_time_s=series.wall_time_s,
-        steps=series.steps,
-        evaluations=series.evaluations,
-        gap_m=max(largest_gap(system, state) for state in series.states),
+        wall_time_s=clock.wall_time_s,
+        steps=clock.steps,
+        evaluations=clock.evaluations,
+        gap_m=max(largest_gap(system, sample.state) for sample in samples),
     )
-    return Run(point, Motion(np.array([state.position for state in series.states])))
+    return Run(point, Motion(np.array([sample.state.position for sample in samples])))
 
 
 def _too_slow(setting: Setting, limit_s: float) -> Run:
