@@ -41,18 +41,10 @@ NOT_INSTALLED = "not installed: pip install mujoco"
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """Torques that depend on time only, ``constant + sine sin(a) + cosine cos(a)``.
+    """Torques that depend on time only, ``constant + sine sin(a) + cosine cos(a)``."""
 
-    Attributes
-    ----------
-    rate : float
-        [rad/s]; ``a = rate t``.
-    constant, sine, cosine : ndarray, shape (n,)
-        [N m] or [N]
-    """
-
-    rate: float
-    constant: np.ndarray
+    rate: float  # [rad/s]; ``a = rate t``
+    constant: np.ndarray  # (n,) [N m] or [N], as the others
     sine: np.ndarray
     cosine: np.ndarray
 
@@ -78,16 +70,9 @@ Drive = Sinusoid | Callable[[float, State], np.ndarray]
 
 @dataclass(frozen=True)
 class Grid:
-    """The times at which motions are compared: 0, interval, 2 interval, ...
+    """The times at which motions are compared: 0, interval, 2 interval, ..."""
 
-    Attributes
-    ----------
-    interval : float
-        [s]
-    intervals : int
-    """
-
-    interval: float
+    interval: float  # [s]
     intervals: int
 
     @classmethod
@@ -224,26 +209,13 @@ def make_peers(
 
 @dataclass(frozen=True)
 class Link:
-    """A link of an arm, moved by one joint.
+    """A link of an arm, moved by one joint."""
 
-    Attributes
-    ----------
-    parent : int
-        Number of the link before it; 0 is the world.
-    placement : pinocchio.SE3
-        Of the joint on the parent.
-    inertia : pinocchio.Inertia
-    turns : bool
-        The joint turns about its axis; else it slides along it.
-    axis : ndarray, shape (3,)
-        In the link's axes.
-    """
-
-    parent: int
-    placement: Any
-    inertia: Any
-    turns: bool
-    axis: np.ndarray
+    parent: int  # number of the link before it; 0 is the world
+    placement: Any  # pinocchio.SE3 of the joint on the parent
+    inertia: Any  # pinocchio.Inertia
+    turns: bool  # the joint turns about its axis; else it slides along it
+    axis: np.ndarray  # (3,), in the link's axes
 
 
 def links(arm: Arm) -> Iterator[Link]:

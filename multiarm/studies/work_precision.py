@@ -101,40 +101,24 @@ clock = time.perf_counter
 
 @dataclass(frozen=True)
 class Point:
-    """One setting, measured; None where there is no number.
-
-    Attributes
-    ----------
-    setting : Setting
-    status : {"completed", "failed", "too slow"}
-    message : str
-        Why there is no result.
-    wall_time_s : float or None
-        Of the fastest of ``repeats`` runs, from the first step to the last output.
-    repeats : int
-    steps, evaluations : int or None
-    errors : mapping
-        position [m], rotation [rad], joints [rad, m], force [N]: the worst at an output time.
-    gap_m, gap_rate_m_per_s : float or None
-        Largest gap of a contact at an output time (position drift), and its rate (velocity drift).
-    energy_J : float or None
-        Largest error of the energy balance.
-    used : str
-        The integrator, where the program chose it.
-    """
+    """One setting, measured; None where there is no number."""
 
     setting: Setting
-    status: str
-    message: str = ""
+    status: str  # completed, failed, too slow
+    message: str = ""  # why there is no result
+    # of the fastest of ``repeats`` runs, from the first step to the last output
     wall_time_s: float | None = None
     repeats: int = 1
     steps: int | None = None
     evaluations: int | None = None
+    # position [m], rotation [rad], joints [rad, m], force [N]: the worst at an output time
     errors: Mapping[str, float | None] = field(default_factory=dict)
+    # largest gap of a contact at an output time (position drift)
     gap_m: float | None = None
+    # largest rate of a gap at an output time (velocity drift)
     gap_rate_m_per_s: float | None = None
-    energy_J: float | None = None
-    used: str = ""
+    energy_J: float | None = None  # largest error of the energy balance
+    used: str = ""  # the integrator, where the program chose it
 
     def error(self, quantity: str) -> float | None:
         """The error of a quantity (``reference.QUANTITIES``); None where there is no result."""
@@ -224,38 +208,20 @@ def _too_slow(setting: Setting, limit_s: float) -> Run:
 
 @dataclass
 class Study:
-    """What has been measured so far.
+    """What has been measured so far."""
 
-    Attributes
-    ----------
-    scene : dict
-        name, duration_s, output_step_s, text, and accuracy: the error that is aimed at, for each
-        quantity.
-    machine : dict
-    reference : Reference or None
-        What points are compared with.
-    points : dict of str to Point
-        By the setting's key, in the order in which they were measured.
-    refusals : dict of str to str
-        Peer -> why it has no points.
-    wall_time_s : float
-        That the study took.
-    planned : int
-        How many points there will be, as far as that is known.
-    finished : bool
-    left_out : bool
-        Not every setting was measured: the study is quick, or was interrupted.
-    """
-
+    # name, duration_s, output_step_s, text, and accuracy: the error that is aimed at, for each
+    # quantity
     scene: Mapping[str, Any]
     machine: Mapping[str, Any]
-    reference: Reference | None = None
+    reference: Reference | None = None  # what points are compared with
+    # by the setting's key, in the order in which they were measured
     points: dict[str, Point] = field(default_factory=dict)
-    refusals: Mapping[str, str] = field(default_factory=dict)
-    wall_time_s: float = 0.0
-    planned: int = 0
+    refusals: Mapping[str, str] = field(default_factory=dict)  # peer -> why it has no points
+    wall_time_s: float = 0.0  # that the study took
+    planned: int = 0  # how many points there will be, as far as that is known
     finished: bool = False
-    left_out: bool = True
+    left_out: bool = True  # not every setting was measured: the study is quick, or was interrupted
 
     @classmethod
     def of(cls, scene: Scene) -> Study:
