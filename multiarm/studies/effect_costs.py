@@ -147,17 +147,22 @@ class Ledger:
     wall_time_s: float  # that all this took
 
     @property
-    def changes(self) -> pandas.DataFrame:
-        """A row for each entry and quantity: ``entry`` (its number), ``quantity``, ``value``,
-        ``time``, ``arm`` as in :class:`Change`, and ``times_accuracy``."""
+    def table(self) -> pandas.DataFrame:
+        """A row for each entry: name, kind, ``share`` of the time and its ``uncertainty``, and for
+        each quantity the change in units of the requested accuracy; missing where not known."""
         rows = [
-            {"entry": number, "quantity": quantity, **asdict(change)}
-            for number, entry in enumerate(self.entries)
-            for quantity, change in entry.changes.items()
+            {
+                "name": entry.name,
+                "kind": entry.kind,
+                "share": None if entry.share is None else entry.share.value,
+                "uncertainty": None if entry.share is None else entry.share.uncertainty,
+                **{name: change.value / self.asked[name] for name, change in entry.changes.items()},
+            }
+            for entry in self.entries
         ]
-        table = pandas.DataFrame(rows, columns=["entry", "quantity", "value", "time", "arm"])
-        table["times_accuracy"] = table["value"] / table["quantity"].map(self.asked)
-        return table
+        numbers = ["share", "uncertainty", *QUANTITIES]
+        table = pandas.DataFrame(rows, columns=["name", "kind", *numbers])
+        return table.astype(dict.fromkeys(numbers, float))
 
     def moves(self, entry: Entry) -> str | None:
         """The first quantity whose change is above the requested accuracy; None without any."""
