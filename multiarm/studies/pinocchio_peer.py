@@ -271,21 +271,21 @@ class PinocchioLoops(Peer):
         n, split = self.damping.size, self._split
         y = np.zeros(split + self.model.nv + (self._kind == FREE))
         y[:n], y[split : split + n] = state.position[7:], state.velocity[6:]
-        data, own, rate = self.data, y[n:split], y[split + n :]
+        data, pose, rate = self.data, y[n:split], y[split + n :]
         R_O, twist = _se3(state.position).rotation, state.object_twist
         if self._kind == FREE:
-            own[:], rate[:3], rate[3:6] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
+            pose[:], rate[:3], rate[3:6] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
         if self._kind not in ("ball", "revolute"):
             return y
-        own[-1] = 1.0 if self._kind == "ball" else 0.0
+        pose[-1] = 1.0 if self._kind == "ball" else 0.0
         pin.forwardKinematics(self.model, data, self._configuration(y), y[split:])
         R_A, R_B = (data.oMi[self._last] * self._tip).rotation, R_O @ self._on_object
         tip_turns = data.oMi[self._last].rotation @ data.v[self._last].angular
         turning, relative = R_B.T @ (twist[3:] - tip_turns), R_A.T @ R_B
         if self._kind == "ball":
-            own[:], rate[:] = pin.Quaternion(relative).coeffs(), turning
+            pose[:], rate[:] = pin.Quaternion(relative).coeffs(), turning
         else:
-            own[0], rate[0] = math.atan2(relative[1, 0], relative[0, 0]), turning[2]
+            pose[0], rate[0] = math.atan2(relative[1, 0], relative[0, 0]), turning[2]
         return y
 
     def state(self, y: np.ndarray) -> State:

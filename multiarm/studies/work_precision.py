@@ -359,7 +359,8 @@ class _Measurement:
         if first is not None:
             ladders = our_ladders(run.output_step, run.duration, first.average_step_s)
             until = max(until, clock() + LEAST_FIRST)
-            for _ in itertools.takewhile(lambda _: clock() < until, self._climb(ladders, (4,))):
+            coarse = self._climb(ladders, self.strides[:1])
+            for _ in itertools.takewhile(lambda _: clock() < until, coarse):
                 pass
             yield
         reference = make_reference(self.system, partial(self.report, 0.0, 0.0))
