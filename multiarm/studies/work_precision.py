@@ -373,7 +373,8 @@ class _Measurement:
             if point.status != TOO_SLOW  # there is more time now
         }
         study.reference = reference
-        yield
+        if study.points:
+            yield
         average = reference.average_step_s
         self.peers, study.refusals = make_peers(self.system, PEERS if peers else {})
         ladders = our_ladders(run.output_step, run.duration, average)

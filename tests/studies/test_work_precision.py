@@ -280,7 +280,8 @@ def fast_study(monkeypatch, system, reference):
         monkeypatch.setattr(studies, "make_reference", lambda *_: instant)
         monkeypatch.setattr(studies, "our_ladders", lambda *_: ladder)
         monkeypatch.setattr(studies, "run_ours", law)
-        *_, study = run_study(system.scene, peers=False, **options)
+        for study in run_study(system.scene, peers=False, **options):
+            assert not study.table.empty, "what is shown has a point"
         assert study.finished
         return study
 
