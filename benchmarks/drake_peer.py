@@ -14,7 +14,8 @@ need not be there: it is imported when a plant is built.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,11 +31,12 @@ from multiarm.errors import ModelError
 from multiarm.plots.style import BLUE
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.peers import (
+    Clock,
     Drive,
     Grid,
     Peer,
+    Sample,
     Sinusoid,
-    TimeSeries,
     control_torque,
     joint_ends,
     links,
@@ -87,11 +89,12 @@ def motions(system: System, steps: Sequence[float], rounds: int) -> list[dict[st
     rows = []
     for step in steps:
         print(f"step {step:g} s", flush=True)
-        runs = [TimeSeries(grid) for _ in range(rounds)]
-        for run in runs:
-            peer.follow(run, system.initial_state(), "discrete", step, drive)
-        wall = min(run.wall_time_s for run in runs)
-        rows.append({"step": step, "wall_time_s": wall, "error": _error(runs[0].states, exact)})
+        clocks = [Clock() for _ in range(rounds)]
+        for clock in clocks:
+            course = peer.follow(clock, grid, system.initial_state(), "discrete", step, drive)
+            states = [item.state for item in itertools.takewhile(lambda s: s.is_finite, course)]
+        wall = min(clock.wall_time_s for clock in clocks)
+        rows.append({"step": step, "wall_time_s": wall, "error": _error(states, exact)})
     return rows
 
 
@@ -136,23 +139,23 @@ class DrakePeer(Peer):
         self._build(Grid.of(system.scene.run).interval, Sinusoid.none(self.damping.size))
 
     def follow(
-        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
-    ) -> None:
-        """Step from output to output and record the motion (:meth:`.peers.Peer.follow`)."""
+        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
+    ) -> Iterator[Sample]:
+        """Step from output to output (:meth:`.peers.Peer.follow`)."""
         from pydrake.systems.analysis import Simulator
 
         self._build(value, drive)
-        count = series.grid.steps(value)
+        count = grid.steps(value)
         self.place(start)
-        series.record(start)
+        yield Sample(0.0, start)
         simulator = Simulator(self._diagram, self._context)
         simulator.Initialize()
-        for time in series.grid.times[1:]:
-            series.start()
-            simulator.AdvanceTo(time)
-            series.stop(count, count)
-            if not series.record(self.state()):
-                return
+        for time in grid.times[1:]:
+            with clock:
+                simulator.AdvanceTo(time)
+            clock.steps += count
+            clock.evaluations += count
+            yield Sample(time, self.state())
 
     def _build(self, step: float, drive: Drive) -> None:
         """The plant of a time step [s] and the torques that drive it."""

@@ -56,6 +56,7 @@ class ConstraintDynamics(PinocchioLoops, Solver):
 
     best: ClassVar = ("SciPy DOP853", 1e-10)
     precise: ClassVar[Settings] = (1e-14, 1e-14, 1e-10, 50)
+    every_step: ClassVar = True
 
     def __init__(self, system: System):
         super().__init__(system, holder="")

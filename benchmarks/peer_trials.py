@@ -17,6 +17,7 @@ A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -41,10 +42,11 @@ from multiarm.simulation.comparison import state_of
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.hard_cases import choose_cases
 from multiarm.studies.peers import (
+    Clock,
     Drive,
     Grid,
+    Sample,
     Sinusoid,
-    TimeSeries,
     control_torque,
     is_controlled,
     joint_damping,
@@ -207,16 +209,18 @@ class Trial:
         """Torques of the scene's control at a time of the short run, shape (n,)."""
         return control_torque(self.system, self.begin + t, state)
 
-    def energy_errors(self, series: TimeSeries) -> np.ndarray:
-        """Energy of each state of a short run that no work explains [J]."""
-        energy = np.array([total_energy(self.system, state) for state in series.states])
-        if series.works:
-            return np.abs(energy - energy[0] - series.works[: len(energy)])
+    def energy_errors(self, samples: Sequence[Sample]) -> np.ndarray:
+        """Energy of each sample of a short run that no work explains [J]."""
+        energy = np.array([total_energy(self.system, sample.state) for sample in samples])
+        works = [sample.work for sample in samples if sample.work is not None]
+        if works:
+            return np.abs(energy - energy[0] - works)
         power = np.zeros(len(energy))
-        for k, (t, state) in enumerate(zip(series.times, series.states, strict=True)):
-            v = state.velocity[6:]
-            power[k] = (self._torques(t, state) - self.damping * v) @ v
-        work = cumulative_simpson(power, x=series.times, initial=0.0)
+        for k, sample in enumerate(samples):
+            v = sample.state.velocity[6:]
+            power[k] = (self._torques(sample.time, sample.state) - self.damping * v) @ v
+        times = [sample.time for sample in samples]
+        work = cumulative_simpson(power, x=times, initial=0.0)
         return np.abs(energy - energy[0] - work)[::2]  # two steps are one of Simpson's
 
     def errors(self, accelerations: np.ndarray) -> tuple[float | None, float | None]:
@@ -303,6 +307,10 @@ def _compared(trial: Trial, name: str, accelerations: Callable[[], np.ndarray]) 
     return Answer(name, object_error=object_error, joint_error=joint_error)
 
 
+def _reached(samples: Sequence[Sample]) -> float:
+    return samples[-1].time if samples else 0.0
+
+
 def _short_run(trial: Trial, peer: Solver, answer: Answer) -> Answer:
     """Follow the motion of the window to its end, or to what ends it, and add its judgement."""
     method, value = peer.best
@@ -310,30 +318,34 @@ def _short_run(trial: Trial, peer: Solver, answer: Answer) -> Answer:
     if peer.methods[method] == "step":
         count = math.ceil(trial.window / value - 1e-9)
         value = trial.window / count
-    series = TimeSeries(Grid(trial.window / count, count), PATIENCE, every_step=True)
+    grid, start = Grid(trial.window / count, count), trial.state(trial.first)
+    samples: list[Sample] = []
     ended, late = "", False
     try:
-        peer.follow(series, trial.state(trial.first), method, value, trial.drive)
-        if series.reached < trial.window * (1.0 - 1e-9):
+        course = peer.follow(Clock(PATIENCE), grid, start, method, value, trial.drive)
+        for sample in itertools.takewhile(lambda sample: sample.is_finite, course):
+            samples.append(sample)
+        if _reached(samples) < trial.window * (1.0 - 1e-9):
             ended = "NaN"
     except OutOfTime:
-        ended, late = f"only {series.reached:.3g} s in {PATIENCE:g} s of wall time", True
+        ended, late = f"only {_reached(samples):.3g} s in {PATIENCE:g} s of wall time", True
     except Exception as error:
         ended = _error_text(error)
-    gaps = np.array([largest_gap(trial.system, state) for state in series.states])
+    gaps = np.array([largest_gap(trial.system, sample.state) for sample in samples])
     apart = np.flatnonzero(~(gaps <= APART))
     if apart.size:
         ended, late = f"the loops are more than {APART:g} m apart", False
-        del series.states[apart[0] + 1 :], series.times[apart[0] + 1 :]
+        del samples[apart[0] + 1 :]
+    reached = _reached(samples)
     if ended and not late:
-        ended += f" after {series.reached:.3g} s"
-    answer = replace(answer, simulated=series.reached, ended=ended, out_of_time=late)
-    if not series.reached:  # then nothing was found but the start itself
+        ended += f" after {reached:.3g} s"
+    answer = replace(answer, simulated=reached, ended=ended, out_of_time=late)
+    if not reached:  # then nothing is known but the start itself
         return answer
-    off = trial.energy_errors(series)
+    off = trial.energy_errors(samples)
     return replace(
         answer,
-        drift=float(np.max(gaps[: len(series.states)])),
+        drift=float(np.max(gaps[: len(samples)])),
         energy_error=float(np.max(off[np.isfinite(off)])),
     )
 

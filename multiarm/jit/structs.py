@@ -46,6 +46,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
     infer_getattr,
+    intrinsic,
     lower_getattr_generic,
     lower_setattr_generic,
     models,
@@ -55,7 +56,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 
-from multiarm.jit.interpretation import generated
+from multiarm.jit.interpretation import INTERPRETED, generated
 
 # Types of a field of a NamedTuple: C-contiguous arrays of float64 or int64, and their axes, or
 # numbers.
@@ -262,8 +263,10 @@ def view(holder: type, at: int = 0) -> Callable[[Any], Any]:
     :class:`Numbers`.
     """
     kind = View(holder, at)
+    if INTERPRETED:
+        return _python_view(kind)
 
-    @generated(_python_view(kind))
+    @intrinsic
     def open_view(typing_context, struct):
         def generate(context, builder, signature, arguments):
             array = context.make_array(signature.args[0])(context, builder, arguments[0])

@@ -108,99 +108,61 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Estimate:
 
 @dataclass(frozen=True)
 class Change:
-    """The largest difference of two runs in one quantity.
+    """The largest difference of two runs in one quantity."""
 
-    Attributes
-    ----------
-    value : float
-        [m, rad, N]
-    time : float
-        When it is that large [s].
-    arm : str
-        Whose joint or contact it is; empty for the object.
-    """
-
-    value: float
-    time: float
-    arm: str = ""
+    value: float  # [m, rad, N]
+    time: float  # when it is that large [s]
+    arm: str = ""  # whose joint or contact it is; empty for the object
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One thing: an effect of the scene, one that might be added, or a setting.
-
-    Attributes
-    ----------
-    name : str
-    kind : {"present", "candidate", "setting"}
-    about : str
-        What was done: "left out", "added as ...".
-    trouble : str
-        Why there are no numbers, or how the run failed; empty after a success.
-    milliseconds : Estimate or None
-        Of wall time a simulated second that it costs; negative where it saves time.
-    share : Estimate or None
-        The same as a fraction of the time of the scene's own run.
-    evaluations : int or None
-        That it costs, in the whole run.
-    changes : mapping
-        Quantity -> Change.
-    certified : bool
-        Its run meets the requested accuracy, or the scene requests none.
-    """
+    """One thing: an effect of the scene, one that might be added, or a setting."""
 
     name: str
-    kind: str
-    about: str
-    trouble: str = ""
+    kind: str  # present, candidate, setting
+    about: str  # what was done: "left out", "added as ..."
+    trouble: str = ""  # why there are no numbers, or how the run failed; empty after a success
+    # of wall time a simulated second that it costs; negative where it saves time
     milliseconds: Estimate | None = None
-    share: Estimate | None = None
-    evaluations: int | None = None
-    changes: Mapping[str, Change] = field(default_factory=dict)
-    certified: bool = True
+    share: Estimate | None = None  # the same as a fraction of the time of the scene's own run
+    evaluations: int | None = None  # that it costs, in the whole run
+    changes: Mapping[str, Change] = field(default_factory=dict)  # quantity -> Change
+    certified: bool = True  # its run meets the requested accuracy, or the scene requests none
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """What every effect of a scene costs and changes.
+    """What every effect of a scene costs and changes."""
 
-    Attributes
-    ----------
-    scene : dict
-        name, duration_s, output_step_s, text.
-    asked : dict
-        Quantity -> requested accuracy; changes below it are not distinguishable from errors.
-    asked_by_scene : bool
-        The scene itself requests that accuracy.
-    run : dict
-        The scene's own run: status, integrator, stabilization, evaluations, milliseconds (of wall
-        time a simulated second), certificate (its sentence), repeats.
-    entries : tuple of Entry
-    machine : dict
-    wall_time_s : float
-        That all this took.
-    """
-
-    scene: Mapping[str, Any]
+    scene: Mapping[str, Any]  # name, duration_s, output_step_s, text
+    # quantity -> requested accuracy; changes below it are not distinguishable from errors
     asked: Mapping[str, float]
-    asked_by_scene: bool
+    asked_by_scene: bool  # the scene itself requests that accuracy
+    # the scene's own run: status, integrator, stabilization, evaluations, milliseconds (of wall
+    # time a simulated second), certificate (its sentence), repeats
     run: Mapping[str, Any]
     entries: tuple[Entry, ...]
     machine: Mapping[str, Any]
-    wall_time_s: float
+    wall_time_s: float  # that all this took
 
     @property
-    def changes(self) -> pandas.DataFrame:
-        """A row for each entry and quantity: ``entry`` (its number), ``quantity``, ``value``,
-        ``time``, ``arm`` as in :class:`Change`, and ``times_accuracy``."""
+    def table(self) -> pandas.DataFrame:
+        """A row for each entry: name, kind, ``share`` of the time and its ``uncertainty``, and for
+        each quantity the change in units of the requested accuracy; missing where not known."""
         rows = [
-            {"entry": number, "quantity": quantity, **asdict(change)}
-            for number, entry in enumerate(self.entries)
-            for quantity, change in entry.changes.items()
+            {
+                "name": entry.name,
+                "kind": entry.kind,
+                "share": None if entry.share is None else entry.share.value,
+                "uncertainty": None if entry.share is None else entry.share.uncertainty,
+                **{name: change.value / self.asked[name] for name, change in entry.changes.items()},
+            }
+            for entry in self.entries
         ]
-        table = pandas.DataFrame(rows, columns=["entry", "quantity", "value", "time", "arm"])
-        table["times_accuracy"] = table["value"] / table["quantity"].map(self.asked)
-        return table
+        numbers = ["share", "uncertainty", *QUANTITIES]
+        table = pandas.DataFrame(rows, columns=["name", "kind", *numbers])
+        return table.astype(dict.fromkeys(numbers, float))
 
     def moves(self, entry: Entry) -> str | None:
         """The first quantity whose change is above the requested accuracy; None without any."""

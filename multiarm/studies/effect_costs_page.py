@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any
 
 import matplotlib
+import pandas
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -206,7 +207,7 @@ def table(ledger: Ledger) -> TextTable:
     return text_table(title, ledger.entries, "tnnn" + "n" * len(shown) + "ne", columns)
 
 
-def _label(entry: Entry) -> str:
+def _label(entry: Any) -> str:
     return f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
 
 
@@ -226,18 +227,13 @@ def _remark(entry: Entry) -> str:
 
 def figure(ledger: Ledger, with_title: bool = True) -> Figure:
     """Time and changes of every entry that has both, so not of the certificate."""
-    shown = {
-        number: entry
-        for number, entry in enumerate(ledger.entries)
-        if entry.share is not None and entry.changes
-    }
-    colours = [COLOURS[entry.kind] for entry in shown.values()]
+    rows = ledger.table.dropna(subset="share").dropna(subset=list(QUANTITIES), how="all")
     with matplotlib.rc_context(STYLE):
-        height = 1.6 + 0.36 * max(len(shown), 3)
+        height = 1.6 + 0.36 * max(len(rows), 3)
         drawing = Figure(figsize=(11.0, height), layout="constrained")
         costs, changes = drawing.subplots(1, 2, sharey=True, width_ratios=(1, 1.35))
-        _draw_costs(costs, list(shown.values()), colours)
-        _draw_changes(changes, ledger, dict(zip(shown, colours, strict=True)))
+        _draw_costs(costs, rows)
+        _draw_changes(changes, rows)
         keys = [
             Line2D([], [], **_mark(name, INK), linestyle="none", label=QUANTITIES[name].head)
             for name in MARKS
@@ -248,35 +244,28 @@ def figure(ledger: Ledger, with_title: bool = True) -> Figure:
     return drawing
 
 
-def _draw_costs(axes: Axes, entries: list[Entry], colours: list[str]) -> None:
-    shares = [entry.share.scaled(100.0) for entry in entries if entry.share is not None]
+def _draw_costs(axes: Axes, rows: pandas.DataFrame) -> None:
     axes.barh(
-        range(len(entries)),
-        [share.value for share in shares],
-        xerr=[share.uncertainty for share in shares],
-        color=colours, height=0.6, error_kw={"ecolor": INK, "elinewidth": 1.0},
+        range(len(rows)), 100.0 * rows["share"], xerr=100.0 * rows["uncertainty"], height=0.6,
+        color=rows["kind"].map(COLOURS).tolist(), error_kw={"ecolor": INK, "elinewidth": 1.0},
     )  # fmt: skip
     axes.axvline(0.0, color=INK, linewidth=0.8)
-    axes.set_yticks(range(len(entries)), [_label(entry) for entry in entries], parse_math=False)
-    axes.set_ylim(len(entries) - 0.5, -0.5)
+    axes.set_yticks(range(len(rows)), [_label(row) for row in rows.itertuples()], parse_math=False)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xlabel("% of the time of the scene's own run")
     axes.set_title("What it costs")
     axes.set_axisbelow(True)
 
 
-def _draw_changes(axes: Axes, ledger: Ledger, colours: dict[int, str]) -> None:
-    """Draw the changes of the entries with these numbers."""
-    rows = ledger.changes
-    rows = rows[rows["entry"].isin(colours)]
+def _draw_changes(axes: Axes, rows: pandas.DataFrame) -> None:
     axes.set_xscale("log")
-    axes.set_xlim(LEAST, 3.0 * max([10.0, *rows["times_accuracy"]]))
+    axes.set_xlim(LEAST, 3.0 * max(10.0, rows[list(QUANTITIES)].max(axis=None)))
     axes.axvspan(LEAST, 1.0, color=GRID, alpha=0.5, linewidth=0)
     axes.axvline(1.0, color=INK, linewidth=0.8)
-    places = {number: place for place, number in enumerate(colours)}
-    for row in rows.itertuples():
-        mark = _mark(row.quantity, colours[row.entry])
-        at = max(row.times_accuracy, LEAST)
-        axes.plot(at, places[row.entry], **mark, markersize=6.5, clip_on=False, zorder=3)
+    for place, (_, row) in enumerate(rows.iterrows()):
+        for name, change in row[list(QUANTITIES)].dropna().items():
+            mark = _mark(str(name), COLOURS[row["kind"]])
+            axes.plot(max(change, LEAST), place, **mark, markersize=6.5, clip_on=False, zorder=3)
     axes.set_xlabel("largest change, in units of the accuracy")
     axes.set_title("What it changes")
     axes.set_axisbelow(True)

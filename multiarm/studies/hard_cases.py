@@ -60,66 +60,34 @@ EVENTS = Criterion("expected events missing", 0.0, "1", _events_missing)
 
 @dataclass(frozen=True)
 class CriterionResult:
-    """One criterion: passed when ``measured <= bound``.
-
-    Attributes
-    ----------
-    quantity, unit : str
-    bound : float
-    measured : float or None
-        None when it is not a finite number, or could not be measured.
-    passed : bool
-    message : str
-        Why there is no number.
-    """
+    """One criterion: passed when ``measured <= bound``."""
 
     quantity: str
     bound: float
     unit: str
-    measured: float | None
+    measured: float | None  # None when not finite, or not measurable
     passed: bool
-    message: str = ""
+    message: str = ""  # why there is no number
 
 
 @dataclass(frozen=True)
 class CaseResult:
-    """One hard case, run and judged.
-
-    Attributes
-    ----------
-    name, title, difficulty : str
-        As in :class:`multiarm.problems.HardCase`.
-    passed : bool
-        Completed, and every criterion within its bound.
-    status : str
-        "completed", "failed", or "not run" when it could not even begin.
-    message : str
-        What the run said, or why it could not begin.
-    criteria : tuple of CriterionResult
-    events : tuple of dict
-        Events of the run: time, kind, arm, text.
-    statistics : dict
-        Of the run: steps, evaluations, coupled_steps, lowest_rank, highest_rank, ...
-    wall_time_s : float
-        Of the run, without compilation; 0 when not run.
-    history : dict of str to list
-        time [s], gap [m], gap_rate [m/s], energy_balance [J], residual [1], rank, coupled_arms.
-    scene : str
-        The scene as YAML, as far as it could be made.
-    """
+    """A :class:`multiarm.problems.HardCase`, run and judged."""
 
     name: str
     title: str
     difficulty: str
-    passed: bool
-    status: str
-    message: str
+    passed: bool  # completed, and every criterion within its bound
+    status: str  # "completed", "failed", or "not run" when it could not even begin
+    message: str  # what the run said, or why it could not begin
     criteria: tuple[CriterionResult, ...] = ()
-    events: tuple[dict[str, Any], ...] = ()
+    events: tuple[dict[str, Any], ...] = ()  # events of the run: time, kind, arm, text
+    # of the run: steps, evaluations, coupled_steps, lowest_rank, highest_rank, ...
     statistics: Mapping[str, Any] = field(default_factory=dict)
-    wall_time_s: float = 0.0
+    wall_time_s: float = 0.0  # of the run, without compilation; 0 when not run
+    # time [s], gap [m], gap_rate [m/s], energy_balance [J], residual [1], rank, coupled_arms
     history: Mapping[str, list[float | None]] = field(default_factory=dict)
-    scene: str = ""
+    scene: str = ""  # the scene as YAML, as far as it could be made
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -144,20 +112,11 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class SuiteResult:
-    """Several hard cases.
-
-    Attributes
-    ----------
-    cases : tuple of CaseResult
-    machine : dict
-        Processor, platform, versions, time of the run.
-    wall_time_s : float
-        Of everything, compilation too.
-    """
+    """Several hard cases."""
 
     cases: tuple[CaseResult, ...]
-    machine: Mapping[str, Any]
-    wall_time_s: float
+    machine: Mapping[str, Any]  # processor, platform, versions, time of the run
+    wall_time_s: float  # of everything, compilation too
 
     @property
     def passed(self) -> int:

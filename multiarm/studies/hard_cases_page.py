@@ -19,11 +19,12 @@ from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
 from multiarm.studies.hard_cases import CaseResult, SuiteResult
-from multiarm.studies.tables import TextTable, text_table, written
+from multiarm.studies.tables import TextTable, column, text_table, written
 
 SMALLEST = 1e-18
 """The least that is drawn on a logarithmic axis."""
 SHOWN_EVENTS = 12
+_margin = partial(number, digits=2)
 
 
 def figures(suite: SuiteResult) -> dict[str, Any]:
@@ -37,9 +38,9 @@ def figures(suite: SuiteResult) -> dict[str, Any]:
 def case_table(suite: SuiteResult) -> TextTable:
     """One line a case: the criterion nearest to its bound, and how the run went."""
     columns = {
-        "case": lambda case: case.name,
+        "case": column("name"),
         "verdict": lambda case: "pass" if case.passed else "FAIL",
-        "nearest to its bound": nearest,
+        "least bound / measured": nearest,
         "rank": rank_text,
         "path": path_text,
         "steps": lambda case: written(case.statistics.get("steps"), "{:,}".format),
@@ -52,12 +53,12 @@ def case_table(suite: SuiteResult) -> TextTable:
 def criterion_table(case: CaseResult) -> TextTable:
     """One line a criterion."""
     columns = {
-        "criterion": lambda row: row.quantity,
-        "measured": lambda row: written(row.measured, "{:.2g}".format),
+        "criterion": column("quantity"),
+        "measured": column("measured", "{:.2g}".format),
         "bound": lambda row: f"{row.bound:.2g} {'' if row.unit == '1' else row.unit}".rstrip(),
-        "bound / measured": lambda row: written(row.margin, "{:.2g}".format),
+        "bound / measured": column("margin", _margin),
         "verdict": lambda row: "within" if row.passed else "BEYOND",
-        "": lambda row: row.message,
+        "": column("message"),
     }
     return text_table(case.name, case.table.itertuples(), "tnnnte", columns)
 
@@ -67,8 +68,7 @@ def nearest(case: CaseResult) -> str:
     if not case.criteria:
         return NOTHING
     row = case.table.sort_values(["passed", "margin"]).iloc[0]
-    margin = written(row["margin"], "{:.2g}".format)
-    return f"{row['quantity']}: {margin}" if margin != NOTHING else row["quantity"]
+    return f"{row['quantity']}: {written(row['margin'], _margin)}"
 
 
 def rank_text(case: CaseResult) -> str:

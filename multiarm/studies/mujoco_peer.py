@@ -33,10 +33,12 @@ from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.jit.structs import floats_at, struct_at
 from multiarm.studies.peers import (
+    Clock,
     Drive,
+    Grid,
     Peer,
+    Sample,
     Sinusoid,
-    TimeSeries,
     joint_ends,
     links,
     moments,
@@ -107,15 +109,14 @@ class MujocoPeer(Peer):
         return State(np.concatenate(position), np.concatenate(velocity), self.system.model.layout)
 
     def follow(
-        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
-    ) -> None:
-        """Step from output to output and record the motion (:meth:`.peers.Peer.follow`)."""
+        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
+    ) -> Iterator[Sample]:
+        """Step from output to output (:meth:`.peers.Peer.follow`)."""
         kind, stages = _INTEGRATORS[method]
-        d, n, grid = self.data, self.system.model.layout.joints, series.grid
-        count = grid.steps(value)
+        d, n, count = self.data, self.system.model.layout.joints, grid.steps(value)
         self.model.opt.integrator, self.model.opt.timestep = kind, value
         self.place(start)
-        series.record(start)
+        yield Sample(0.0, start)
         played: tuple[TorqueTape, Sinusoid] | None = None
         control: Any = None
         if not isinstance(drive, Sinusoid):
@@ -131,11 +132,11 @@ class MujocoPeer(Peer):
                 if played is not None:
                     tape, torques = played
                     tape.load(torques.at(k * grid.interval + value * offsets))
-                series.start()
-                mujoco.mj_step(self.model, d, nstep=count)
-                series.stop(count, count * len(stages))
-                if not series.record(self.state()):
-                    return
+                with clock:
+                    mujoco.mj_step(self.model, d, nstep=count)
+                clock.steps += count
+                clock.evaluations += count * len(stages)
+                yield Sample((k + 1) * grid.interval, self.state())
 
     def _control(self, torque: Callable[[float, State], np.ndarray]) -> Callable[[Any, Any], None]:
         """MuJoCo's callback for torques of time and state."""

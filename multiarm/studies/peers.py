@@ -2,7 +2,7 @@
 
 Each peer has its best settings: models are built and torques tabulated outside the measured time,
 and no Python is in a loop that can do without.  Torques of time alone are a :class:`Sinusoid`, a
-motion is a :class:`TimeSeries`; what is compared of two programs' states is measured here.
+motion is samples on a :class:`Grid`; what is compared of two programs' states is measured here.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -41,18 +41,10 @@ NOT_INSTALLED = "not installed: pip install mujoco"
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """Torques that depend on time only, ``constant + sine sin(a) + cosine cos(a)``.
+    """Torques that depend on time only, ``constant + sine sin(a) + cosine cos(a)``."""
 
-    Attributes
-    ----------
-    rate : float
-        [rad/s]; ``a = rate t``.
-    constant, sine, cosine : ndarray, shape (n,)
-        [N m] or [N]
-    """
-
-    rate: float
-    constant: np.ndarray
+    rate: float  # [rad/s]; ``a = rate t``
+    constant: np.ndarray  # (n,) [N m] or [N], as the others
     sine: np.ndarray
     cosine: np.ndarray
 
@@ -78,16 +70,9 @@ Drive = Sinusoid | Callable[[float, State], np.ndarray]
 
 @dataclass(frozen=True)
 class Grid:
-    """The times at which motions are compared: 0, interval, 2 interval, ...
+    """The times at which motions are compared: 0, interval, 2 interval, ..."""
 
-    Attributes
-    ----------
-    interval : float
-        [s]
-    intervals : int
-    """
-
-    interval: float
+    interval: float  # [s]
     intervals: int
 
     @classmethod
@@ -108,67 +93,38 @@ class Grid:
         return count
 
 
+class Sample(NamedTuple):
+    """A motion at one time."""
+
+    time: float  # [s]
+    state: State
+    work: float | None = None  # of torques and damping since the start [J], where a peer tells it
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the motion has not diverged."""
+        return bool(np.isfinite(self.state.position).all() & np.isfinite(self.state.velocity).all())
+
+
 @dataclass
-class TimeSeries:
-    """A motion at the times of a grid, as it is recorded.
+class Clock:
+    """Wall time of a run, ``with clock: take_steps()``, and how many steps there were."""
 
-    Attributes
-    ----------
-    grid : Grid
-    limit_s : float
-        The run ends with :class:`OutOfTime` when it has taken longer, on the clock or off it.
-    every_step : bool
-        A method that chooses its steps records after each of them, not at the times of the grid.
-    times : list of float
-        [s]
-    states : list of State
-        At these times, as far as the motion goes and is finite.
-    works : list of float
-        What torques and damping have done since the start [J]; empty if the peer does not tell.
-    wall_time_s : float
-        Of the steps alone: models are built, and torques that are known beforehand are tabulated,
-        off the clock.
-    steps, evaluations : int
-    """
-
-    grid: Grid
-    limit_s: float = math.inf
-    every_step: bool = False
-    times: list[float] = field(default_factory=list)
-    states: list[State] = field(default_factory=list)
-    works: list[float] = field(default_factory=list)
+    limit_s: float = math.inf  # the run ends with OutOfTime when it has taken longer, off it too
     wall_time_s: float = 0.0
     steps: int = 0
     evaluations: int = 0
-    _begin: float = 0.0
     _first: float | None = None
+    _begin: float = 0.0
 
-    @property
-    def reached(self) -> float:
-        """How far the motion goes [s]."""
-        return self.times[-1] if self.times else 0.0
-
-    def record(self, state: State, time: float | None = None) -> bool:
-        """Keep a state, by default at the next time of the grid; tells whether it is finite."""
-        finite = bool(np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity)))
-        if finite:
-            self.times.append(self.grid.interval * len(self.states) if time is None else time)
-            self.states.append(state)
-        return finite
-
-    def start(self) -> None:
-        """Start the clock."""
+    def __enter__(self) -> None:
         self._begin = time.perf_counter()
-        if self._first is None:
-            self._first = self._begin
+        self._first = self._first or self._begin
 
-    def stop(self, steps: int = 0, evaluations: int = 0) -> None:
-        """Stop the clock after so many steps and evaluations."""
-        now = time.perf_counter()
-        self.wall_time_s += now - self._begin
-        self.steps += steps
-        self.evaluations += evaluations
-        self.check()
+    def __exit__(self, kind: object, *_: object) -> None:
+        self.wall_time_s += time.perf_counter() - self._begin
+        if kind is None:
+            self.check()
 
     def check(self) -> None:
         """Raise :class:`OutOfTime` when the limit is over."""
@@ -189,6 +145,8 @@ class TimeSeries:
 
 class Peer(ABC):
     """A program's model of a system; it adds the damping of the joints to all torques itself.
+
+    A peer has two methods: one that builds its model, and :meth:`follow`.
 
     Parameters
     ----------
@@ -215,12 +173,12 @@ class Peer(ABC):
 
     @abstractmethod
     def follow(
-        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
-    ) -> None:
-        """Record the motion from a state by a method and its step [s] or tolerance.
+        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
+    ) -> Iterator[Sample]:
+        """The motion from a state by a method and its step [s] or tolerance, as it is computed.
 
-        Only the steps are on the clock of ``series``.  The motion ends early when the state is no
-        longer finite.
+        Only the steps are on the clock, which counts them.  The samples are at the times of the
+        grid; they go on when the state is no longer finite.
         """
 
 
@@ -251,26 +209,13 @@ def make_peers(
 
 @dataclass(frozen=True)
 class Link:
-    """A link of an arm, moved by one joint.
+    """A link of an arm, moved by one joint."""
 
-    Attributes
-    ----------
-    parent : int
-        Number of the link before it; 0 is the world.
-    placement : pinocchio.SE3
-        Of the joint on the parent.
-    inertia : pinocchio.Inertia
-    turns : bool
-        The joint turns about its axis; else it slides along it.
-    axis : ndarray, shape (3,)
-        In the link's axes.
-    """
-
-    parent: int
-    placement: Any
-    inertia: Any
-    turns: bool
-    axis: np.ndarray
+    parent: int  # number of the link before it; 0 is the world
+    placement: Any  # pinocchio.SE3 of the joint on the parent
+    inertia: Any  # pinocchio.Inertia
+    turns: bool  # the joint turns about its axis; else it slides along it
+    axis: np.ndarray  # (3,), in the link's axes
 
 
 def links(arm: Arm) -> Iterator[Link]:

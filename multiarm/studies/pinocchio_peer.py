@@ -16,9 +16,10 @@ this takes two thirds of the time of a free object with two welds.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import ClassVar
 
@@ -29,7 +30,16 @@ from scipy.integrate import DOP853
 from multiarm.arms.arm import named_with_prefix
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.studies.peers import Drive, Peer, Sinusoid, TimeSeries, joint_ends, tip_frame
+from multiarm.studies.peers import (
+    Clock,
+    Drive,
+    Grid,
+    Peer,
+    Sample,
+    Sinusoid,
+    joint_ends,
+    tip_frame,
+)
 from multiarm.studies.timing import OutOfTime
 
 Settings = tuple[float, ...]
@@ -42,6 +52,8 @@ _OBJECT_JOINTS = {
     FREE: (pin.JointModelFreeFlyer, 7),
 }
 Slope = Callable[[float, np.ndarray], np.ndarray]
+Course = Iterator[tuple[float, np.ndarray]]
+"""Times and coordinates."""
 Solve = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Accelerations by configuration, velocity and generalised forces."""
 
@@ -64,6 +76,8 @@ class PinocchioLoops(Peer):
     """Where an algorithm is timed."""
     precise: ClassVar[Settings] = fast
     """For accelerations, and for motions."""
+    every_step: ClassVar[bool] = False
+    """Samples of adaptive runs are after every step, not at the times of the grid."""
 
     def __init__(self, system: System, holder: str):
         super().__init__(system)
@@ -162,65 +176,60 @@ class PinocchioLoops(Peer):
         return solve
 
     def follow(
-        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
-    ) -> None:
-        """Integrate to every output and record the motion (:meth:`.peers.Peer.follow`)."""
-        slope, y = self.slope(series, drive), self.coordinates(start)
-        self._record(series, y)
-        (self._fixed if method == "RK4" else self._adaptive)(series, slope, y, value)
+        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
+    ) -> Iterator[Sample]:
+        """Integrate to every output (:meth:`.peers.Peer.follow`)."""
+        slope, y = self.slope(clock, drive), self.coordinates(start)
+        integrate = self._fixed if method == "RK4" else self._adaptive
+        for t, row in itertools.chain([(0.0, y)], integrate(clock, grid, slope, y, value)):
+            yield Sample(t, self.state(row), float(row[-1]) if self._kind == FREE else None)
 
-    def _record(self, series: TimeSeries, y: np.ndarray, t: float | None = None) -> bool:
-        if self._kind == FREE:
-            series.works.append(float(y[-1]))
-        return series.record(self.state(y), t)
+    def _fixed(self, clock: Clock, grid: Grid, f: Slope, y: np.ndarray, h: float) -> Course:
+        count, interval = grid.steps(h), grid.interval
+        for k in range(grid.intervals):
+            with clock:
+                for i in range(count):
+                    t = k * interval + i * h
+                    a = f(t, y)
+                    b = f(t + 0.5 * h, y + (0.5 * h) * a)
+                    c = f(t + 0.5 * h, y + (0.5 * h) * b)
+                    d = f(t + h, y + h * c)
+                    y = y + (h / 6.0) * (a + 2.0 * (b + c) + d)
+            clock.steps += count
+            yield (k + 1) * interval, y
 
-    def _fixed(self, series: TimeSeries, f: Slope, y: np.ndarray, h: float) -> None:
-        count, interval = series.grid.steps(h), series.grid.interval
-        for k in range(series.grid.intervals):
-            series.start()
-            for i in range(count):
-                t = k * interval + i * h
-                a = f(t, y)
-                b = f(t + 0.5 * h, y + (0.5 * h) * a)
-                c = f(t + 0.5 * h, y + (0.5 * h) * b)
-                d = f(t + h, y + h * c)
-                y = y + (h / 6.0) * (a + 2.0 * (b + c) + d)
-            series.stop(count)
-            if not self._record(series, y):
-                return
-
-    def _adaptive(self, series: TimeSeries, f: Slope, y: np.ndarray, tolerance: float) -> None:
+    def _adaptive(
+        self, clock: Clock, grid: Grid, f: Slope, y: np.ndarray, tolerance: float
+    ) -> Course:
         """DOP853; its dense output, which is less accurate than its steps, meets the outputs."""
-        times = series.grid.times
-        series.start()
-        solver = DOP853(f, 0.0, y, times[-1], rtol=tolerance, atol=tolerance)
+        left = grid.times[1:]
+        with clock:
+            solver = DOP853(f, 0.0, y, left[-1], rtol=tolerance, atol=tolerance)
         while solver.status == "running":
-            fault = solver.step()
+            with clock:
+                fault = solver.step()
+                due, left = left[left <= solver.t], left[left > solver.t]
+                if self.every_step:
+                    due, rows = [solver.t], [solver.y]
+                else:
+                    rows = solver.dense_output()(due).T if due.size else []
             if solver.status == "failed":
                 raise ArithmeticError(fault)
-            due = times[len(series.states) :]
-            due = due[due <= solver.t]
-            found = [solver.y] if series.every_step else []
-            if due.size and not series.every_step:
-                found = list(solver.dense_output()(due).T)
-            series.stop(steps=1)
-            for row in found:
-                self._record(series, row, solver.t if series.every_step else None)
-            series.start()
-        series.stop()
+            clock.steps += 1
+            yield from zip(due, rows, strict=True)
 
-    def slope(self, series: TimeSeries, drive: Drive) -> Slope:
+    def slope(self, clock: Clock, drive: Drive) -> Slope:
         """``dy/dt`` as a function of time and ``y``; it counts its calls and watches the clock."""
         n, split, width = self.damping.size, self._split, self._split + self.model.nv
         plain, configuration = not self._circular.any(), self._configuration
         solve, torques = self._solver(), self._torques(drive)
         torque, damping = np.zeros(self.model.nv), self.damping
-        deadline = time.perf_counter() + series.limit_s
+        deadline = time.perf_counter() + clock.limit_s
         damped, hinge, free = bool(np.any(damping)), self._kind == "revolute", self._kind == FREE
         turning = self._kind in (FREE, "ball")
 
         def f(t: float, y: np.ndarray) -> np.ndarray:
-            series.evaluations += 1
+            clock.evaluations += 1
             if time.perf_counter() > deadline:
                 raise OutOfTime
             v = y[split:width]
@@ -262,21 +271,21 @@ class PinocchioLoops(Peer):
         n, split = self.damping.size, self._split
         y = np.zeros(split + self.model.nv + (self._kind == FREE))
         y[:n], y[split : split + n] = state.position[7:], state.velocity[6:]
-        data, own, rate = self.data, y[n:split], y[split + n :]
+        data, pose, rate = self.data, y[n:split], y[split + n :]
         R_O, twist = _se3(state.position).rotation, state.object_twist
         if self._kind == FREE:
-            own[:], rate[:3], rate[3:6] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
+            pose[:], rate[:3], rate[3:6] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
         if self._kind not in ("ball", "revolute"):
             return y
-        own[-1] = 1.0 if self._kind == "ball" else 0.0
+        pose[-1] = 1.0 if self._kind == "ball" else 0.0
         pin.forwardKinematics(self.model, data, self._configuration(y), y[split:])
         R_A, R_B = (data.oMi[self._last] * self._tip).rotation, R_O @ self._on_object
         tip_turns = data.oMi[self._last].rotation @ data.v[self._last].angular
         turning, relative = R_B.T @ (twist[3:] - tip_turns), R_A.T @ R_B
         if self._kind == "ball":
-            own[:], rate[:] = pin.Quaternion(relative).coeffs(), turning
+            pose[:], rate[:] = pin.Quaternion(relative).coeffs(), turning
         else:
-            own[0], rate[0] = math.atan2(relative[1, 0], relative[0, 0]), turning[2]
+            pose[0], rate[0] = math.atan2(relative[1, 0], relative[0, 0]), turning[2]
         return y
 
     def state(self, y: np.ndarray) -> State:

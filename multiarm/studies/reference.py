@@ -81,27 +81,15 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class Reference:
-    """A motion with known digits.
-
-    Attributes
-    ----------
-    motion : Motion
-    digits : mapping
-        Quantity -> what the check differs by.
-    average_step_s : float
-    wall_time_s : float
-    about : dict
-        How it was made and checked: method, tolerance, evaluations, check.
-    first : bool
-        It is a first one, which the one of :func:`make_reference` is to replace.
-    """
+    """A motion with known digits."""
 
     motion: Motion
-    digits: Mapping[str, float]
+    digits: Mapping[str, float]  # quantity -> what the check differs by
     average_step_s: float
     wall_time_s: float
+    # how it was made and checked: method, tolerance, evaluations, check
     about: Mapping[str, Any] = field(default_factory=dict)
-    first: bool = False
+    first: bool = False  # it is a first one, which the one of :func:`make_reference` is to replace
 
 
 def motion_error(errors: Mapping[str, float | None]) -> float | None:

@@ -36,9 +36,9 @@ from multiarm.results.trajectory import plain
 from multiarm.scene import Scene
 from multiarm.studies.peers import (
     PEERS,
+    Clock,
     Grid,
     Peer,
-    TimeSeries,
     control_torque,
     largest_gap,
     make_peers,
@@ -101,40 +101,24 @@ clock = time.perf_counter
 
 @dataclass(frozen=True)
 class Point:
-    """One setting, measured; None where there is no number.
-
-    Attributes
-    ----------
-    setting : Setting
-    status : {"completed", "failed", "too slow"}
-    message : str
-        Why there is no result.
-    wall_time_s : float or None
-        Of the fastest of ``repeats`` runs, from the first step to the last output.
-    repeats : int
-    steps, evaluations : int or None
-    errors : mapping
-        position [m], rotation [rad], joints [rad, m], force [N]: the worst at an output time.
-    gap_m, gap_rate_m_per_s : float or None
-        Largest gap of a contact at an output time (position drift), and its rate (velocity drift).
-    energy_J : float or None
-        Largest error of the energy balance.
-    used : str
-        The integrator, where the program chose it.
-    """
+    """One setting, measured; None where there is no number."""
 
     setting: Setting
-    status: str
-    message: str = ""
+    status: str  # completed, failed, too slow
+    message: str = ""  # why there is no result
+    # of the fastest of ``repeats`` runs, from the first step to the last output
     wall_time_s: float | None = None
     repeats: int = 1
     steps: int | None = None
     evaluations: int | None = None
+    # position [m], rotation [rad], joints [rad, m], force [N]: the worst at an output time
     errors: Mapping[str, float | None] = field(default_factory=dict)
+    # largest gap of a contact at an output time (position drift)
     gap_m: float | None = None
+    # largest rate of a gap at an output time (velocity drift)
     gap_rate_m_per_s: float | None = None
-    energy_J: float | None = None
-    used: str = ""
+    energy_J: float | None = None  # largest error of the energy balance
+    used: str = ""  # the integrator, where the program chose it
 
     def error(self, quantity: str) -> float | None:
         """The error of a quantity (``reference.QUANTITIES``); None where there is no result."""
@@ -191,27 +175,28 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Ru
 
     A feedback controller, which is ours and is called back, costs the peer nothing.
     """
-    series = TimeSeries(Grid.of(system.scene.run), limit_s)
-    drive = sinusoid(system) or series.off_the_clock(partial(control_torque, system))
+    clock, grid, start = Clock(limit_s), Grid.of(system.scene.run), system.initial_state()
+    drive = sinusoid(system) or clock.off_the_clock(partial(control_torque, system))
     try:
         with np.errstate(all="ignore"):
-            peer.follow(series, system.initial_state(), setting.method, setting.value, drive)
+            course = peer.follow(clock, grid, start, setting.method, setting.value, drive)
+            samples = list(itertools.takewhile(lambda sample: sample.is_finite, course))
     except OutOfTime:
         return _too_slow(setting, limit_s)
     except Exception as error:
         return Run(Point(setting, FAILED, error_text(error).splitlines()[0]))
-    if len(series.states) <= series.grid.intervals:
-        reason = f"the state is no longer finite after {series.reached:.3g} s"
+    if len(samples) <= grid.intervals:
+        reason = f"the state is no longer finite after {samples[-1].time:.3g} s"
         return Run(Point(setting, FAILED, reason))
     point = Point(
         setting,
         COMPLETED,
-        wall_time_s=series.wall_time_s,
-        steps=series.steps,
-        evaluations=series.evaluations,
-        gap_m=max(largest_gap(system, state) for state in series.states),
+        wall_time_s=clock.wall_time_s,
+        steps=clock.steps,
+        evaluations=clock.evaluations,
+        gap_m=max(largest_gap(system, sample.state) for sample in samples),
     )
-    return Run(point, Motion(np.array([state.position for state in series.states])))
+    return Run(point, Motion(np.array([sample.state.position for sample in samples])))
 
 
 def _too_slow(setting: Setting, limit_s: float) -> Run:
@@ -223,38 +208,20 @@ def _too_slow(setting: Setting, limit_s: float) -> Run:
 
 @dataclass
 class Study:
-    """What has been measured so far.
+    """What has been measured so far."""
 
-    Attributes
-    ----------
-    scene : dict
-        name, duration_s, output_step_s, text, and accuracy: the error that is aimed at, for each
-        quantity.
-    machine : dict
-    reference : Reference or None
-        What points are compared with.
-    points : dict of str to Point
-        By the setting's key, in the order in which they were measured.
-    refusals : dict of str to str
-        Peer -> why it has no points.
-    wall_time_s : float
-        That the study took.
-    planned : int
-        How many points there will be, as far as that is known.
-    finished : bool
-    left_out : bool
-        Not every setting was measured: the study is quick, or was interrupted.
-    """
-
+    # name, duration_s, output_step_s, text, and accuracy: the error that is aimed at, for each
+    # quantity
     scene: Mapping[str, Any]
     machine: Mapping[str, Any]
-    reference: Reference | None = None
+    reference: Reference | None = None  # what points are compared with
+    # by the setting's key, in the order in which they were measured
     points: dict[str, Point] = field(default_factory=dict)
-    refusals: Mapping[str, str] = field(default_factory=dict)
-    wall_time_s: float = 0.0
-    planned: int = 0
+    refusals: Mapping[str, str] = field(default_factory=dict)  # peer -> why it has no points
+    wall_time_s: float = 0.0  # that the study took
+    planned: int = 0  # how many points there will be, as far as that is known
     finished: bool = False
-    left_out: bool = True
+    left_out: bool = True  # not every setting was measured: the study is quick, or was interrupted
 
     @classmethod
     def of(cls, scene: Scene) -> Study:
@@ -392,7 +359,8 @@ class _Measurement:
         if first is not None:
             ladders = our_ladders(run.output_step, run.duration, first.average_step_s)
             until = max(until, clock() + LEAST_FIRST)
-            for _ in itertools.takewhile(lambda _: clock() < until, self._climb(ladders, (4,))):
+            coarse = self._climb(ladders, self.strides[:1])
+            for _ in itertools.takewhile(lambda _: clock() < until, coarse):
                 pass
             yield
         reference = make_reference(self.system, partial(self.report, 0.0, 0.0))
@@ -405,7 +373,8 @@ class _Measurement:
             if point.status != TOO_SLOW  # there is more time now
         }
         study.reference = reference
-        yield
+        if study.points:
+            yield
         average = reference.average_step_s
         self.peers, study.refusals = make_peers(self.system, PEERS if peers else {})
         ladders = our_ladders(run.output_step, run.duration, average)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import sys
 from dataclasses import replace
 
@@ -15,7 +16,14 @@ from peer_trials import OURS, SOLVERS, Trial, total_energy
 
 import multiarm as ma
 from multiarm.problems import HardCase
-from multiarm.studies.peers import NOT_INSTALLED, Grid, TimeSeries, largest_gap, make_peers
+from multiarm.studies.peers import (
+    NOT_INSTALLED,
+    Clock,
+    Grid,
+    Sample,
+    largest_gap,
+    make_peers,
+)
 
 RUN = {"duration": 0.2, "accuracy": 1e-8}
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
@@ -88,10 +96,10 @@ def test_peers_make_the_same_motion_under_control_and_damping(monkeypatch):
     allowed = {"constraintDynamics": 1e-8, **({"MuJoCo": 1e-6} if MUJOCO_IS_HERE else {})}
     ours = trial.state(trial.last)
     for name, tolerance in allowed.items():
-        series = TimeSeries(Grid(trial.window / 200, 200))
-        peers[name].follow(series, trial.state(trial.first), *peers[name].best, trial.drive)
-        assert series.reached == pytest.approx(trial.window)
-        state = series.states[-1]
+        grid, start = Grid(trial.window / 200, 200), trial.state(trial.first)
+        *_, last = peers[name].follow(Clock(), grid, start, *peers[name].best, trial.drive)
+        assert last.time == pytest.approx(trial.window)
+        state = last.state
         assert np.max(np.abs(state.position - ours.position)) < tolerance
         assert np.max(np.abs(state.velocity - ours.velocity)) < 100 * tolerance
 
@@ -146,8 +154,8 @@ def answer_of(trial, accelerations, follow):
         def accelerations(self, state, torque):
             return accelerations(state, torque)
 
-        def follow(self, series, start, *_):
-            follow(series, start)
+        def follow(self, clock, grid, start, *_):
+            return follow(clock, grid, start)
 
     return peer_trials.answer_of(trial, "peer", Peer(trial.system))
 
@@ -158,8 +166,8 @@ def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
 
-    def going_out(series, start):
-        series.record(start), series.record(start)
+    def going_out(_clock, grid, start):
+        return [Sample(0.0, start), Sample(grid.interval, start)]
 
     answer = answer_of(healthy_trial, lambda state, torque: np.full(size, np.nan), broken)
     assert (answer.accelerations, answer.object_error) == ("NaN", None)
@@ -176,11 +184,11 @@ def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_
 def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
     start = healthy_trial.state(healthy_trial.first)
 
-    def faster(series, start):
+    def faster(_clock, grid, start):
         twice = start.copy()
         twice.velocity[:] *= 1.0 + 1e-3
-        for state in (start, *[twice] * series.grid.intervals):
-            series.record(state)
+        for k in range(grid.intervals + 1):
+            yield Sample(k * grid.interval, twice if k else start)
 
     reference = healthy_trial.reference
     answer = answer_of(healthy_trial, lambda state, torque: reference * (1.0 + 1e-3), faster)
@@ -196,11 +204,12 @@ def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
 def test_a_slow_peer_is_not_waited_for(healthy_trial, monkeypatch):
     monkeypatch.setattr(peer_trials, "PATIENCE", 0.0)
 
-    def creeping(series, start):
-        series.record(start)
-        while series.record(start):
-            series.start()
-            series.stop()
+    def creeping(clock, grid, start):
+        yield Sample(0.0, start)
+        for k in itertools.count(1):
+            yield Sample(k * grid.interval, start)
+            with clock:
+                pass
 
     answer = answer_of(healthy_trial, lambda state, torque: healthy_trial.reference, creeping)
     assert answer.ended == "only 0.0005 s in 0 s of wall time"

@@ -25,8 +25,9 @@ from multiarm.studies.mujoco_peer import TorqueTape
 from multiarm.studies.peers import (
     NOT_INSTALLED,
     PEERS,
+    Clock,
     Grid,
-    TimeSeries,
+    Sample,
     control_torque,
     make_peers,
     sinusoid,
@@ -279,7 +280,8 @@ def fast_study(monkeypatch, system, reference):
         monkeypatch.setattr(studies, "make_reference", lambda *_: instant)
         monkeypatch.setattr(studies, "our_ladders", lambda *_: ladder)
         monkeypatch.setattr(studies, "run_ours", law)
-        *_, study = run_study(system.scene, peers=False, **options)
+        for study in run_study(system.scene, peers=False, **options):
+            assert not study.table.empty, "what is shown has a point"
         assert study.finished
         return study
 
@@ -703,10 +705,11 @@ def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference
     late = course_of(peers, "Pinocchio", "RK4", 1e-5, reference, system, limit_s=0.02)
     assert late.status == TOO_SLOW
 
-    def diverging(series, start, *_):
+    def diverging(_clock, grid, start, *_):
         lost = start.copy()
         lost.velocity[:] = np.inf
-        assert [series.record(state) for state in (start, start, lost)] == [True, True, False]
+        for k, state in enumerate((start, start, lost, start)):
+            yield Sample(k * grid.interval, state)
 
     peers["Pinocchio"].follow = diverging
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
@@ -741,25 +744,20 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     for method in peer.methods:
         ends = []
         for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
-            series = TimeSeries(grid)
-            peer.follow(series, system.initial_state(), method, 0.005, torques)
-            ends.append(series.states[-1].position)
+            *_, last = peer.follow(Clock(), grid, system.initial_state(), method, 0.005, torques)
+            ends.append(last.state.position)
         # roundings of torques end Newton's method an iteration earlier or later
         assert ends[0] == pytest.approx(ends[1], abs=1e-8), method
 
 
 def test_the_clock_does_not_count_what_is_off_it():
-    grid = Grid(0.1, 1)
-    series = TimeSeries(grid)
-    series.start()
-    series.off_the_clock(lambda: [None] * 200_000)()
-    with_it = series.wall_time_s
-    series.stop()
-    assert with_it < 0.0 <= series.wall_time_s
-    late = TimeSeries(grid, limit_s=0.0)
-    late.start()
-    with pytest.raises(OutOfTime):
-        late.stop()
+    clock = Clock()
+    with clock:
+        clock.off_the_clock(lambda: [None] * 200_000)()
+        with_it = clock.wall_time_s
+    assert with_it < 0.0 <= clock.wall_time_s
+    with pytest.raises(OutOfTime), Clock(limit_s=0.0):
+        pass
 
 
 # --- the common scene -----------------------------------------------------------------------------

@@ -21,7 +21,17 @@ import numpy as np
 import multiarm as ma
 from multiarm.arms.compiled.kernels import place_joint, update_arms
 from multiarm.jit.kernels import kernel
-from multiarm.jit.simd import load_pack
+from multiarm.jit.simd import (
+    LANES,
+    broadcast,
+    gather_pack,
+    load_pack,
+    min_positive,
+    minimum,
+    store_pack,
+    sum_pack,
+    transpose_four,
+)
 from multiarm.problems import HARD_CASES, ring_of_arms
 
 
@@ -85,9 +95,32 @@ def gradient() -> golden.Results:
     }
 
 
+@kernel
+def write_packs(source, out):
+    """Every operation of packs, of 16 numbers."""
+    a, b = load_pack(source, 0), load_pack(source, LANES)
+    store_pack(out, 0, a + b)
+    store_pack(out, 4, a - b)
+    store_pack(out, 8, a * b)
+    store_pack(out, 12, a / b)
+    store_pack(out, 16, minimum(a, b))
+    store_pack(out, 20, min_positive(a, b))
+    store_pack(out, 24, broadcast(sum_pack(load_pack(source, 8))))
+    store_pack(out, 28, gather_pack(source, 7, 0, 13, 10))
+    transpose_four(source, 0, out, 32, 44, 40, 36)
+
+
+def packs() -> golden.Results:
+    """Of numbers that are not finite, too; to the last digit."""
+    source, out = np.arange(16.0) / 3.0, np.zeros(48)
+    source[:8] = 1.0, -2.0, 0.3, np.nan, -1.5, 0.0, np.nan, 2.5
+    write_packs(source, out)
+    return {"numbers": [repr(number) for number in out.tolist()]}
+
+
 COMPUTATIONS: dict[str, Callable[[], golden.Results]] = {
     function.__name__: function
-    for function in (step, ten_steps, implicit_steps, event, derivatives, gradient)
+    for function in (packs, step, ten_steps, implicit_steps, event, derivatives, gradient)
 }
 
 
