@@ -168,6 +168,7 @@ def _number_property(place: int, real: bool) -> property:
     return property(read, write)
 
 
+@functools.cache  # reading annotations takes longer than a call of a kernel
 def _fields_of(holder: type) -> list[tuple[Any, int]]:
     """Number type and axes of every field, from its annotations; -1 axes: a view of numbers."""
     hints = get_type_hints(holder, include_extras=True)
