@@ -127,7 +127,7 @@ def differentiate_control(struct, differences, follows, differs):
     else as the laws state them.  Returns a status.
     """
     model, data, work = open_system(struct)
-    clear_table(data.force_slopes)
+    clear_slopes(model, data, work, differences.local, data.force_slopes, chart_places(data).joints)
     status, laws = OK, differences.laws
     if follows and not differs:
         for k in range(laws):
@@ -137,9 +137,11 @@ def differentiate_control(struct, differences, follows, differs):
     by_state = follows and differs
     if by_state or differences.time_change > 0.0:
         status = add_differences(struct, differences, CONTROL, by_state)
-    first = chart_places(data).joints
+    first, time = chart_places(data).joints, force_columns(data).time
     for j in range(data.torque.size):
-        for c in range(data.torque_slopes.shape[1]):
+        for c in range(
+            0 if by_state else time, data.torque_slopes.shape[1] if by_state else time + 1
+        ):
             data.torque_slopes[j, c] += data.force_slopes[first + j, c]
     act(struct, differences, CONTROL, model, data, work)
     return status
@@ -153,8 +155,8 @@ def differentiate_effect(struct, differences, k):
     of this effect alone are in ``data.generalised_forces``.
     """
     model, data, work = open_system(struct)
-    clear_table(data.force_slopes)
     status, effect, first = OK, model.effects[k], chart_places(data).joints
+    clear_slopes(model, data, work, differences.local, data.force_slopes, first)
     actuates = model.passive_end <= k < model.actuator_end
     if effect[2] != 0:
         call_cfunc(effect[2], struct, float(effect[1]), data.time.now)
@@ -166,6 +168,37 @@ def differentiate_effect(struct, differences, k):
             clear(data.force_slopes[first + j])
     act(struct, differences, k, model, data, work)
     return status
+
+
+@kernel
+def clear_slopes(model, data, work, local, table, first):
+    """Write zeros into a table of derivatives whose rows of joints begin at ``first``.
+
+    Where forces are local, into those columns of each row only that are read: the cost is linear.
+    """
+    if local == 0:
+        clear_table(table)
+        return
+    at = force_columns(data)
+    for l in range(first):  # noqa: E741
+        clear(table[l, : at.positions])
+        clear(table[l, at.states :])
+    for i in range(work.dofs.size - 1):
+        for j in range(work.dofs[i], work.dofs[i + 1]):
+            clear_columns(at, work.dofs[i], work.dofs[i + 1], table[first + j])
+        for s in range(table.shape[0] - first - data.v.size):
+            if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
+                row = table[first + data.v.size + s]
+                clear_columns(at, work.dofs[i], work.dofs[i + 1], row)
+
+
+@inlined
+def clear_columns(at, begin, end, row):
+    """Write zeros into the columns of an arm's joints, of the object, and of what follows."""
+    clear(row[: at.positions])
+    clear(row[at.positions + begin : at.positions + end])
+    clear(row[at.rates + begin : at.rates + end])
+    clear(row[at.states :])
 
 
 @inlined

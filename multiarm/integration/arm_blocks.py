@@ -74,6 +74,7 @@ from multiarm.dynamics.equation_derivatives import (
 )
 from multiarm.dynamics.force_derivatives import (
     Differences,
+    clear_slopes,
     clear_table,
     differentiate_control,
     differentiate_effect,
@@ -83,7 +84,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.step import Step
-from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, Ints2
 
@@ -228,12 +229,12 @@ def differentiate_arms(step, blocks, t, h):
 
     Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular.
     """
-    _, data, work = open_system(step.system)
+    model, data, work = open_system(step.system)
     for i in range(blocks.counts.size):
         clear_table(blocks.derivatives[i])
         clear_table(blocks.on_object[i])
     clear_table(blocks.by_object)
-    clear_table(data.torque_slopes)
+    clear_slopes(model, data, work, 1, data.torque_slopes, 0)
     status = write_derivatives(step.system, blocks.equations, False, data.twist)
     if status != OK:
         return status
@@ -364,17 +365,11 @@ def add_forces(step, blocks, h):
         if k == model.passive_end and controlled:
             status = differentiate_laws(struct, blocks, held)
         if status == OK and k == model.actuator_end and controlled:
-            first = chart_places(data).joints
-            clear_table(data.force_slopes)
-            clear(data.generalised_forces)
-            for j in range(data.torque.size):
-                copy(data.torque_slopes[j], data.force_slopes[first + j])
-                data.h[j] = data.torque[j]
-            gather(blocks, data, work, total)
+            gather(blocks, data, work, total, True)
         actuates = model.passive_end <= k < model.actuator_end
         if status == OK and k < model.applied_end and (controlled or not actuates):
             status = differentiate_effect(struct, differences, k)
-            gather(blocks, data, work, blocks.powers[k])
+            gather(blocks, data, work, blocks.powers[k], False)
         if status != OK:
             break
     step.stage.evaluations += differences.evaluations
@@ -400,14 +395,16 @@ def differentiate_laws(struct, blocks, held):
 
 
 @kernel
-def gather(blocks, data, work, power):
-    """Add the derivatives of forces in the data to the blocks, and those of their power.
+def gather(blocks, data, work, power, of_drives):
+    """Add the derivatives in the data, of torques of the drives or of one effect, to the blocks.
 
-    ``power`` is its place, the last one for the control; -1: it does not count.
+    ``power`` is the place of the power of these, whose derivatives follow; -1: it does not count.
     """
     total = blocks.works - 1
     at, places, own = force_columns(data), chart_places(data), 2 * blocks.d + blocks.e
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
+    slopes = data.torque_slopes if of_drives else data.force_slopes
+    force, first = (data.torque, 0) if of_drives else (data.h, places.joints)
     for i in range(blocks.counts.size):
         A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
         joints, states = d1 - d0, blocks.counts[i]
@@ -425,23 +422,22 @@ def gather(blocks, data, work, power):
                 source = k if k < TIME else at.time + k - TIME
             power_slope = 0.0
             for j in range(joints):
-                slope = data.force_slopes[places.joints + d0 + j, source]
+                slope = slopes[first + d0 + j, source]
                 A[j, column] -= slope
                 power_slope += slope * data.v[d0 + j]
             if joints <= c < 2 * joints:
-                power_slope += data.h[d0 + c - joints]
-            for k in range(states):
-                row = places.velocity + blocks.states[i, k]
-                A[rates + k, column] += data.force_slopes[row, source]
+                power_slope += force[d0 + c - joints]
+            for k in range(0 if of_drives else states):
+                A[rates + k, column] += slopes[places.velocity + blocks.states[i, k], source]
             if power >= 0:
                 A[powers + total, column] += power_slope
             if 0 <= power < total:
                 A[powers + power, column] += power_slope
-    for c in range(TIME + 1):
+    for c in range(0 if of_drives else TIME + 1):
         source = c if c < TIME else at.time
         power_slope = data.h_o[c - TWIST] if TWIST <= c < TIME else 0.0
         for l in range(6):  # noqa: E741
-            slope = data.force_slopes[l, source]
+            slope = slopes[l, source]
             blocks.by_object[l, c] -= slope
             power_slope += slope * data.twist[l]
         if power >= 0:

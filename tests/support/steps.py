@@ -11,7 +11,7 @@ from mechanics import data_of
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.model import with_effects
 from multiarm.dynamics.status import OK
-from multiarm.jit.pointers import CFUNC_PROTOTYPE
+from multiarm.jit.pointers import function_at
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Task, prepare, run_spec
 
@@ -44,7 +44,7 @@ def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
     step, struct = stepping.step, stepping.struct
     step.k[0] = step.slope
     step.stage.alpha, step.stage.beta = alpha, beta
-    make = CFUNC_PROTOTYPE(stepping.coefficients.step)
+    make = function_at(stepping.coefficients.step)
     assert make(struct.ctypes.data, struct.size, 0.0, h) == OK
     return stepping
 
