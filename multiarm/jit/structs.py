@@ -135,7 +135,7 @@ class Numbers:
 
     def __init_subclass__(cls) -> None:
         cls._fields = tuple(name for name in cls.__annotations__)
-        for k, (name, (kind, _)) in enumerate(zip(cls._fields, _fields_of(cls), strict=True)):
+        for k, (name, (kind, _)) in enumerate(zip(cls._fields, _fields_of(cls), strict=True)):  # type: ignore[arg-type]
             setattr(cls, name, _number_property(WIDTH * k, kind is types.float64))
 
     def __init__(self, **values: float) -> None:
