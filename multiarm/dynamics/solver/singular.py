@@ -32,8 +32,8 @@ as it is, and the result is continuous with that of the regular path.
 contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
 with the object measured in unit directions and lever arms, and each arm by its own ``sigma_best``:
 combinations that move less than ``COUPLED_RANK_TOLERANCE`` of these have no force.  Since the
-directions are orthonormal combinations of the contacts, the contact forces have the least norm in newtons;
-contradicting constraints are met in the sense of least squares.
+directions are orthonormal combinations of the contacts, the contact forces have the least norm in
+newtons; contradicting constraints are met in the sense of least squares.
 """
 
 from __future__ import annotations
