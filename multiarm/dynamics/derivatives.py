@@ -53,7 +53,7 @@ from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
-from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 

@@ -39,17 +39,15 @@ from multiarm.dynamics.kinematics import (
     write_joint_rows,
 )
 from multiarm.dynamics.solver.batched import solve_batched
+from multiarm.dynamics.solver.bounds import AT_REST, IMBALANCE_BOUND
 from multiarm.dynamics.solver.factors import norm
-from multiarm.dynamics.solver.node import IMBALANCE_BOUND, eliminate_arms
+from multiarm.dynamics.solver.node import eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
-
-# Smallest scale of accelerations that residuals are compared with [m/s^2].
-AT_REST = 1e-9
 
 
 @kernel

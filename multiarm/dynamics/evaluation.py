@@ -40,9 +40,10 @@ from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.bounds import PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NodeWork
-from multiarm.dynamics.solver.singular import PART_TOLERANCE, CoupledWork, loose_rows
+from multiarm.dynamics.solver.singular import CoupledWork, loose_rows
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK

@@ -18,27 +18,20 @@ import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import open_coupled, open_system
-from multiarm.dynamics.equations import (
-    AT_REST,
-    evaluate_state,
-    largest,
-    renew_kinematics,
-    solve_again,
-)
+from multiarm.dynamics.equations import evaluate_state, largest, renew_kinematics, solve_again
 from multiarm.dynamics.solver.batched import largest_free_rate
-from multiarm.dynamics.solver.node import COUPLED_BELOW
+from multiarm.dynamics.solver.bounds import (
+    AT_REST,
+    COUPLED_BELOW,
+    LOST,
+    MOST_ROUNDED_RESIDUAL,
+    REGAINED,
+    RESIDUAL_BOUND,
+)
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, NUMBERS, cfunc, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
-
-# Largest constraint residual of a solution, relative to the largest term of its equation.
-RESIDUAL_BOUND = 1e-5
-# Largest residual by rounding errors of gaps near a loss of rank.
-MOST_ROUNDED_RESIDUAL = 1e-3
-# A direction with a sigma below this fraction of the arm's largest is lost, and regained at
-# REGAINED times this fraction.
-LOST, REGAINED = 1e-3, 2.0
 
 
 @kernel

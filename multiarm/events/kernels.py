@@ -19,7 +19,7 @@ from multiarm.dynamics.equations import (
     update_rows,
     write_wrenches,
 )
-from multiarm.dynamics.solver.node import IMBALANCE_BOUND
+from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
     eliminate_with_reactions,

@@ -21,12 +21,10 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.bounds import DEPENDENT
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.events.modes import Modes
-
-# Rows whose scaled response has smaller eigenvalues are dependent.
-DEPENDENT = 1e-7
 
 
 class RowDynamics:

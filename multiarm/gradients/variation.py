@@ -39,7 +39,7 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.sensitivity import Derivatives, Motions
-from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError

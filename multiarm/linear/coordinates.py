@@ -29,7 +29,8 @@ import numpy as np
 from scipy.linalg import qr
 
 from multiarm.dynamics.sensitivity import Motions
-from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE, null_space
+from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.dense import null_space
 
 # Weight of the object's coordinates against joints.
 PREFERENCE = 10.0

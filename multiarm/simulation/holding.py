@@ -28,7 +28,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, failure_text
 from multiarm.dynamics.forces.distribution import ForceFamily, forces_for, smallest_load
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.dense import RANK_TOLERANCE
+from multiarm.dynamics.solver.bounds import RANK_TOLERANCE
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System

@@ -12,8 +12,9 @@ from matrix_systems import random_system, seeds, solve_by_node, stacked, worked_
 from mechanics import EPS
 
 from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
+from multiarm.dynamics.solver.bounds import COUPLED_BELOW
 from multiarm.dynamics.solver.dense import solve_dense
-from multiarm.dynamics.solver.node import COUPLED_BELOW, NO_INERTIA, eliminate_arms, make_work
+from multiarm.dynamics.solver.node import NO_INERTIA, eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import couple, make_coupled
 from multiarm.dynamics.status import DEFICIENT, OK
 

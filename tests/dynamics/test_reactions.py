@@ -16,10 +16,9 @@ from matrix_systems import random_system, solve_by_node, stacked, worked_system
 from mechanics import EPS
 from repository import WORKED
 
+from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_lu, solve_lu_transposed
-from multiarm.dynamics.solver.node import IMBALANCE_BOUND
-from multiarm.dynamics.solver.reaction_coupling import PART_TOLERANCE
 from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
     make_reaction_work,

@@ -41,7 +41,8 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.node import COUPLED_BELOW, eliminate_arms, make_work
+from multiarm.dynamics.solver.bounds import COUPLED_BELOW
+from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import (
     couple,
     loose_rows,

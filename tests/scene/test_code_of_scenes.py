@@ -149,22 +149,21 @@ def test_a_stored_run_names_the_class_and_loads_nothing(folder):
 
 
 @pytest.mark.parametrize(
-    ("changes", "place", "reason"),
+    ("changes", "place"),
     [
-        ({"effects": {"parts.py:Magnet": {"strenght": 1}}}, "strenght", "unknown key 'strenght'"),
-        ({"control": {"kind": "parts.py:Pull"}}, "$.control.stiffness", "is missing"),
-        ({"control": {"kind": "parts.py:Magnet"}}, "$.control.kind", "no subclass of multiarm.Con"),
-        ({"control": {"kind": "parts.py:force"}}, "$.control.kind", "no subclass of multiarm.Con"),
-        ({"control": {"kind": "parts.py:Push"}}, "$.control.kind", "there is no 'Push' in"),
-        ({"control": {"kind": "none.py:Pull"}}, "$.control.kind", "there is no file"),
-        ({"control": {"kind": "../parts.py:Pull"}}, "$.control.kind", "not in the folder"),
-        ({"effects": {"/etc/parts.py:Magnet": {}}}, "$.effects['/etc/parts.py:", "not in the fol"),
+        ({"effects": {"parts.py:Magnet": {"strenght": 1}}}, "strenght"),
+        ({"control": {"kind": "parts.py:Pull"}}, "$.control.stiffness"),
+        ({"control": {"kind": "parts.py:Magnet"}}, "$.control.kind"),
+        ({"control": {"kind": "parts.py:force"}}, "$.control.kind"),
+        ({"control": {"kind": "parts.py:Push"}}, "$.control.kind"),
+        ({"control": {"kind": "none.py:Pull"}}, "$.control.kind"),
+        ({"control": {"kind": "../parts.py:Pull"}}, "$.control.kind"),
+        ({"effects": {"/etc/parts.py:Magnet": {}}}, "$.effects['/etc/parts.py:"),
     ],
 )
-def test_what_is_wrong_with_a_class_of_a_file_is_told_at_its_place(folder, changes, place, reason):
-    with pytest.raises(ma.MultiarmError) as caught:
+def test_what_is_wrong_with_a_class_of_a_file_is_told_at_its_place(folder, changes, place):
+    with refused(ma.MultiarmError, place):
         ma.compile_system(load_scene(scene_file(folder, changes)))
-    assert place in str(caught.value) and reason in str(caught.value)
 
 
 def test_a_file_that_changed_is_read_again(folder):

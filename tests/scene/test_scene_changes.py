@@ -165,38 +165,37 @@ def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("change", "place"),
     [
-        ({"object.mas": 1}, "$.object.mas: unknown key 'mas'; did you mean 'mass'? keys are"),
-        ({"objekt.mass": 1}, "$.objekt: unknown key 'objekt'; did you mean 'object'? keys are"),
-        ({"arms.rigth.base.xyz": [0, 0, 0]}, "$.arms.rigth: unknown key 'rigth'; did you mean"),
-        ({"arms.left.base.xy": [0, 0]}, "$.arms.left.base.xy: unknown key 'xy'"),
-        ({"joints[2].at": None}, "$.joints[2]: $.joints is a list with entries [0] to [1]"),
-        ({"joints.at": None}, "$.joints.at: $.joints is a list with entries [0] to [1]"),
-        ({"object[0]": 1}, "$.object[0]: $.object is no list; its keys are"),
-        ({"object.mass.value": 1}, "nothing is below it; give 'object.mass' as a whole"),
-        ({"joints[0].at[0]": 1}, "$.joints[0].at: is not given: nothing is below it"),
-        ({"object.mass": -1}, "$.object.mass: must be greater than 0, got -1"),
-        ({"object.mass": "heavy"}, "$.object.mass: must be a number, got 'heavy'"),
-        ({"control.kp": 1}, "$.control.kp: unknown key 'kp'; keys are"),
-        ({"effects.drug": 1}, "$.effects.drug: unknown effect 'drug'; did you mean 'drag'?"),
-        ({"arms.left.robot": "ur55"}, "$.arms.left.robot: unknown robot 'ur55'; did you"),
-        ({"run.integrator": "rk4"}, "$.run: 'rk4' has a fixed step: add 'step'"),
-        ({"object..mass": 1}, "'object..mass' is no path; write one as 'object.mass'"),
-        ({"": 1}, "'' is no path"),
-        ({"joints[x]": 1}, "'joints[x]' is no path"),
-        ({"object mass": 1}, "'object mass' is no path"),
-        ({7: 1}, "a path is text, such as 'object.mass', got 7"),
-        ({"object": {}, "object.mass": 1}, "$.object.mass: lies in $.object, which is changed too"),
-        ({"object.mass": 1, "object": {}}, "$.object: is changed twice, or a part of it is"),
-        ({"object.mass": 1, "$.object.mass": 2}, "$.object.mass: is changed twice"),
+        ({"object.mas": 1}, "$.object.mas"),
+        ({"objekt.mass": 1}, "$.objekt"),
+        ({"arms.rigth.base.xyz": [0, 0, 0]}, "$.arms.rigth"),
+        ({"arms.left.base.xy": [0, 0]}, "$.arms.left.base.xy"),
+        ({"joints[2].at": None}, "$.joints[2]"),
+        ({"joints.at": None}, "$.joints.at"),
+        ({"object[0]": 1}, "$.object[0]"),
+        ({"object.mass.value": 1}, "'object.mass'"),
+        ({"joints[0].at[0]": 1}, "$.joints[0].at"),
+        ({"object.mass": -1}, "$.object.mass"),
+        ({"object.mass": "heavy"}, "$.object.mass"),
+        ({"control.kp": 1}, "$.control.kp"),
+        ({"effects.drug": 1}, "$.effects.drug"),
+        ({"arms.left.robot": "ur55"}, "$.arms.left.robot"),
+        ({"run.integrator": "rk4"}, "$.run"),
+        ({"object..mass": 1}, "'object..mass'"),
+        ({"": 1}, "''"),
+        ({"joints[x]": 1}, "'joints[x]'"),
+        ({"object mass": 1}, "'object mass'"),
+        ({7: 1}, "7"),
+        ({"object": {}, "object.mass": 1}, "$.object.mass"),
+        ({"object.mass": 1, "object": {}}, "$.object"),
+        ({"object.mass": 1, "$.object.mass": 2}, "$.object.mass"),
     ],
     ids=str,
 )  # fmt: skip
-def test_a_wrong_path_or_value_is_told_with_its_place_and_the_alternatives(scene, change, text):
-    with pytest.raises(SceneError) as caught:
+def test_a_wrong_path_or_value_is_told_with_its_place_and_the_alternatives(scene, change, place):
+    with refused(SceneError, place):
         scene.replace(change)
-    assert text in str(caught.value)
 
 
 def test_all_faults_of_all_runs_are_told_at_once(scene):

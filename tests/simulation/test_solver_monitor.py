@@ -23,14 +23,14 @@ import multiarm as ma
 from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.solver.node import COUPLED_BELOW
-from multiarm.dynamics.solver_monitor import (
+from multiarm.dynamics.solver.bounds import (
+    COUPLED_BELOW,
     LOST,
     MOST_ROUNDED_RESIDUAL,
     REGAINED,
     RESIDUAL_BOUND,
-    constraint_residual,
 )
+from multiarm.dynamics.solver_monitor import constraint_residual
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import kernel
 from multiarm.problems import HARD_CASES, loops

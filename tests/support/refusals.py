@@ -64,6 +64,7 @@ def _on_any_machine(message: str) -> str:
         (rf"{re.escape(tempfile.gettempdir())}[-\w./]*/", "FOLDER/"),
         (re.escape(str(ROOT)), "ROOT"),
         (r"0x[0-9a-f]+", "ADDRESS"),
+        (r"code_of_(\w+)_[0-9a-f]{8}\b", r"code_of_\1"),
         (r"worker \S+:\d+", "worker HOST:PROCESS"),
         (r"robots are [^;]*", "robots are ..."),  # of the packages that are installed
         (r"\(step \d+\)", "(step N)"),

@@ -12,10 +12,10 @@ relative to the largest term of the equations in question; where they are larger
 the system may be as sensitive: errors as large as what ``BACKWARD`` of each coefficient does
 are accepted.
 
-*Band.*  Constraints that contribute less than ``RANK_TOLERANCE`` count as dependent, and by how
-much they do depends on how levers and inertias are weighed: by each arm's own (node), or by all
-(reference, reactions).  Where a singular value is between the two of ``BAND``, in plain geometry or
-so weighed, only balances and constraints are asked for, and a rank between the numbers of singular
+*Band.*  Constraints that contribute less than ``COUPLED_RANK_TOLERANCE`` count as dependent, and
+by how much they do depends on how levers and inertias are weighed: by each arm's own (node), or by
+all (reference, reactions).  Where a singular value is between the two of ``BAND``, in plain
+geometry or so weighed, only balances and constraints are asked for, and a rank between the numbers of singular
 values above either end of ``RANK_BAND``; likewise of the node algorithm where an arm moves by less
 than ``BESIDE_OBJECT`` of what the object does.
 
@@ -38,22 +38,20 @@ from random_systems import System
 from scipy.linalg import block_diag
 
 from multiarm.dynamics.solver.batched import solve_batched
+from multiarm.dynamics.solver.bounds import (
+    COUPLED_RANK_TOLERANCE,
+    IMBALANCE_BOUND,
+    IMMOVABLE_BY_OBJECT,
+    PART_TOLERANCE,
+)
 from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
-from multiarm.dynamics.solver.node import IMBALANCE_BOUND, eliminate_arms, make_work
+from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
     make_reaction_work,
     solve_for_reactions,
 )
-from multiarm.dynamics.solver.singular import (
-    IMMOVABLE_BY_OBJECT,
-    PART_TOLERANCE,
-    RANK_TOLERANCE,
-    couple,
-    loose_rows,
-    make_coupled,
-    solve_coupled,
-)
+from multiarm.dynamics.solver.singular import couple, loose_rows, make_coupled, solve_coupled
 from multiarm.dynamics.status import OK
 
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
@@ -265,7 +263,7 @@ def spectrum(system: System, solver: str) -> Spectrum:
     plain, scaled = values_of(measured(system)), values_of(inertia_scaled(system))
     scaled = scaled / scaled[0]
     own = values_of(weighed(system)) if solver == "node" else scaled
-    rank = int(np.sum(plain > RANK_TOLERANCE))
+    rank = int(np.sum(plain > COUPLED_RANK_TOLERANCE))
     least = min(plain[rank - 1], own[rank - 1])
     return Spectrum(
         least_rank=int(min(np.sum(plain > RANK_BAND[1]), np.sum(own > RANK_BAND[1]))),

@@ -127,34 +127,30 @@ def test_settings_are_those_of_simulate(system, states):
 
 def test_all_faults_of_parameters_are_told_before_any_run(system):
     parameters = [{"object.mas": 1.0}, {"object.mass": 2.0}, {"arms.rigth.base.xyz": [0, 0, 0]}]
-    with pytest.raises(SceneError) as caught:
+    with refused(SceneError, "parameters: ", "run 1: $.object.mas: ", "run 3: $.arms.rigth: "):
         ma.simulate_many(system, parameters=parameters)
-    assert str(caught.value).startswith("parameters: 2 faults:")
-    assert "run 1: $.object.mas: unknown key 'mas'; did you mean 'mass'?" in str(caught.value)
-    assert "run 3: $.arms.rigth: unknown key 'rigth'; did you mean 'right'?" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("asked", "error", "text"),
+    ("asked", "error"),
     [
-        ({}, ModelError, "needs `states`, `parameters`"),
-        ({"parameters": {"object.mass": 1.0}}, ModelError, "give a list of tables"),
-        ({"states": [3]}, ModelError, "run 1: state: 3 is no state"),
-        ({"parameters": [{}], "threads": 0}, ModelError, "must be a number from 1 on, got 0"),
-        ({"parameters": [{}], "step": 1e-3}, SceneError, "'step' needs an integrator"),
-        ({"parameters": [{}], "max_step": -1.0}, SolverError, "max_step: must be greater than 0"),
-        ({"parameters": [{}, {}], "out": "one.h5{"}, TrajectoryError, "is no pattern of files"),
-        ({"parameters": [{}, {}], "out": "{{}}.h5"}, TrajectoryError, "one file for several runs"),
-        ({"parameters": [{}], "out": "nowhere/{}.h5"}, TrajectoryError, "there is no folder"),
+        ({}, ModelError),
+        ({"parameters": {"object.mass": 1.0}}, ModelError),
+        ({"states": [3]}, ModelError),
+        ({"parameters": [{}], "threads": 0}, ModelError),
+        ({"parameters": [{}], "step": 1e-3}, SceneError),
+        ({"parameters": [{}], "max_step": -1.0}, SolverError),
+        ({"parameters": [{}, {}], "out": "one.h5{"}, TrajectoryError),
+        ({"parameters": [{}, {}], "out": "{{}}.h5"}, TrajectoryError),
+        ({"parameters": [{}], "out": "nowhere/{}.h5"}, TrajectoryError),
     ],
 )  # fmt: skip
 def test_what_cannot_be_asked_is_refused_before_any_run(
-    system, asked, error, text, tmp_path, monkeypatch
+    system, asked, error, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(error) as caught:
+    with refused(error):
         ma.simulate_many(system, **asked)
-    assert text in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -165,10 +161,8 @@ def test_states_are_as_many_as_parameters_finite_and_of_these_arms(
         ma.simulate_many(system, states=states[:2], parameters=[{}])
     broken = states[0].copy()
     broken.velocity[3] = np.nan
-    with pytest.raises(ModelError) as caught:
+    with refused(ModelError, "run 2: state: ", "run 3: "):
         ma.simulate_many(system, states=[states[0], broken, free_block_system.initial_state()])
-    assert "run 2: state: a number of its velocity is not finite" in str(caught.value)
-    assert "run 3: this state belongs to a system with arms" in str(caught.value)
 
 
 def test_a_run_that_cannot_begin_is_a_failed_one_and_the_others_go_on(system, states, tmp_path):

@@ -39,18 +39,26 @@ def written(path: Path, count: int, runs=None) -> Path:
     return path
 
 
-def started(path: Path, count: int, order: int, *steps: int) -> subprocess.Popen:
-    """A process that goes on with the folder, and is killed after so many steps of writing."""
-    words = map(str, (sys.executable, PROGRAM, path, count, order, *steps))
-    return subprocess.Popen([*words], stdout=subprocess.PIPE, text=True)
+@pytest.fixture
+def write_on():
+    """Let a process go on with a folder, and die after some steps; its words and exit code."""
+    command, pipes = (
+        [sys.executable, PROGRAM],
+        {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE},
+    )
+    with subprocess.Popen(command, text=True, **pipes) as server:
 
+        def write(path: Path, count: int, order: int, *steps: int) -> tuple[list[str], int]:
+            print(path, count, order, *steps, file=server.stdin, flush=True)
+            words = []
+            for line in server.stdout:
+                if line.startswith("exit "):
+                    return words, int(line.split()[1])
+                words.append(line.strip())
+            raise EOFError(words)
 
-def killed(path: Path, count: int, order: int, steps: int) -> int:
-    """Let a process write so many steps, and die; returns the runs it said to be safe."""
-    process = started(path, count, order, steps)
-    said = process.communicate()[0].split()
-    assert process.returncode == -signal.SIGKILL
-    return max(map(int, filter(str.isdigit, said)), default=0)
+        yield write
+        server.stdin.close()
 
 
 def rows_of(sweep) -> list[dict]:
@@ -122,12 +130,15 @@ def test_a_sweep_that_is_not_complete_says_which_runs_it_has(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path):
+def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path, write_on):
     path, count, rng = tmp_path / "s.sweep", 900, random.Random(11)
     safe = 0  # a block has 7 runs and 3 steps: far from all after so few
-    for order in range(5):
+    for order in range(10):
         # while the folder begins, or among new rows
-        said = killed(path, count, order, rng.choice([rng.randint(0, 3), rng.randint(4, 60)]))
+        steps = rng.choice([rng.randint(0, 3), rng.randint(4, 60)])
+        words, code = write_on(path, count, order, steps)
+        assert code == -signal.SIGKILL
+        said = max(map(int, filter(str.isdigit, words)), default=0)
         assert said == 0 or said >= safe, "what was safe is there after resuming"
         if path.exists():
             rows = rows_of(load_sweep(path))
@@ -135,13 +146,13 @@ def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path):
             assert all(but_measured(row) == but_measured(row_of(row["run"])) for row in rows)
             safe = len(rows)
     assert 0 < safe < count
-    process = started(path, count, 99)
-    assert process.communicate()[0].endswith("end\n")
+    words, code = write_on(path, count, 99)
+    assert words[-1] == "end" and code == 0
     sweep, whole = load_sweep(path), load_sweep(written(tmp_path / "whole.sweep", count))
     pandas.testing.assert_frame_equal(
         sweep.table.drop(columns=list(MEASURED)), whole.table.drop(columns=list(MEASURED))
     )
-    assert sweep.table["worker"].nunique() > 3, "rows of processes that were killed are kept"
+    assert sweep.table["worker"].nunique() > 5, "rows of processes that were killed are kept"
     assert sweep.summary() == replace(whole.summary(), wall_time=sweep.summary().wall_time)
 
 

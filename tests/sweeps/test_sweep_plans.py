@@ -327,70 +327,67 @@ extra: 1
 
 
 @pytest.mark.parametrize(
-    ("written", "text"),
+    "written",
     [
-        ({"linspace": [1, 2, 1e30]}, "linspace: has at most 1,000,000 values"),
-        ({"range": [1, 10**30]}, "range: must be whole numbers of at most 9,007,199,254,740,992"),
-        ({"range": [10**12]}, "range: has at most 1,000,000 values, got 1,000,000,000,000"),
-        ({"integers": [1, 1e300]}, "integers: must be whole numbers of at most"),
-        ({"lognormal": {"median": 1.0, "deviation": 1000}}, "exceed the range of floats"),
-        ({"normal": None}, "'normal' is empty; write its values after the colon"),
-        ({"lognormal": None}, "'lognormal' is empty"),
-        ({"linspace": [1, 2]}, "linspace: must be [first, last, how many], got [1, 2]"),
-        ({"linspace": [1, 2, 2.5]}, "how many values there are, the third entry, must be a whole"),
-        ({"linspace": [1, 2, 0]}, "the third entry, must be at least 1, got 0"),
-        ({"linspace": [1, "x", 3]}, "linspace[1]: must be a number, got 'x'"),
-        ({"logspace": [1, 400, 3]}, "exponents of ten, of at most 300"),
-        ({"geomspace": [0, 1, 3]}, "both bounds must be positive"),
-        ({"loguniform": [0, 1]}, "both bounds must be positive"),
-        ({"range": [0.5, 2]}, "of other numbers make a 'linspace'"),
-        ({"range": [2, 1]}, "range(2, 1) is empty"),
-        ({"integers": [0.5, 2]}, "of others make it 'uniform'"),
-        ({"normal": {"mean": 1}}, "normal.deviation: is missing"),
-        ({"normal": {"mean": 1, "deviation": 0}}, "deviation: must be greater than 0"),
-        ({"uniform": [0, 1], "choice": [1]}, "must be a list of values or a table with one of"),
-        ({}, "got nothing"),
-        ([], "must be a list of at least one value"),
-        (5.0, "must be a list of at least one value, got 5.0"),
-        ([object()], "is nothing that a YAML file can hold"),
-        ({"rows": [[1, 2], [3]]}, "rows[0] must be a list of 1, a value for each path"),
+        {"linspace": [1, 2, 1e30]},
+        {"range": [1, 10**30]},
+        {"range": [10**12]},
+        {"integers": [1, 1e300]},
+        {"lognormal": {"median": 1.0, "deviation": 1000}},
+        {"normal": None},
+        {"lognormal": None},
+        {"linspace": [1, 2]},
+        {"linspace": [1, 2, 2.5]},
+        {"linspace": [1, 2, 0]},
+        {"linspace": [1, "x", 3]},
+        {"logspace": [1, 400, 3]},
+        {"geomspace": [0, 1, 3]},
+        {"loguniform": [0, 1]},
+        {"range": [0.5, 2]},
+        {"range": [2, 1]},
+        {"integers": [0.5, 2]},
+        {"normal": {"mean": 1}},
+        {"normal": {"mean": 1, "deviation": 0}},
+        {"uniform": [0, 1], "choice": [1]},
+        {},
+        [],
+        5.0,
+        [object()],
+        {"rows": [[1, 2], [3]]},
     ],
 )  # fmt: skip
-def test_an_invalid_axis_is_reported_with_the_remedy(scene, written, text):
-    with pytest.raises(SweepError) as caught:
+def test_an_invalid_axis_is_reported_with_the_remedy(scene, written):
+    with refused(SweepError, "$.over['object.mass']"):
         make_plan(scene, {MASS: written})
-    assert text in str(caught.value)
-    assert "$.over['object.mass']" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("changes", "text"),
+    ("changes", "place"),
     [
-        ({"over": {}}, "$.over: must be a table 'path: values' with at least one path"),
+        ({"over": {}}, "$.over"),
         ({"over": {MASS: [1, 2], DAMPING: [1]}, "combine": "zip"},
-         "$.combine: 'zip' needs as many values of every path, there are 2 of object.mass, 1 of"),
-        ({"over": {MASS: [1]}, "repeat": 3}, "$.repeat: 3 runs of each point would be the same"),
+         "$.combine"),
+        ({"over": {MASS: [1]}, "repeat": 3}, "$.repeat"),
         ({"over": {MASS: {"linspace": [1, 2, 10**5]}, DAMPING: {"range": [10**5]}}},
-         "$.over: makes 10,000,000,000 runs; at most 1,000,000"),
-        ({"over": {MASS: [1], f"{MASS},{DAMPING}": [1]}}, "stands twice in the sweep"),
-        ({"over": {MASS: [1], "object": [{}]}}, "is changed twice, or a part of it is"),
-        ({"over": {MASS: [1]}, "keep": ["steps", "steps"]}, "$.keep: 'steps' stands twice"),
+         "$.over"),
+        ({"over": {MASS: [1], f"{MASS},{DAMPING}": [1]}}, "$.over"),
+        ({"over": {MASS: [1], "object": [{}]}}, "$.over"),
+        ({"over": {MASS: [1]}, "keep": ["steps", "steps"]}, "$.keep"),
         ({"over": {MASS: [1]}, "keep": [{"function": "a.py:f", "name": "2 x"}]},
-         "'2 x' cannot name a quantity"),
-        ({"over": {MASS: [1]}, "keep": [3]}, "$.keep[0]: unknown quantity 3"),
-        ({"over": {MASS: [1]}, "run": {"step": 1e-3}}, "$.run: 'step' needs an integrator"),
-        ({"over": {MASS: [1]}, "run": 3}, "$.run: must be a table of entries"),
+         "'2 x'"),
+        ({"over": {MASS: [1]}, "keep": [3]}, "$.keep[0]"),
+        ({"over": {MASS: [1]}, "run": {"step": 1e-3}}, "$.run"),
+        ({"over": {MASS: [1]}, "run": 3}, "$.run"),
         ({"over": {MASS: {"uniform": [1, 2]}}, "sampling": "sobol"},
-         "$.sampling: 'sobol' spreads the runs of one point"),
+         "$.sampling"),
         # a robot without the tip that the scene names: the fault lies at the tip
         ({"over": {"arms.left.robot": ["ur5", "planar_3r"]}},
-         "no scene is made by arms.left.robot = 'planar_3r'"),
+         "arms.left.robot"),
     ],
 )  # fmt: skip
-def test_what_contradicts_itself_is_told(scene, changes, text):
-    with pytest.raises(SweepError) as caught:
+def test_what_contradicts_itself_is_told(scene, changes, place):
+    with refused(SweepError, place):
         make_plan(scene, changes)
-    assert text in str(caught.value)
 
 
 def test_values_that_are_right_only_together_are_right(scene):

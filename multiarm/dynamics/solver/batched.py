@@ -33,14 +33,13 @@ from __future__ import annotations
 
 import math
 
+from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.node import (
     CONTACTS,
     COUNT,
-    COUPLED_BELOW,
     FACTORS_AT,
     FIRST_ARM,
     JOINTS,
-    MOBILITY_WEIGHT,
     NODE_AT,
     NODE_WIDTH,
     OBJECT_AT,

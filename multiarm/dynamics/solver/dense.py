@@ -21,12 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Singular values of the scaled constraint matrix below this fraction of the largest count as zero.
-RANK_TOLERANCE = 1e-9
-# The same for the whole matrix, whose small singular values are the squares of those of W.
-SYSTEM_TOLERANCE = 1e-12
-# Unknowns with a smaller part in every null vector are determined.
-PART_TOLERANCE = 1e-7
+from multiarm.dynamics.solver.bounds import PART_TOLERANCE, RANK_TOLERANCE, SYSTEM_TOLERANCE
 
 
 class NodeSolution(NamedTuple):

@@ -42,24 +42,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
 
-# Arms with a relative pivot below this go to the coupled system
-# (:mod:`multiarm.dynamics.solver.singular`). Elimination loses about as many digits as the pivot
-# has zeros: the choice leaves eleven.
-COUPLED_BELOW = 1e-5
-# The same for the diagonal of K relative to the arm's mobility.  Entries of W are rounded relative
-# to the levers, so that a diagonal loses half as many digits as this has zeros: eleven are left.
-IMMOBILE_BELOW = 1e-10
-# Brings the second measure to the scale of the first, so that one bound serves both.
-MOBILITY_WEIGHT = COUPLED_BELOW / IMMOBILE_BELOW
-# Largest residual of the object's equation of motion, relative to the largest force in it.  Arms
-# that are eliminated as a whole leave eleven digits, of which two are for cancellation.
-IMBALANCE_BOUND = 1e-9
 # Pivot of an arm whose inertia matrix is not positive definite.
 NO_INERTIA = -2.0
 

@@ -30,14 +30,10 @@ from __future__ import annotations
 
 import math
 
+from multiarm.dynamics.solver.bounds import CORE_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.factors import decompose, solve_lu, solve_lu_transposed
 from multiarm.dynamics.solver.node import node_backward, node_forward
 from multiarm.jit.kernels import clear, inlined, kernel
-
-# Singular values of the core (of the order of 1) below this count as zero.
-CORE_TOLERANCE = 1e-9
-# A contact force is part of a null vector when its entry is larger than this.
-PART_TOLERANCE = 1e-7
 
 
 @kernel

@@ -33,21 +33,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.dynamics.solver.bounds import COUPLING_TOLERANCE, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import factor_cholesky, factor_lu, forward_columns
-from multiarm.dynamics.solver.node import (
-    MOBILITY_WEIGHT,
-    NO_INERTIA,
-    mobility,
-    node_backward,
-    node_forward,
-)
+from multiarm.dynamics.solver.node import NO_INERTIA, mobility, node_backward, node_forward
 from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
-
-# Arms (and the node matrix) with relative pivots below this are solved together with the object:
-# more work, the same result.  The elimination loses the digits that this number has.
-COUPLING_TOLERANCE = 1e-6
 
 
 class ReactionStatus(Numbers):

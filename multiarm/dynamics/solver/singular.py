@@ -31,9 +31,9 @@ as it is, and the result is continuous with that of the regular path.
 *Rank.*  Some combinations of these forces may move neither the object nor an arm (dependent
 contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
 with the object measured in unit directions and lever arms, and each arm by its own ``sigma_best``:
-combinations that move less than ``RANK_TOLERANCE`` of these have no force.  Since the directions
-are orthonormal combinations of the contacts, the contact forces have the least norm in newtons;
-contradicting constraints are met in the sense of least squares.
+combinations that move less than ``COUPLED_RANK_TOLERANCE`` of these have no force.  Since the
+directions are orthonormal combinations of the contacts, the contact forces have the least norm in
+newtons; contradicting constraints are met in the sense of least squares.
 """
 
 from __future__ import annotations
@@ -43,9 +43,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.dynamics.solver.bounds import (
+    COUPLED_BELOW,
+    COUPLED_RANK_TOLERANCE,
+    HARDLY_ALIGNED,
+    IMMOVABLE,
+    IMMOVABLE_BY_OBJECT,
+    SPLIT,
+    SPLIT_BY_OBJECT,
+)
 from multiarm.dynamics.solver.factors import factor_cholesky, norm, orthogonalize
 from multiarm.dynamics.solver.node import (
-    COUPLED_BELOW,
     NodeWork,
     add_to_node,
     node_backward,
@@ -57,19 +65,6 @@ from multiarm.dynamics.solver.node import (
 )
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Numbers
-
-# Directions of an arm with a sigma below this fraction of the best are not eliminated.
-SPLIT = 1e-2
-# Below this fraction the arm does not move at all.
-IMMOVABLE = 1e-11
-# The same two, relative to the mobility of the object alone for the same unit force.
-SPLIT_BY_OBJECT, IMMOVABLE_BY_OBJECT = 1e-3, 1e-9
-# ``gamma``, a bound of ``g``: below it, the joints of an arm hardly move any of its contacts.
-HARDLY_ALIGNED = 1e-3
-# Singular values below this fraction of their scale count as zero.
-RANK_TOLERANCE = 1e-6
-# Contact forces with a smaller part in every null vector are determined.
-PART_TOLERANCE = 1e-7
 
 
 class CoupledStatus(Numbers):
@@ -250,7 +245,7 @@ def find_rank(work, coupled, lever):
         size = norm(basis[r], p)
         if size > 1e-10:  # smaller ones are rounding errors of gaps and sums
             status.margin = min(status.margin, size)
-        if size > RANK_TOLERANCE:
+        if size > COUPLED_RANK_TOLERANCE:
             for u in range(p):
                 basis[rank, u] = basis[r, u] / size
             rank += 1
