@@ -56,7 +56,7 @@ from multiarm.errors import ModelError, SceneError
 from multiarm.integration.explicit import explicit_step
 from multiarm.integration.monitors import make_monitors
 from multiarm.integration.near_singular import evaluate_near_singular
-from multiarm.integration.step import evaluate_slope
+from multiarm.integration.step import write_slope
 from multiarm.integration.time_loop import advance
 from multiarm.jit.ahead import compile_ahead
 from multiarm.scene import (
@@ -148,7 +148,7 @@ def compile_system(
     scene = with_code(_with_arms(scene, arms), code)
     scene = with_bases(scene) if assemble else scene  # where arms stand, if that is to be found
     # a run needs them: the first time they are compiled in the background
-    compile_ahead(advance, explicit_step, evaluate_slope)
+    compile_ahead(advance, explicit_step, write_slope)
     robots = load_robots(scene, like, assemble)  # URDF -> arms with tips and limits
     joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too

@@ -158,9 +158,7 @@ def begin_chart(struct: INTS, base: NUMBERS, z: NUMBERS):
 
 
 @kernel
-def evaluate_slope(
-    struct: INTS, stage: Stage, t: NUMBER, z: NUMBERS, base: NUMBERS, slope: NUMBERS
-):
+def evaluate_slope(struct, stage, t, z, base, slope):
     """Rate of ``z`` at time ``t`` of the system with this struct; returns a status.
 
     With ``stage.gap`` not negative, the rate is that at the projection of ``z`` onto the
@@ -188,6 +186,13 @@ def evaluate_slope(
 def slope_at(step, t, z, slope):
     """Evaluate the rate of a state in the chart of the step; returns a status."""
     return evaluate_slope(step.system, step.stage, t, z, step.base, slope)
+
+
+@kernel
+def write_slope(arrays: INTS, t: NUMBER, z: NUMBERS, slope: NUMBERS):
+    """:func:`slope_at` for the step with this struct, for Python; returns a status."""
+    _, step = open_step(arrays)
+    return slope_at(step, t, z, slope)
 
 
 @inlined

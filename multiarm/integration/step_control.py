@@ -147,7 +147,7 @@ def gains(settings, h):
 @inlined
 def close_in_time(clock):
     """Times closer than this are equal [s]."""
-    return CLOSE_IN_TIME * (1.0 + clock.end)
+    return CLOSE_IN_TIME * (1.0 + abs(clock.end))
 
 
 @kernel

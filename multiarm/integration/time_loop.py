@@ -64,7 +64,7 @@ from multiarm.integration.step_control import (
     view_clock,
     view_settings,
 )
-from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, inlined, kernel, unlocked
+from multiarm.jit.kernels import INT, INTS, NUMBER, TABLE, clear, copy, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
 
 # Near a loss of rank this many steps after a failed one are made with projected stages, which
@@ -128,11 +128,11 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
 
 
 @kernel
-def start_monitors(struct: INTS):
-    """Store joint coordinates, monitors and the solution at the start of a run."""
+def start_monitors(struct: INTS, t: NUMBER):
+    """Store joint coordinates, monitors and the solution at the start of a run, at time ``t``."""
     model, data, _ = open_system(struct)
     follow_joints(model, data)
-    update_monitors(struct, 0.0, 0.0)
+    update_monitors(struct, t, t)
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
 

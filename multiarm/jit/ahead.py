@@ -18,14 +18,13 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from queue import Empty, SimpleQueue
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 from numba import types
 
 from multiarm.errors import MultiarmError
 from multiarm.jit.kernels import Kernel, kernel_modules
 from multiarm.jit.pointers import CFUNC, address_of
-from multiarm.jit.structs import Numbers, View
 
 
 def all_kernels() -> list[Kernel]:
@@ -43,14 +42,8 @@ def argument_types(kernel: Kernel) -> tuple[types.Type, ...] | None:
         return CFUNC.args
     count = kernel.py_func.__code__.co_argcount
     hints = get_type_hints(kernel.py_func) if kernel.py_func.__annotations__ else {}
-    hinted = tuple(kind for hint in hints.values() if (kind := _type_of_hint(hint)) is not None)
+    hinted = tuple(hint for hint in hints.values() if isinstance(hint, types.Type))
     return hinted if hinted and len(hinted) == count else None
-
-
-def _type_of_hint(hint: Any) -> types.Type | None:
-    if isinstance(hint, type) and issubclass(hint, Numbers):
-        return View(hint, 0)
-    return hint if isinstance(hint, types.Type) else None
 
 
 def name_of(kernel: Kernel) -> str:

@@ -54,10 +54,9 @@ def _stamp_of(function: Callable) -> str:
     file = Path(function.__code__.co_filename)
     if _PACKAGE in file.parents:
         return _stamp_of_module(file)
-    if file.is_file():
-        digest, imported = _read(file)
-        return digest.hex() + _stamp(imported)
-    return _stamp(_kernel_files())  # what the cell of a notebook imports is unknown
+    # of other packages: names may come by way of other files, and of a notebook nothing is known
+    own = _read(file)[0].hex() if file.is_file() else ""
+    return own + _stamp(_kernel_files())
 
 
 def _stamp(files: list[Path]) -> str:

@@ -17,6 +17,7 @@ from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
+from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -36,7 +37,7 @@ from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
-from multiarm.integration.step import begin_chart, evaluate_slope
+from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import gains
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance, set_tolerance
@@ -278,6 +279,7 @@ class EventHandler:
         run.data = data
         tolerance = run.settings.gap_tolerance
         if tolerance >= 0.0 and project(data.struct, tolerance) != OK:
+            data.reraise()
             raise SolverError("the state could not be put on the contacts that closed")
         run.stepping = make_stepping(data, run.stepping.tableau)
         set_tolerance(run.stepping.step, data, run.tolerance)
@@ -295,10 +297,10 @@ class EventHandler:
         clock.error_before, clock.t_before, clock.h_before = 1.0, clock.t, 0.0
         clock.stop = np.inf
         new.stage.alpha, new.stage.beta = gains(run.settings, clock.step)
-        status = evaluate_slope(data.struct, new.stage, clock.t, new.z, new.base, new.slope)
+        status = write_slope(run.stepping.struct, clock.t, new.z, new.slope)
         if status != OK:
             data.reraise()
-            raise SolverError(f"the motion after the event could not be evaluated ({status})")
+            raise SolverError(f"the motion after the event: {failure_text(data, status)}")
         self.arm(run)
 
     def arm(self, run: Run) -> None:

@@ -21,7 +21,7 @@ from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import Fault, SceneError, SolverError
 from multiarm.integration.methods import Stepping, make_stepping
 from multiarm.integration.samples import sample_width
-from multiarm.integration.step import Step, begin_chart, evaluate_slope
+from multiarm.integration.step import Step, begin_chart, write_slope
 from multiarm.integration.step_control import (
     FEEDBACK,
     NONE,
@@ -39,7 +39,7 @@ from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
-from multiarm.tableaus import METHODS, Tableau
+from multiarm.tableaus import METHODS
 
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
@@ -212,18 +212,18 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     settings = _settings(task, tolerance)
     first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
     step.stage.alpha, step.stage.beta = gains(settings, first_length)
-    _evaluate_start(task, step)
+    _evaluate_start(task, stepping)
     if settings.gap_tolerance >= 0.0 and data.coupled.status.arms:
         # two motions may cross at the start
         step.stage.gap = settings.gap_tolerance
-        _first_slope(task, step)
+        _first_slope(task, stepping)
         step.stage.gap = -1.0
-    start_monitors(data.struct)
+    start_monitors(data.struct, begin)
     log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)
     if settings.adaptive:
-        first_length = _first_length(task, step, METHODS[name])
+        first_length = _first_length(task, stepping)
     step.stage.evaluations = 0  # statistics begin with the first step
     samples, final_sample = _samples(task)
     width = sample_width(data)
@@ -348,20 +348,19 @@ def _place(task: Task, step: Step) -> tuple[State, StartReport]:
     return begin, report
 
 
-def _evaluate_start(task: Task, step: Step) -> None:
+def _evaluate_start(task: Task, stepping: Stepping) -> None:
     """The slope at the start, with the effects' states there."""
-    _first_slope(task, step)
+    _first_slope(task, stepping)
     if task.data.model.effects.states:
         places = chart_places(task.data.arrays)
-        step.z[places.states : places.works] = task.data.effect_states()
-        _first_slope(task, step)
+        stepping.step.z[places.states : places.works] = task.data.effect_states()
+        _first_slope(task, stepping)
 
 
-def _first_slope(task: Task, step: Step) -> None:
+def _first_slope(task: Task, stepping: Stepping) -> None:
     """Evaluate the beginning; a failure there is an error, not a result."""
-    struct = task.data.struct
-    status = evaluate_slope(struct, step.stage, task.begin, step.z, step.base, step.slope)
-    _require(status, task.data)
+    step = stepping.step
+    _require(write_slope(stepping.struct, task.begin, step.z, step.slope), task.data)
 
 
 def _require(status: int, data: Data) -> None:
@@ -370,20 +369,20 @@ def _require(status: int, data: Data) -> None:
         raise SolverError(failure_text(data, status))
 
 
-def _first_length(task: Task, step: Step, tableau: Tableau) -> float:
+def _first_length(task: Task, stepping: Stepping) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
-    data, duration = task.data, task.spec.duration
+    data, step, duration = task.data, stepping.step, task.spec.duration
     trial = min(1e-5, duration)  # [s]: from its slopes the second derivative is taken
     scale = step.tolerance
     first = (np.abs(step.slope[: scale.size]) / scale).max()
     later = np.zeros_like(step.slope)
     z = step.z + trial * step.slope
-    if evaluate_slope(data.struct, step.stage, task.begin + trial, z, step.base, later) != OK:
+    if write_slope(stepping.struct, task.begin + trial, z, later) != OK:
         data.forgive()  # the run itself will fail there, and report when
         return float(trial)
     second = (np.abs(later - step.slope)[: scale.size] / scale).max() / trial
     worst = max(first, second)
     if worst == 0.0:
         return min(1e-2, duration)
-    h = (0.01 / worst) ** (1.0 / (tableau.error_order + 1.0))
+    h = (0.01 / worst) ** (1.0 / (stepping.tableau.error_order + 1.0))
     return float(min(h, duration))

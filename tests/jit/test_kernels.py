@@ -240,7 +240,7 @@ def test_kernels_that_python_calls_get_the_types_that_they_are_compiled_for(weld
 
 
 AHEAD = """
-from multiarm.integration.step import begin_chart as one, evaluate_slope as other
+from multiarm.integration.step import begin_chart as one, write_slope as other
 from multiarm.jit.ahead import argument_types, compile_ahead, compile_all
 
 if __name__ == "__main__":
