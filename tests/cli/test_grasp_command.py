@@ -216,6 +216,14 @@ def test_the_largest_force_is_the_same_over_rows_of_joints_and_over_contacts(nam
     assert judged.carrying.largest_force == pytest.approx(judged.carrying_force, rel=1e-6)
 
 
+def test_the_weight_is_carried_in_the_pose_that_the_start_was_assembled_in():
+    """The object is written with a turn about x that its joints correct."""
+    scene = ma.load_scene(SCENES / "grasped_block.yaml")
+    pose = {"xyz": scene.object.pose.xyz, "rpy": [2e-3, 0.0, 0.0]}
+    judged = judge_grasp(ma.compile_system(scene.replace({"object.pose": pose})))
+    assert judged.carrying.largest_force == pytest.approx(judged.carrying_force, rel=1e-6)
+
+
 def test_contacts_of_a_weld_hold_both_ways():
     """Every row counts twice, with opposite normals and opposite forces."""
     found = read_grasp(ma.compile_system(ma.load_scene(WELDED)))
