@@ -351,7 +351,7 @@ weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
 for rows in run_in_processes(Context.of(plan), jobs_of(plan), 2):
-    print(rows[0]["worker"].rpartition(":")[2], flush=True)
+    print(rows[0].worker.rpartition(":")[2], flush=True)
 """
 
 
