@@ -21,43 +21,36 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_derivatives import arm_columns
+from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.equation_derivatives import differentiate_holding, equation_work
 from multiarm.dynamics.model import Data
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import struct_at
 
 # Contacts that carry wrenches in some direction so much worse than in others leave the forces of
 # least norm to rounding.
 ILL_CONDITIONED = 1e10
 
 
-def torque_derivatives(data: Data, *, feedback: bool, carries: bool) -> np.ndarray | None:
-    """Derivatives of the torques, shape (n, 12 + 2 n), right after an evaluation of the data.
+@cfunc
+def differentiate_joint_pd(address, size, place, _t):
+    """Add the derivatives of laws whose numbers begin with stiffness and damping of every joint."""
+    model, data, _ = open_system(struct_at(address, size))
+    gains, at, n, columns = model.parameters, int(place), data.torque.size, force_columns(data)
+    for j in range(n):
+        data.torque_slopes[j, columns.positions + j] -= gains[at + j]
+        data.torque_slopes[j, columns.rates + j] -= gains[at + n + j]
+    return 0
+
+
+def holding_derivatives(data: Data) -> np.ndarray | None:
+    """Derivatives of gravity compensation, shape (n, 12 + 2 n), right after an evaluation.
 
     By the columns of the state, see :mod:`multiarm.dynamics.layout`.  None where there is no closed
     form, as contacts cannot carry any wrench.
-
-    Parameters
-    ----------
-    data : Data
-    feedback : bool
-        There is a joint PD law, whose gains are the first of its numbers.
-    carries : bool
-        There is gravity compensation.
     """
-    layout, columns = data.model.layout, data.model.layout.columns
-    n = layout.joints
-    by_state = np.zeros((n, 2 * layout.nv))
-    if feedback:
-        stiffness, damping = data.model.constants.parameters[: 2 * n].reshape(2, n)
-        by_state[:, columns["joint_positions"]] = -np.diag(stiffness)
-        by_state[:, columns["joint_velocities"]] = -np.diag(damping)
-    if not carries:
-        return by_state
-    holding = _holding_derivatives(data)
-    return None if holding is None else by_state + holding
-
-
-def _holding_derivatives(data: Data) -> np.ndarray | None:
     layout, b = data.model.layout, data.arrays
     n, W_o, pose = layout.joints, b.Wo, layout.columns["object_pose"]
     scale = np.ones(6)

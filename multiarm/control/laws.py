@@ -20,13 +20,12 @@ Any of them but constant torques can be sampled, see :mod:`multiarm.dynamics.hel
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial, singledispatch
+from functools import singledispatch
 
 import numpy as np
 
-from multiarm.control.derivatives import torque_derivatives
+from multiarm.control.derivatives import differentiate_joint_pd, holding_derivatives
 from multiarm.control.object_control import (
     computed_torque,
     object_impedance,
@@ -130,8 +129,7 @@ def _(control: ConstantControl, context: ControlContext) -> ControlProgram:
 
 @program_of.register
 def _(_control: GravityCompensationControl, context: ControlContext) -> ControlProgram:
-    derivative = _derivative(context, feedback=False)
-    return ControlProgram(_carrying(context), reach=CARRYING, derivative=derivative)
+    return ControlProgram(_carrying(context), reach=CARRYING, derivative=holding_derivatives)
 
 
 @program_of.register
@@ -160,14 +158,15 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     table = read_table(control, names)
     zero, gains = control.outside == "zero", np.zeros(0)
     laws: tuple[Kernel, ...] = (recorded_torque,)
-    reach, derivative = OPEN_LOOP, None
+    reach = OPEN_LOOP
+    derivatives: tuple[Kernel | None, ...] = (None,)
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
         values = table.stacked(names, start_angles(context))
         gains = _gains(control, context)
         carrying = _carrying(context)
         laws, reach = (recorded_position, *carrying), CARRYING if carrying else LOCAL
-        derivative = _derivative(context, feedback=True)
+        derivatives = (differentiate_joint_pd, *[None] * len(carrying))
     shape = table.times, values, control.interpolation, zero
     span = ControlSpan(
         f"the table {control.file.name}",
@@ -177,7 +176,15 @@ def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
     )
     numbers = np.concatenate([gains, pack_table(*shape)])
     rough = rough_times(*shape)
-    return ControlProgram(laws, numbers, rough, span, reach=reach, derivative=derivative)
+    return ControlProgram(
+        laws,
+        numbers,
+        rough,
+        span,
+        reach=reach,
+        derivative=holding_derivatives if reach == CARRYING else None,
+        derivatives=derivatives,
+    )
 
 
 @program_of.register
@@ -193,7 +200,8 @@ def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
         numbers,
         breakpoints,
         reach=CARRYING if carrying else LOCAL,
-        derivative=_derivative(context, feedback=True),
+        derivative=holding_derivatives if carrying else None,
+        derivatives=(differentiate_joint_pd, *[None] * len(carrying)),
     )
 
 
@@ -205,12 +213,6 @@ def _gains(control: JointPDControl | RecordedControl, context: ControlContext) -
 def _carrying(context: ControlContext) -> tuple[Kernel, ...]:
     """The law that carries the weight, where there is one and the control carries it."""
     return (gravity_compensation,) if needs_gravity_torque(context.scene) else ()
-
-
-def _derivative(context: ControlContext, feedback: bool) -> Callable[[Data], np.ndarray | None]:
-    """That of joint PD, of gravity compensation, or of both."""
-    carries = needs_gravity_torque(context.scene)
-    return partial(torque_derivatives, feedback=feedback, carries=carries)
 
 
 def start_angles(context: ControlContext) -> np.ndarray:

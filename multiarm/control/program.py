@@ -99,7 +99,11 @@ class ControlProgram:
         ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
         twist, joint positions and joint velocities, shape (n, 12 + 2 n), right after an evaluation
         of the data; None where they do not exist.  Absent: they are differences, which
-        take longer.
+        take longer.  Laws with a derivative in ``derivatives`` are left out.
+    derivatives : tuple of Kernel or None
+        For each law, or for none: a ``@cfunc`` of the same arguments that adds the derivatives of
+        its torques to ``data.torque_slopes``, by the columns of
+        :func:`multiarm.dynamics.coordinates.force_columns`, without those by the time.
     """
 
     laws: tuple[Kernel, ...] = ()
@@ -110,12 +114,17 @@ class ControlProgram:
     sampling: Sampling | None = None
     reach: int = COUPLED
     derivative: Callable[[Data], np.ndarray | None] | None = None
+    derivatives: tuple[Kernel | None, ...] = ()
 
     @property
     def addresses(self) -> np.ndarray:
         """``Constants.control``: addresses of the laws, whose numbers begin at 0."""
-        rows = [(address_of(law), 0) for law in self.laws]
-        return np.array(rows, dtype=np.int64).reshape(-1, 2)
+        derivatives = self.derivatives or (None,) * len(self.laws)
+        rows = [
+            (address_of(law), 0, address_of(derivative) if derivative else 0)
+            for law, derivative in zip(self.laws, derivatives, strict=True)
+        ]
+        return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
 
 def needs_gravity_torque(scene: Scene) -> bool:

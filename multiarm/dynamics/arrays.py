@@ -59,12 +59,15 @@ class Constants(NamedTuple):
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
-    control: Ints2  # (k, 2) address of each control law, offset of its numbers in ``parameters``
+    # (k, 3) address of each control law, offset of its numbers in ``parameters``, address of its
+    # derivative (0: none)
+    control: Ints2
     parameters: Floats1
-    # (k, 2) the laws of a control that is sampled, see multiarm.dynamics.held_control
+    # (k, 3) the laws of a control that is sampled, see multiarm.dynamics.held_control
     sampled: Ints2
-    # (k, 2): address of each effect's kernel, index of its first array in the system's struct; in
-    # the order of the phases, and the end of each phase, see multiarm.dynamics.effect_kernels
+    # (k, 3): address of each effect's kernel, index of its first array in the system's struct,
+    # address of its derivative (0: none); in the order of the phases, and the end of each phase,
+    # see multiarm.dynamics.effect_kernels
     effects: Ints2
     passive_end: Int
     actuator_end: Int
@@ -73,6 +76,7 @@ class Constants(NamedTuple):
     # and on the object, from its own state only
     control_reach: Int
     local_effects: Flag
+    state_joints: Ints1  # joint to which each state of local effects belongs; -1: of another effect
     joint_rows: Ints2  # (r, 3) rows of W that belong to a joint: arm, row, joint
     dense: Flag  # solve by the dense reference instead of the node algorithm
     calls_user: Flag  # there are user functions: a controller, surfaces, effects
@@ -216,6 +220,11 @@ class Variables(NamedTuple):
     power: Floats1  # (1 + w,) of each effect that does work; last of control and effects [W]
     inner: Floats1  # states of effects, such as lagging actuators
     inner_rate: Floats1
+    # by ``force_columns``, see multiarm.dynamics.force_derivatives: derivatives of the torques of
+    # the drives (joints, columns); of the forces of one effect, and of the rates of states of
+    # effects (velocities + states, columns)
+    torque_slopes: Floats2
+    force_slopes: Floats2
     coordinates: Floats2  # (n, 6) free coordinates of the joints after the last step, without jumps
     # monitors: margins; events (time, monitor, 1 when its margin became positive, else 0); number
     margins: Floats1
@@ -245,12 +254,14 @@ def make_variables(
     """
     arms, joints = len(pointers), layout.joints
     monitors = len(constants.monitors)
+    columns = 2 * layout.nv + states + 7
     shapes = {
         "q": pinocchio_size,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
         "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6),
         "torque": joints, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
+        "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
         "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
         "residual": joints, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
         "mixed": layout.nv, "signs": arms,

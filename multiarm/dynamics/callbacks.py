@@ -33,7 +33,7 @@ from multiarm.jit.structs import struct_at
 ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
 
 # No control law: see ``Constants.control``.
-NO_CONTROL = np.zeros((0, 2), dtype=np.int64)
+NO_CONTROL = np.zeros((0, 3), dtype=np.int64)
 
 # Owners of the user functions that this thread is calling.
 _running: ContextVar[tuple[object, ...]] = ContextVar("running", default=())
@@ -159,7 +159,7 @@ class PythonControl:
     @property
     def laws(self) -> np.ndarray:
         """``Constants.control``."""
-        return np.array([[address_of(call_controller), 0]], dtype=np.int64)
+        return np.array([[address_of(call_controller), 0, 0]], dtype=np.int64)
 
     def connect(self, layout: Layout, variables: Variables) -> UserCallback:
         """The callback that writes the torques."""

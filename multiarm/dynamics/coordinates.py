@@ -99,6 +99,26 @@ def state_columns(data):
     return StateColumns(frames, 2 * frames, 2 * frames + joints, 2 * data.velocity.size)
 
 
+class ForceColumns(NamedTuple):
+    """First columns of derivatives of forces; by poses of the frames they begin at zero."""
+
+    twists: int
+    positions: int  # of joints
+    rates: int
+    states: int  # of effects
+    time: int
+    share: int  # six of s, see multiarm.integration.arm_blocks
+    end: int
+
+
+@plain
+def force_columns(data):
+    """The columns for the sizes of these data: those of the state, and what follows them."""
+    at = state_columns(data)
+    time = at.end + data.inner.size
+    return ForceColumns(at.twists, at.positions, at.rates, at.end, time, time + 1, time + 7)
+
+
 # --- the integrator's chart ----------------------------------------------------------------------
 
 

@@ -31,6 +31,26 @@ arrays of a ``NamedTuple``, which it opens by :func:`view_of_effect`.
 
     EffectKernel("spring", pull, PASSIVE, Spring(stiffness))
 
+*Its derivative*, where it states one, is a kernel of the same signature.  It adds to
+``data.force_slopes``, which is zero before, the derivatives of the forces on the frames and joints
+and, below these, of the rates of effects' states, by the columns of
+:func:`multiarm.dynamics.coordinates.force_columns`; those by the time and by s are not asked for.
+
+.. code-block:: python
+
+    @cfunc
+    def differentiate_pull(address, size, at, t):
+        struct = struct_at(address, size)
+        data, spring = open_data(struct), open_spring(struct, at)
+        first, columns = chart_places(data).joints, force_columns(data)
+        for j in range(data.h.size):
+            data.force_slopes[first + j, columns.positions + j] -= spring.stiffness[j]
+        return 0
+
+That of an actuator changes ``data.torque_slopes`` (n, columns), all columns of a joint alike, as
+its kernel changes ``data.torque``, which is what comes to it.  Without a derivative, integration
+and :func:`multiarm.derivatives` take differences, which cost further evaluations.
+
 A scene without effects has an empty list of kernels.
 """
 
@@ -43,7 +63,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import EFFECTS, open_data
-from multiarm.jit.kernels import inlined
+from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
 from multiarm.jit.structs import ints1, make_struct, struct_of, view_at
 
@@ -75,6 +95,12 @@ def set_power(struct, at, power):
 def first_state(struct, at):
     """Index in ``data.inner`` and ``data.inner_rate`` of the first state of this effect."""
     return ints1(struct, int(at))[STATE]
+
+
+@cfunc
+def keep_forces(_address, _size, _at, _t):
+    """The derivative of an effect whose forces do not depend on the state."""
+    return 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +147,8 @@ class EffectKernel:
         :mod:`multiarm.integration.arm_blocks`, which are wrong where this does not hold.
     state_joints : tuple of int
         The joint, among all, to which each state of a local kernel belongs.
+    derivative : compiled function, optional
+        The derivatives of what the kernel does, see above; absent: differences.
     """
 
     name: str
@@ -137,6 +165,7 @@ class EffectKernel:
     watched: tuple[tuple[str, int], ...] = ()
     local: bool = False
     state_joints: tuple[int, ...] = ()
+    derivative: Any = None
 
 
 class EffectData(NamedTuple):
@@ -210,6 +239,14 @@ class EffectProgram:
         return all(own.local and len(own.state_joints) == own.states for own in called)
 
     @property
+    def state_joints(self) -> np.ndarray:
+        """``Constants.state_joints``."""
+        joints: list[int] = []
+        for own in self.kernels:
+            joints += own.state_joints or [-1] * own.states
+        return np.array(joints, dtype=np.int64)
+
+    @property
     def watched(self) -> list[tuple[int, int]]:
         """Margins to monitor: index of the array in the struct, joint."""
         places = zip(self.kernels, self._places(), strict=True)
@@ -232,9 +269,12 @@ class EffectProgram:
         """``Constants.effects``, and the end of each phase there."""
         called = [(own, at) for own, at in zip(self.kernels, self._places(), strict=True)]
         called = [(own, at) for own, at in called if own.kernel is not None]
-        rows = [[address_of(own.kernel), at] for own, at in called]
+        rows = [
+            [address_of(own.kernel), at, address_of(own.derivative) if own.derivative else 0]
+            for own, at in called
+        ]
         ends = [sum(own.phase <= phase for own, _ in called) for phase in range(3)]
-        return np.array(rows, dtype=np.int64).reshape(-1, 2), ends
+        return np.array(rows, dtype=np.int64).reshape(-1, 3), ends
 
     def _places(self) -> list[int]:
         """Index of each kernel's first array in the system's struct."""

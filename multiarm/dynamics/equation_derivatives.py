@@ -89,7 +89,7 @@ class EquationWork(NamedTuple):
 
 
 _open_links = view(ArmLinks)
-_open_work = view(EquationWork, len(ArmLinks._fields))
+open_equations = view(EquationWork, len(ArmLinks._fields))
 
 
 def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
@@ -170,7 +170,7 @@ def _differentiate(data: Data, own: np.ndarray, at_rest: bool, twist: np.ndarray
 def write_derivatives(struct: INTS, own: INTS, at_rest: TRUTH, twist: NUMBERS):
     """Write the derivatives for either of the functions above; returns a status."""
     model, data, system = open_system(struct)
-    links, work = _open_links(own), _open_work(own)
+    links, work = _open_links(own), open_equations(own)
     write_body(data, twist, work)
     if at_rest:
         clear(work.v)
@@ -289,7 +289,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     The result is ``SINGULAR`` where an arm, or the object, cannot be solved so.
     """
     _, data, system = open_system(struct)
-    links, work = _open_links(own), _open_work(own)
+    links, work = _open_links(own), open_equations(own)
     S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
     for l in range(6):  # noqa: E741
         copy(data.inertia[l], S[l])

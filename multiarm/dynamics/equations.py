@@ -112,20 +112,27 @@ def right_hand_sides(address, size, alpha, beta):
 
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
-    model, data, work = open_system(struct_at(address, size))
+    struct = struct_at(address, size)
+    model, data, work = open_system(struct)
     clear(data.power)
-    passive_forces(address, size, model, data, work)
+    passive_forces(struct, model, data, work)
     power = 0.0
     if model.control.shape[0] > 0:
-        if data.modes.closed != 0:  # a mode of unilateral contacts
-            control_of_closed(model, data)
-        else:
-            load_gravity_torque(data, work)
-            control_torques(address, size, model, data)
-        power = add_torques(address, size, model, data)
-    applied_forces(address, size, model, data, power)
+        command_torques(struct, model, data, work)
+        power = add_torques(struct, model, data)
+    applied_forces(struct, model, data, power)
     drift_terms(data, alpha, beta)
     return CALLBACK_FAILED if data.status.failed else OK
+
+
+@inlined
+def command_torques(struct, model, data, work):
+    """Let the control laws write ``data.torque``."""
+    if data.modes.closed != 0:  # a mode of unilateral contacts
+        control_of_closed(model, data)
+    else:
+        load_gravity_torque(data, work)
+        control_torques(struct, model.control.shape[0], model, data)
 
 
 @inlined
@@ -137,18 +144,18 @@ def control_of_closed(model, data):
         arm_rows(i, closed, constants, of_closed, work)
         load_inertia(i, of_closed, work)
     load_gravity_torque(of_closed, work)
-    control_torques(data.modes.closed, 0, model, of_closed)
+    control_torques(closed, model.control.shape[0], model, of_closed)
 
 
 @inlined
-def passive_forces(address, size, model, data, work):
+def passive_forces(struct, model, data, work):
     """``h = -b`` and the passive effects of the joints."""
     for i in range(data.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         bias = floats_at(data.pointers[i, BIAS_AT], d)
         for j in range(d):
             data.h[d0 + j] = -bias[j]
-    call_effects(0, model.passive_end, address, size, model, data)
+    call_effects(0, model.passive_end, struct, model, data)
 
 
 @inlined
@@ -162,18 +169,18 @@ def load_gravity_torque(data, work):
 
 
 @inlined
-def control_torques(address, size, model, data):
-    """Let the control laws write ``data.torque``."""
+def control_torques(struct, laws, model, data):
+    """Let a number of control laws write ``data.torque``."""
     clear(data.torque)
-    for k in range(model.control.shape[0]):
+    for k in range(laws):
         law, at = model.control[k, 0], float(model.control[k, 1])
-        call_cfunc(law, struct_at(address, size), at, data.time.now)
+        call_cfunc(law, struct, at, data.time.now)
 
 
 @inlined
-def add_torques(address, size, model, data):
+def add_torques(struct, model, data):
     """Add the control torques, changed by the actuators, to ``h``; returns their power [W]."""
-    call_effects(model.passive_end, model.actuator_end, address, size, model, data)
+    call_effects(model.passive_end, model.actuator_end, struct, model, data)
     power = 0.0
     for j in range(data.h.size):
         data.h[j] += data.torque[j]
@@ -182,9 +189,9 @@ def add_torques(address, size, model, data):
 
 
 @inlined
-def applied_forces(address, size, model, data, power):
+def applied_forces(struct, model, data, power):
     """Add the external loads, and write the total power; ``power`` [W] is that of the control."""
-    call_effects(model.actuator_end, model.applied_end, address, size, model, data)
+    call_effects(model.actuator_end, model.applied_end, struct, model, data)
     last = data.power.size - 1
     for k in range(last):
         power += data.power[k]
@@ -192,11 +199,11 @@ def applied_forces(address, size, model, data, power):
 
 
 @inlined
-def call_effects(first, end, address, size, model, data):
+def call_effects(first, end, struct, model, data):
     """Call the effects of one phase, rows ``first`` to ``end`` of ``Constants.effects``."""
     for k in range(first, end):
         effect = model.effects[k]
-        call_cfunc(effect[0], struct_at(address, size), float(effect[1]), data.time.now)
+        call_cfunc(effect[0], struct, float(effect[1]), data.time.now)
 
 
 @inlined

@@ -1,25 +1,59 @@
 r"""Derivatives of the forces of control and effects.
 
-Control may have closed forms (:attr:`multiarm.control.program.ControlProgram.derivative`); all else
-is differentiated by differences of order four,
+They are what laws and effects state (:mod:`multiarm.dynamics.effect_kernels`,
+:mod:`multiarm.control.program`), and differences of the forces of those that state none.  Torques
+of the control come to the first actuator, and what this makes of them to the next one; so do their
+derivatives, ``data.torque_slopes``.  All other derivatives are those of one effect at a time,
+``data.force_slopes``.  Columns are those of the state, then the effects' states, the time, and the
+wrench s that gravity compensation distributes (:mod:`multiarm.integration.arm_blocks`).
 
-.. math:: f' = \frac{8 (f_1 - f_{-1}) - f_2 + f_{-2}}{12 h} .
+*Differences* are of order four, or of order one where many evaluations cost more than an error is
+worth,
+
+.. math::
+    f' = \frac{8 (f_1 - f_{-1}) - f_2 + f_{-2}}{12 h} \quad\text{or}\quad \frac{f_1 - f_0}{h} .
+
+An actuator is displaced along the derivatives of the torques that come to it.  Where forces are
+*local*, those on an arm by its own state and those on the object by the object's, joint number j of
+all arms is displaced at once.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from multiarm.arms.terms import BIAS_AT
-from multiarm.dynamics.arrays import OPEN_LOOP, open_data, open_system
+from multiarm.dynamics.arrays import OPEN_LOOP, open_system
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
-from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.coordinates import chart_places, force_columns, retract
+from multiarm.dynamics.equations import (
+    command_torques,
+    control_torques,
+    load_gravity_torque,
+    passive_forces,
+    update_kinematics,
+)
+from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import INTS, TABLE, TRUTH, clear, kernel
+from multiarm.dynamics.status import CALLBACK_FAILED, OK
+from multiarm.jit.kernels import INTS, TABLE, TRUTH, allocating, clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import floats_at
-from multiarm.spatial import retract_into
+from multiarm.jit.structs import Float, Int, Numbers
+
+# Displacement of a difference of order one [m, rad], of velocities and of states of effects
+# relative to the largest one or to 1: roundings are 1e-9 of the forces.
+CHANGE = 1e-7
+# Row of all control laws, among those of effects.
+CONTROL = -1
+
+
+class Differences(Numbers):
+    """How forces are differentiated that have no derivatives of their own."""
+
+    local: Int  # each arm by its own state, the object by its own
+    laws: Int  # control laws, the first ones
+    order: Int  # 1 or 4
+    time_change: Float  # [s]; 0: without the column of the time
+    evaluations: Int  # kinematics that were computed
 
 
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
@@ -30,115 +64,303 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     where nothing depends on these.  Without ``closed_loop`` the control's torques are held.
     """
     model, layout, e = data.model, data.model.layout, data.arrays.inner.size
-    follows = len(model.constants.control) > 0 and model.constants.control_reach > OPEN_LOOP
-    by_law = _law_derivatives(data) if closed_loop and follows else None
-    by_differences = closed_loop and follows and by_law is None
-    by_state = np.zeros((2 * layout.nv + e, layout.nv + e))
-    if by_differences or model.effects.kernels:
-        if differentiate_forces(data.struct, by_differences, by_state) != OK:
-            data.reraise()
-    elif by_law is None:
+    constants, slopes = model.constants, data.arrays.torque_slopes
+    follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
+    follows &= closed_loop or e > 0
+    if not (follows or model.effects.kernels):
         return None
-    if by_law is not None:
-        by_state[: 2 * layout.nv, layout.of_joints] += by_law.T
-    return by_state.T
-
-
-def _law_derivatives(data: Data) -> np.ndarray | None:
-    """Derivatives of the torques in closed form, where these act as they are commanded."""
-    law, constants = data.model.control_derivative, data.model.constants
-    drives_act = constants.actuator_end > constants.passive_end
-    contacts_open = data.arrays.modes.closed != 0
-    return None if law is None or drives_act or contacts_open else law(data)
+    slopes[:] = 0.0
+    differs = follows and not constants.control[:, 2].all()
+    if differs and model.control_derivative is not None and data.arrays.modes.closed == 0:
+        by_law = model.control_derivative(data)
+        if by_law is not None:
+            slopes[:, : by_law.shape[1]], differs = by_law, False
+    differences = Differences(laws=len(constants.control), order=4)
+    applied = np.zeros((layout.nv + e, slopes.shape[1]))
+    status = differentiate_forces(data.struct, differences, follows, differs, closed_loop, applied)
+    if status != OK:
+        data.reraise()
+    return applied[:, : 2 * layout.nv + e]
 
 
 @kernel
-def differentiate_forces(struct: INTS, closed_loop: TRUTH, by_state: TABLE):
-    """Write what :func:`applied_derivatives` describes, transposed; returns a status.
+def differentiate_forces(
+    struct: INTS,
+    differences: Differences,
+    follows: TRUTH,
+    differs: TRUTH,
+    closed_loop: TRUTH,
+    applied: TABLE,
+):
+    """Write what :func:`applied_derivatives` describes; returns a status.
 
-    At the end the data are as they were.
+    ``data.torque_slopes`` has what laws contribute that have no compiled derivative.  The torques
+    follow the state where ``follows``, all by differences where ``differs``.  At the end the data
+    are as they were.
     """
-    data = open_data(struct)
-    for column in range(by_state.shape[0]):
-        row = by_state[column]
-        clear(row)
-        status = differentiate_by_entry(struct, data, column, closed_loop, row)
+    model, data, _ = open_system(struct)
+    status, first = OK, chart_places(data).joints
+    for k in range(model.applied_end + 1):
+        if k == model.passive_end and model.control.shape[0] > 0:
+            status = differentiate_control(struct, differences, follows, differs)
+        if k == model.actuator_end and closed_loop and model.control.shape[0] > 0:
+            for j in range(data.torque.size):
+                for c in range(applied.shape[1]):
+                    applied[first + j, c] += data.torque_slopes[j, c]
+        acts = k < model.passive_end or model.control.shape[0] > 0 or k >= model.actuator_end
+        if status == OK and k < model.applied_end and acts:
+            status = differentiate_effect(struct, differences, k)
+            for i in range(applied.shape[0]):
+                for c in range(applied.shape[1]):
+                    applied[i, c] += data.force_slopes[i, c]
         if status != OK:
             return status
-    return add_forces(struct, 0.0, closed_loop, by_state[0])
+    status = update_kinematics(struct)
+    return call_cfunc(data.functions.forces, struct, 0.0, 0.0) if status == OK else status
 
 
 @kernel
-def differentiate_by_entry(struct, data, column, closed_loop, row):
-    """Add the derivatives by one column of the state; returns a status."""
-    at = state_columns(data)
-    if column < at.twists:
-        return differentiate_by_pose(struct, data, column // 6, column % 6, closed_loop, row)
-    if column < at.positions:
-        values, place = data.velocity, column - at.twists
-    elif column < at.rates:
-        values, place = data.angles, column - at.positions
-    elif column < at.end:
-        values, place = data.v, column - at.rates
-    else:
-        values, place = data.inner, column - at.end
-    return differentiate_by_number(struct, values, place, closed_loop, row)
+def differentiate_control(struct, differences, follows, differs):
+    """Add the derivatives of the torques of the control laws, and compute these.
+
+    By the time, and, where they follow the state, by this: all by differences where ``differs``,
+    else as the laws state them.  Returns a status.
+    """
+    model, data, work = open_system(struct)
+    clear_slopes(model, data, work, differences.local, data.force_slopes, chart_places(data).joints)
+    status, laws = OK, differences.laws
+    if follows and not differs:
+        for k in range(laws):
+            law = model.control[k]
+            if law[2] != 0:
+                call_cfunc(law[2], struct, float(law[1]), data.time.now)
+    by_state = follows and differs
+    if by_state or differences.time_change > 0.0:
+        status = add_differences(struct, differences, CONTROL, by_state)
+    first, time = chart_places(data).joints, force_columns(data).time
+    for j in range(data.torque.size):
+        for c in range(
+            0 if by_state else time, data.torque_slopes.shape[1] if by_state else time + 1
+        ):
+            data.torque_slopes[j, c] += data.force_slopes[first + j, c]
+    act(struct, differences, CONTROL, model, data, work)
+    return status
 
 
 @kernel
-def differentiate_by_number(struct, values, place, closed_loop, row):
-    """Add the derivatives by one number in the data; returns a status."""
-    before = values[place]
-    for offset in OFFSETS:
-        values[place] = before + offset * STEP
-        status = add_forces(struct, difference_weight(offset), closed_loop, row)
-        if status != OK:
-            return status
-    values[place] = before
-    return OK
+def differentiate_effect(struct, differences, k):
+    """Write the derivatives of effect number k, and let it act; returns a status.
+
+    Those of an actuator change ``data.torque_slopes``, as it changes ``data.torque``; else forces
+    of this effect alone are in ``data.generalised_forces``.
+    """
+    model, data, work = open_system(struct)
+    status, effect, first = OK, model.effects[k], chart_places(data).joints
+    clear_slopes(model, data, work, differences.local, data.force_slopes, first)
+    actuates = model.passive_end <= k < model.actuator_end
+    if effect[2] != 0:
+        call_cfunc(effect[2], struct, float(effect[1]), data.time.now)
+    if effect[2] == 0 or (differences.time_change > 0.0 and not actuates):
+        status = add_differences(struct, differences, k, effect[2] == 0)
+    if actuates and effect[2] == 0:
+        for j in range(data.torque.size):
+            copy(data.force_slopes[first + j], data.torque_slopes[j])
+            clear(data.force_slopes[first + j])
+    act(struct, differences, k, model, data, work)
+    return status
 
 
 @kernel
-def differentiate_by_pose(struct, data, frame, axis, closed_loop, row):
-    """Add the derivatives by a displacement of one frame along or about an axis of the world."""
-    if axis < 3:
-        return differentiate_by_number(struct, data.poses[frame], axis, closed_loop, row)
-    quaternion = data.poses[frame, 3:7]
-    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    for offset in OFFSETS:
-        h = offset * STEP
-        about_x, about_y = h if axis == 3 else 0.0, h if axis == 4 else 0.0
-        retract_into((x, y, z, w), (about_x, about_y, h - about_x - about_y), quaternion)
-        status = add_forces(struct, difference_weight(offset), closed_loop, row)
-        if status != OK:
-            return status
-    quaternion[0], quaternion[1], quaternion[2], quaternion[3] = x, y, z, w
-    return OK
+def clear_slopes(model, data, work, local, table, first):
+    """Write zeros into a table of derivatives whose rows of joints begin at ``first``.
 
-
-@kernel
-def add_forces(struct, weight, closed_loop, row):
-    """Add the forces of control and effects at the state in the data, times a weight, to a row."""
-    _, data, work = open_system(struct)
-    status = call_cfunc(data.functions.kinematics, struct, 0.0, 0.0)
-    if status != OK:
-        return status
-    places = chart_places(data)
-    for k in range(places.joints):  # weight and gyroscopic moment
-        row[k] -= weight * data.generalised_forces[k]
-    status = call_cfunc(data.functions.forces, struct, 0.0, 0.0)
-    if status != OK:
-        return status
-    for k in range(data.generalised_forces.size):
-        row[k] += weight * data.generalised_forces[k]
+    Where forces are local, into those columns of each row only that are read: the cost is linear.
+    """
+    if local == 0:
+        clear_table(table)
+        return
+    at = force_columns(data)
+    for l in range(first):  # noqa: E741
+        clear(table[l, : at.positions])
+        clear(table[l, at.states :])
     for i in range(work.dofs.size - 1):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        bias = floats_at(data.pointers[i, BIAS_AT], d)
-        for j in range(d):
-            row[places.joints + d0 + j] += weight * bias[j]
-    if not closed_loop:
-        for k in range(data.torque.size):
-            row[places.joints + k] -= weight * data.torque[k]
+        for j in range(work.dofs[i], work.dofs[i + 1]):
+            clear_columns(at, work.dofs[i], work.dofs[i + 1], table[first + j])
+        for s in range(table.shape[0] - first - data.v.size):
+            if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
+                row = table[first + data.v.size + s]
+                clear_columns(at, work.dofs[i], work.dofs[i + 1], row)
+
+
+@inlined
+def clear_columns(at, begin, end, row):
+    """Write zeros into the columns of an arm's joints, of the object, and of what follows."""
+    clear(row[: at.positions])
+    clear(row[at.positions + begin : at.positions + end])
+    clear(row[at.rates + begin : at.rates + end])
+    clear(row[at.states :])
+
+
+@inlined
+def clear_table(table):
+    """Write zeros into all rows."""
+    for i in range(table.shape[0]):
+        clear(table[i])
+
+
+@inlined
+def act(struct, differences, k, model, data, work):
+    """Let one effect write its forces alone, an actuator its torques, or the control these."""
+    if k != CONTROL:
+        clear(data.generalised_forces)
+        call_cfunc(model.effects[k, 0], struct, float(model.effects[k, 1]), data.time.now)
+        return
+    object_terms(model, data)  # laws may compensate the forces before them
+    passive_forces(struct, model, data, work)
+    if differences.laws == model.control.shape[0]:
+        command_torques(struct, model, data, work)
+    else:
+        load_gravity_torque(data, work)
+        control_torques(struct, differences.laws, model, data)
+
+
+# --- differences ---------------------------------------------------------------------------------
+
+
+@allocating
+def add_differences(struct, differences, k, by_state):
+    """Add derivatives of one effect, or of the control, by the time, and ``by_state`` by all else.
+
+    They are written to ``data.force_slopes``, also those of torques.  Returns a status.
+    """
+    model, data, work = open_system(struct)
+    at, places = force_columns(data), chart_places(data)
+    configuration, velocity = data.configuration.copy(), data.velocity.copy()
+    inner, torque, now = data.inner.copy(), data.torque.copy(), data.time.now
+    actuates = k != CONTROL and model.passive_end <= k < model.actuator_end
+    direction, displacement = np.zeros(at.end), np.zeros(velocity.size)
+    columns = np.zeros(velocity.size + inner.size, dtype=np.int64)
+    base = np.zeros(columns.size)
+    act(struct, differences, k, model, data, work)
+    read_forces(data, actuates or k == CONTROL, places.joints, base)
+    value, status, moved = np.zeros(columns.size), OK, False
+    for column in range(at.end):
+        of_time, of_state = column == at.time, column < at.time
+        if of_time and differences.time_change == 0.0:
+            continue
+        if not of_time and not (by_state and (of_state or actuates)):
+            continue
+        if not choose_columns(model, work, differences, at, column, columns, direction):
+            continue
+        for l in range(places.joints):  # noqa: E741
+            displacement[l] = direction[l]
+        for j in range(data.angles.size):
+            displacement[places.joints + j] = direction[at.positions + j]
+        change, points = CHANGE, 1
+        if of_time:
+            change, points = differences.time_change, 2
+        elif differences.order == 4:
+            change, points = STEP, 4
+        elif at.twists <= column < at.positions or at.rates <= column < at.states:
+            change *= max(1.0, np.max(np.abs(velocity)))
+        elif at.states <= column < at.time:
+            change *= max(1.0, np.max(np.abs(inner)))
+        for point in range(points):
+            offset, weight = change, 1.0 / change
+            if of_time:
+                offset, weight = (point + 1.0) * change, (2.0 if point == 0 else -0.5) / change
+            elif points == 4:
+                offset = OFFSETS[point] * change
+                weight = difference_weight(OFFSETS[point])
+            if column < at.states:
+                moved = True
+                retract(
+                    data.poses.shape[0], configuration, offset, displacement, data.configuration
+                )
+                for l in range(velocity.size):  # noqa: E741
+                    rate = at.twists + l if l < places.joints else at.rates + l - places.joints
+                    data.velocity[l] = velocity[l] + offset * direction[rate]
+                if differences.local != 0 and column < at.positions:
+                    object_terms(model, data)
+                else:
+                    differences.evaluations += 1
+                    status = update_kinematics(struct)
+            elif column < at.time:
+                data.inner[column - at.states] = inner[column - at.states] + offset
+            elif of_time:
+                data.time.now = now + offset
+            for j in range(torque.size):
+                row = columns[places.joints + j]
+                data.torque[j] = torque[j]
+                if actuates and row >= 0:
+                    data.torque[j] += offset * data.torque_slopes[j, row]
+            if status == OK:
+                act(struct, differences, k, model, data, work)
+            if data.status.failed:
+                status = CALLBACK_FAILED
+            read_forces(data, actuates or k == CONTROL, places.joints, value)
+            for i in range(columns.size):
+                if columns[i] >= 0:
+                    data.force_slopes[i, columns[i]] += weight * (value[i] - base[i])
+            if status != OK:
+                break
+        copy(configuration, data.configuration)
+        copy(velocity, data.velocity)
+        copy(inner, data.inner)
+        data.time.now = now
+        if status != OK:
+            break
+    copy(torque, data.torque)
+    if moved and status == OK:
+        differences.evaluations += 1
+        status = update_kinematics(struct)
+    return status
+
+
+@inlined
+def read_forces(data, torques, joints, out):
+    """Copy generalised forces, or torques in their place, and the rates of effects' states."""
+    size = data.velocity.size
+    for k in range(size):
+        out[k] = data.generalised_forces[k]
+        if torques:
+            out[k] = data.torque[k - joints] if k >= joints else 0.0
     for k in range(data.inner_rate.size):
-        row[places.velocity + k] += weight * data.inner_rate[k]
-    return OK
+        out[size + k] = data.inner_rate[k]
+
+
+@inlined
+def choose_columns(model, work, differences, at, column, columns, direction):
+    """Write which entries of the state are displaced, and the column of each row, -1 without.
+
+    It is one column, or, where forces are local, a joint's of the longest arm and those of the
+    joints of this number of all others.  Returns False for columns that come with others.
+    """
+    clear(direction)
+    joints = columns.size - (at.time - at.states) - at.twists
+    of_joint = at.positions <= column < at.states
+    if differences.local == 0 or not of_joint:
+        direction[column] = 1.0
+        for i in range(columns.size):
+            columns[i] = column
+        return True
+    first, longest = at.positions if column < at.rates else at.rates, 0
+    for i in range(work.dofs.size - 1):
+        if work.dofs[i + 1] - work.dofs[i] > work.dofs[longest + 1] - work.dofs[longest]:
+            longest = i
+    number = column - first - work.dofs[longest]
+    if not 0 <= number < work.dofs[longest + 1] - work.dofs[longest]:
+        return False
+    for i in range(columns.size):
+        columns[i] = -1
+    for i in range(work.dofs.size - 1):
+        if number >= work.dofs[i + 1] - work.dofs[i]:
+            continue
+        moved = first + work.dofs[i] + number
+        direction[moved] = 1.0
+        for j in range(work.dofs[i], work.dofs[i + 1]):
+            columns[at.twists + j] = moved
+        for s in range(model.state_joints.size):
+            if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
+                columns[at.twists + joints + s] = moved
+    return True

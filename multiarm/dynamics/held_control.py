@@ -69,7 +69,7 @@ class Sampling:
 
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
-    row, reach = [address_of(hold_torques), int(delay)], constants.control_reach
+    row, reach = [address_of(hold_torques), int(delay), 0], constants.control_reach
     if not len(laws):
         reach = OPEN_LOOP
     elif reach == CARRYING:  # the last law is another one now

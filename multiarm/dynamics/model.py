@@ -285,6 +285,7 @@ def with_effects(constants: Constants, effects: EffectProgram) -> Constants:
         actuator_end=actuator,
         applied_end=applied,
         local_effects=effects.local,
+        state_joints=effects.state_joints,
     )
 
 

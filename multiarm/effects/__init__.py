@@ -24,12 +24,14 @@ _HOMES = {
             "STATE",
             "EffectKernel",
             "first_state",
+            "keep_forces",
             "set_power",
             "view_of_effect",
         ),
         "dynamics.effect_kernels",
     ),
     "BuildContext": "effects.building",
+    **dict.fromkeys(("chart_places", "force_columns"), "dynamics.coordinates"),
     **dict.fromkeys(("open_data", "open_system"), "dynamics.arrays"),
 }
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel, first_state, view_of_effect
 from multiarm.effects.building import BuildContext
-from multiarm.jit.kernels import cfunc
+from multiarm.jit.kernels import cfunc, clear
 from multiarm.jit.structs import Floats1, Ints1, struct_at
 
 
@@ -42,6 +43,23 @@ def lag_torques(address, size, at, _t):
     return 0
 
 
+@cfunc
+def differentiate_lag(address, size, at, _t):
+    """Write the derivatives of the torques that act, which are states, and of their rates."""
+    struct = struct_at(address, size)
+    data, lag, state = open_data(struct), open_lag(struct, at), first_state(struct, at)
+    states = force_columns(data).states
+    for k in range(lag.joints.size):
+        command = data.torque_slopes[lag.joints[k]]
+        rate = data.force_slopes[data.velocity.size + state + k]
+        for c in range(command.size):
+            rate[c] += command[c] / lag.time_constants[k]
+        rate[states + state + k] -= 1.0 / lag.time_constants[k]
+        clear(command)
+        command[states + state + k] = 1.0
+    return 0
+
+
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of lagging drives; joints without a time constant follow at once."""
     constants = context.stacked(spec.time_constant)
@@ -62,5 +80,6 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             start=start,
             local=True,
             state_joints=tuple(lagging.tolist()),
+            derivative=differentiate_lag,
         )
     ]

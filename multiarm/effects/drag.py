@@ -9,6 +9,15 @@ is ``w``, and component by component along the object's axes,
 
 Stokes's law at low, Newton's at high Reynolds numbers.  The force acts at the centre of mass.  Its
 power is that on the object, :math:`f\cdot v_o + m\cdot\omega_o`: wind may drive it.
+
+*Derivatives.*  In world axes, with :math:`\bar u = v_o - w`, :math:`A = R_o\,
+\mathrm{diag}(c_k + \bar q_k |u|) R_o^T`, :math:`Q = R_o\,\mathrm{diag}(\bar q_k) R_o^T` and
+:math:`B = R_o\,\mathrm{diag}(d_k) R_o^T`, so that :math:`f = -A\bar u, m = -B\omega`,
+
+.. math::
+    \delta f = -A\,\delta v - Q\bar u\,\frac{\bar u\cdot\delta v}{|u|}
+               + \theta\times f + A(\theta\times\bar u), \qquad
+    \delta m = -B\,\delta\omega + \theta\times m + B(\theta\times\omega) .
 """
 
 from __future__ import annotations
@@ -20,10 +29,25 @@ import numpy as np
 
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.contact_derivatives import unit
+from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.effects.building import BuildContext
-from multiarm.jit.kernels import cfunc
+from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.structs import Floats1, struct_at
+from multiarm.jit.vectors import (
+    add_cross,
+    add_scaled,
+    cross,
+    dot,
+    norm,
+    rotate,
+    rotate_back,
+    rotation,
+    scale,
+    sub,
+    vec,
+)
 
 
 class Drag(NamedTuple):
@@ -64,8 +88,44 @@ def add_drag(address, size, at, _t):
     return 0
 
 
+@cfunc
+def differentiate_drag(address, size, at, _t):
+    """Add the derivatives of the wrench."""
+    struct = struct_at(address, size)
+    data, drag = open_data(struct), open_drag(struct, at)
+    R, slopes, twists = rotation(data.body, 0), data.force_slopes, force_columns(data).twists
+    u, w = sub(vec(data.body, VELOCITY), vec(drag.wind, 0)), vec(data.body, SPIN)
+    c, q, d = vec(drag.linear, 0), vec(drag.quadratic, 0), vec(drag.angular, 0)
+    speed = norm(u)
+    push = add_scaled(c, speed, q)
+    f, m = scale(-1.0, along_axes(R, push, u)), scale(-1.0, along_axes(R, d, w))
+    growth = along_axes(R, q, u)  # of the force with the speed
+    for axis in range(3):
+        e = unit(axis)
+        by_speed = dot(u, e) / speed if speed > 0.0 else 0.0
+        by_velocity = add_scaled(along_axes(R, push, e), by_speed, growth)
+        by_turn = add_cross(along_axes(R, push, cross(e, u)), e, f)
+        moment_by_turn = add_cross(along_axes(R, d, cross(e, w)), e, m)
+        by_spin = along_axes(R, d, e)
+        for k in range(3):
+            slopes[k, twists + axis] -= by_velocity[k]
+            slopes[k, 3 + axis] += by_turn[k]
+            slopes[3 + k, twists + 3 + axis] -= by_spin[k]
+            slopes[3 + k, 3 + axis] += moment_by_turn[k]
+    return 0
+
+
+@inlined
+def along_axes(R, weights, a):
+    """``R diag(weights) R^T a``."""
+    b = rotate_back(R, a)
+    return rotate(R, (weights[0] * b[0], weights[1] * b[1], weights[2] * b[2]))
+
+
 def build(spec, _context: BuildContext) -> list[EffectKernel]:
     """The kernel of an object that moves through a medium."""
     coefficients = spec.linear, spec.per_axis(), spec.angular, spec.wind
     drag = Drag(*(np.array(numbers, dtype=float) for numbers in coefficients))
-    return [EffectKernel("drag", add_drag, APPLIED, drag, local=True)]
+    return [
+        EffectKernel("drag", add_drag, APPLIED, drag, local=True, derivative=differentiate_drag)
+    ]

@@ -25,16 +25,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.arms.derivatives import twist_product
 from multiarm.arms.terms import J_AT
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
+from multiarm.dynamics.contact_derivatives import unit
+from multiarm.dynamics.coordinates import chart_places, force_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import checked_vector
 from multiarm.effects.building import BuildContext
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import Floats2, Ints1, floats_at, struct_at
 from multiarm.jit.vectors import (
@@ -43,6 +46,7 @@ from multiarm.jit.vectors import (
     add_cross,
     add_rotated,
     compose,
+    cross,
     dot,
     put,
     rotate,
@@ -89,18 +93,73 @@ def add_external_wrenches(address, size, at, t):
     struct = struct_at(address, size)
     data, wrenches, power = open_data(struct), open_wrenches(struct, at), 0.0
     for k in range(wrenches.course.size):
-        write_wrench(wrenches, k, t)
-        # the moment is that about the object's centre of mass, or about the world's origin
-        R, origin = rotation(data.body, 0), ZERO
-        if wrenches.on_link[k] != 0:
-            pose = floats_at(data.link_poses[wrenches.link[k]], 12)
-            R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
-        if wrenches.in_body[k] != 0:
-            to_world(R, wrenches.frame[k], wrenches.wrench[k])
-        lever = add_rotated(origin, R, vec(wrenches.point[k], 0))
+        lever = place_wrench(wrenches, k, data, t)
         power += apply_wrench(wrenches, k, lever, data)
     set_power(struct, at, power)
     return 0
+
+
+@cfunc
+def differentiate_external_wrenches(address, size, at, t):
+    """Add the derivatives of all wrenches at time ``t``."""
+    struct = struct_at(address, size)
+    data, wrenches = open_data(struct), open_wrenches(struct, at)
+    for k in range(wrenches.course.size):
+        lever = place_wrench(wrenches, k, data, t)
+        f = vec(wrenches.wrench[k], 0)
+        m = add_cross(vec(wrenches.wrench[k], 3), lever, f)
+        follows = wrenches.in_body[k] != 0
+        if wrenches.on_link[k] != 0:
+            differentiate_on_link(wrenches, k, lever, f, m, follows, data)
+            continue
+        for axis in range(3):
+            e = unit(axis)
+            by_turn = cross(e, f) if follows else ZERO
+            moment_by_turn = cross(e, m) if follows else cross(cross(e, lever), f)
+            for a in range(3):
+                data.force_slopes[a, 3 + axis] += by_turn[a]
+                data.force_slopes[3 + a, 3 + axis] += moment_by_turn[a]
+    return 0
+
+
+@inlined
+def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
+    """Add the derivatives of the torques of a wrench on a link, by joints that carry it.
+
+    A joint displaces the columns of those after it, the point, and axes of the body, by its twist
+    about the world's origin.
+    """
+    joints, first = wrenches.joints[k], wrenches.first_joint[k]
+    J = floats_at(data.pointers[wrenches.arm[k], J_AT], 6 * joints)
+    row, column = chart_places(data).joints + first, force_columns(data).positions + first
+    for i in range(joints):
+        v, w = vec(J, 6 * i), vec(J, 6 * i + 3)
+        df, dm = ZERO, cross(add_cross(v, w, lever), f)
+        if follows:
+            df, dm = cross(w, f), add_cross(cross(w, m), v, f)
+        for j in range(joints):
+            twist = vec(J, 6 * j), vec(J, 6 * j + 3)
+            slope = dot(twist[0], df) + dot(twist[1], dm)
+            if j > i:
+                moved = twist_product((v, w), twist)
+                slope += dot(moved[0], f) + dot(moved[1], m)
+            data.force_slopes[row + j, column + i] += slope
+
+
+@kernel
+def place_wrench(wrenches, k, data, t):
+    """Write a wrench at time ``t``, world axes; returns its lever arm.
+
+    It is about the object's centre of mass, or about the world's origin.
+    """
+    write_wrench(wrenches, k, t)
+    R, origin = rotation(data.body, 0), ZERO
+    if wrenches.on_link[k] != 0:
+        pose = floats_at(data.link_poses[wrenches.link[k]], 12)
+        R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
+    if wrenches.in_body[k] != 0:
+        to_world(R, wrenches.frame[k], wrenches.wrench[k])
+    return add_rotated(origin, R, vec(wrenches.point[k], 0))
 
 
 @kernel
@@ -211,6 +270,7 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             connect=connect if functions else None,
             calls_user=bool(functions),
             local=not functions,
+            derivative=None if functions else differentiate_external_wrenches,
         )
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.coordinates import chart_places, force_columns
 from multiarm.dynamics.effect_kernels import PASSIVE, EffectKernel, set_power, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
@@ -34,7 +35,27 @@ def add_joint_damping(address, size, at, _t):
     return 0
 
 
+@cfunc
+def differentiate_joint_damping(address, size, at, _t):
+    """Add the derivatives of the torques."""
+    struct = struct_at(address, size)
+    data, damping = open_data(struct), open_damping(struct, at)
+    joints, rates = chart_places(data).joints, force_columns(data).rates
+    for j in range(data.h.size):
+        data.force_slopes[joints + j, rates + j] -= damping.coefficients[j]
+    return 0
+
+
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of viscous friction."""
     damping = JointDamping(context.stacked(spec, damping_of))
-    return [EffectKernel("joint_damping", add_joint_damping, PASSIVE, damping, local=True)]
+    return [
+        EffectKernel(
+            "joint_damping",
+            add_joint_damping,
+            PASSIVE,
+            damping,
+            local=True,
+            derivative=differentiate_joint_damping,
+        )
+    ]

@@ -18,7 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data
-from multiarm.dynamics.effect_kernels import PASSIVE, EffectKernel, set_power, view_of_effect
+from multiarm.dynamics.coordinates import chart_places, force_columns
+from multiarm.dynamics.effect_kernels import (
+    PASSIVE,
+    EffectKernel,
+    keep_forces,
+    set_power,
+    view_of_effect,
+)
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import Float, Floats1, struct_at
@@ -55,6 +62,19 @@ def add_joint_friction(address, size, at, _t):
 
 
 @cfunc
+def differentiate_joint_friction(address, size, at, _t):
+    """Add the derivatives of smooth friction: ``-c (1 - tanh^2) / s``."""
+    struct = struct_at(address, size)
+    data, friction = open_data(struct), open_smooth(struct, at)
+    joints, rates = chart_places(data).joints, force_columns(data).rates
+    for j in range(data.h.size):
+        part = math.tanh(data.v[j] / friction.smoothing_speed)
+        slope = friction.torque[j] * (1.0 - part * part) / friction.smoothing_speed
+        data.force_slopes[joints + j, rates + j] -= slope
+    return 0
+
+
+@cfunc
 def add_coulomb_friction(address, size, at, _t):
     """Add the torques of Coulomb friction."""
     struct = struct_at(address, size)
@@ -69,12 +89,27 @@ def add_coulomb_friction(address, size, at, _t):
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of smooth friction."""
     friction = SmoothFriction(context.stacked(spec.torque, friction_of), spec.smoothing_speed)
-    return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, friction, local=True)]
+    return [
+        EffectKernel(
+            "joint_friction",
+            add_joint_friction,
+            PASSIVE,
+            friction,
+            local=True,
+            derivative=differentiate_joint_friction,
+        )
+    ]
 
 
 def coulomb_kernel(joints: int) -> EffectKernel:
     """The kernel of Coulomb friction."""
     friction = CoulombFriction(np.zeros(joints))
     return EffectKernel(
-        "joint_friction", add_coulomb_friction, PASSIVE, friction, unilateral=True, local=True
+        "joint_friction",
+        add_coulomb_friction,
+        PASSIVE,
+        friction,
+        unilateral=True,
+        local=True,
+        derivative=keep_forces,
     )

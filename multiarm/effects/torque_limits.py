@@ -15,7 +15,7 @@ import numpy as np
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel, view_of_effect
 from multiarm.effects.building import BuildContext
-from multiarm.jit.kernels import cfunc
+from multiarm.jit.kernels import cfunc, clear
 from multiarm.jit.structs import Floats1, struct_at
 from multiarm.scene import effort_limit_of
 
@@ -43,6 +43,17 @@ def limit_torques(address, size, at, _t):
     return 0
 
 
+@cfunc
+def differentiate_limits(address, size, at, _t):
+    """Clear the derivatives of torques beyond their limits."""
+    struct = struct_at(address, size)
+    data, drives = open_data(struct), open_limits(struct, at)
+    for j in range(data.torque.size):
+        if abs(data.torque[j]) > drives.limits[j]:
+            clear(data.torque_slopes[j])
+    return 0
+
+
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of limited drives."""
     limits = context.stacked(spec, effort_limit_of, default=math.inf)
@@ -57,5 +68,6 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
             works=False,
             watched=watched,
             local=True,
+            derivative=differentiate_limits,
         )
     ]

@@ -8,9 +8,14 @@ solve :math:`F(x, y) = 0` (:mod:`multiarm.dynamics.derivatives`),
     F_{\varphi i} = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i, \\
     F_o &= M_o \dot v_o - h_o + \sum_i g_i, \qquad g_i = -W_{oi} \lambda_i ,
 
-so that :math:`dy = -K^{-1}\, \partial F`.  Where control and effects are *local*, an arm's
-:math:`F_i, F_{\varphi i}, g_i` at fixed ``y`` depend on the states of this arm and of the object
-only, and :math:`h_o` on the object's.
+so that :math:`dy = -K^{-1}\, \partial F`.  The derivatives of these equations at fixed ``y`` are
+exact (:mod:`multiarm.dynamics.equation_derivatives`), up to those of the forces of control and
+effects, which are as these state them (:mod:`multiarm.dynamics.force_derivatives`).  Where control
+and effects are *local*, an arm's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this arm
+and of the object only, and :math:`h_o` on the object's.
+
+*Drift feedback* adds :math:`2\alpha\dot\varphi + \beta^2\varphi` to :math:`F_\varphi`: the
+derivatives of the gaps' rates, and, of the gaps, those of their rates by the velocities.
 
 *Gravity compensation* couples the arms by six numbers s: the contact forces of least norm that
 carry the weight w are :math:`W_{oi}^T s`.  With s among the unknowns, an arm's torques
@@ -18,12 +23,9 @@ carry the weight w are :math:`W_{oi}^T s`.  With s among the unknowns, an arm's 
 
 .. math:: F_s = \sum_i r_i - w = 0, \qquad r_i = W_{oi} W_{oi}^T s .
 
-*Differences* of these residuals therefore displace joint number j of all arms at once: as many
-columns as the largest arm has, whatever the number of arms.  Nothing is solved for them, so that
-their roundings are small enough for forward differences with short displacements.  Those by
-positions are central where drift feedback acts: its gains grow as steps get shorter, so that the
-error of :math:`\beta^2 \varphi` would not decrease with them.  The columns of the object and of the
-time leave the terms of the arms as they are.
+The derivatives of :math:`\tau^g_i - W_i \lambda_i` and :math:`W_{oi} \lambda_i` at fixed
+:math:`\lambda_i`, and of :math:`W_{oi}^T s`, are those of an arm at rest under these forces and of
+the rates of its gaps while the object moves with the twist s.
 
 *Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
 :math:`\alpha = d\dot v_o`, and then the object by its mobility,
@@ -45,7 +47,7 @@ The rates of effects' states have rows in :math:`A_i`, whose columns contain the
 linear systems of a step with these blocks: :mod:`multiarm.integration.arm_stages`.
 
 *Powers* of local forces are those of the forces on each joint and on the object, so that each arm
-has its own share of them, and its own derivatives.
+has its own share of them; their derivatives follow by the product rule.
 """
 
 from __future__ import annotations
@@ -54,40 +56,39 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.terms import BIAS_AT
-from multiarm.dynamics.arrays import CARRYING, HELD, open_coupled, open_data, open_system
-from multiarm.dynamics.coordinates import chart_places, load_chart
-from multiarm.dynamics.equations import (
-    drift_terms,
-    load_gravity_torque,
-    update_kinematics,
-    update_rows,
+from multiarm.contacts.table import KIND, TANGENT
+from multiarm.dynamics.arrays import (
+    CARRYING,
+    HELD,
+    OPEN_LOOP,
+    open_coupled,
+    open_data,
+    open_system,
+)
+from multiarm.dynamics.contact_derivatives import arm_columns
+from multiarm.dynamics.coordinates import chart_places, force_columns
+from multiarm.dynamics.equation_derivatives import (
+    equation_work,
+    open_equations,
+    write_derivatives,
+)
+from multiarm.dynamics.force_derivatives import (
+    Differences,
+    clear_slopes,
+    clear_table,
+    differentiate_control,
+    differentiate_effect,
 )
 from multiarm.dynamics.forces.compiled import write_wrench_products
-from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
-from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
-from multiarm.integration.projection import greatest
+from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.step import Step
-from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import (
-    Floats1,
-    Floats2,
-    Floats3,
-    Int,
-    Ints1,
-    Ints2,
-    floats_at,
-)
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, Ints2
 
-# Change of a forward difference [m, rad]; of velocities and of effects' states relative to the
-# largest one, or to 1.  Residuals are sums of few terms: roundings are 1e-9 of these.
-CHANGE = 1e-7
-# Change of a central difference by positions [m, rad].
-CENTRAL_CHANGE = 2e-6
-# The same of the time, relative to the step or to 1 s.
+# Change of the time in differences, relative to the step or to 1 s.
 TIME_CHANGE = 1e-5
 # Columns of the object in ``ArmBlocks.by_object``, and after the arm's own ones in
 # ``ArmBlocks.derivatives``: pose, twist, time; there the shared unknowns follow.
@@ -107,33 +108,24 @@ class ArmBlocks(NamedTuple):
     d: Int
     m: Int
     e: Int
+    works: Int  # powers: of the effects that do work, last of control and effects
     shared: Int  # unknowns that all arms share: 6 of the object's acceleration, 6 more of s
-    share: Floats1  # (6,) s, fixed in residuals
+    share: Floats1  # (6,) s, fixed in the derivatives of F
     used: Ints1  # (1,) whether the derivatives of the last step are here
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
     powers: Ints1  # (effects that are called,) the place of each one's power, -1 without
-    # (n + 1, w) powers of the forces on each arm, and last on the object [W]; forces before those
-    # of an effect, on the object and on all joints
-    power: Floats2
-    before: Floats1
-    # products of matrices in the residuals at the beginning of the step; residuals there, and
-    # elsewhere: (n, R + 12) with g_i, r_i at the end of each arm's rows, (6 + w,) of the object
-    products: Floats2
-    products_o: Floats1
-    base: Floats2
-    base_o: Floats1
-    found: Floats2
-    found_o: Floats1
-    # for u shared unknowns: A, A_o, U, before the solution of the residuals, (n, R, P + 13 + u);
-    # B_i (n, u, P); B_o, then the powers of the forces on the object (u + w, 13)
+    # struct of multiarm.dynamics.equation_derivatives, for all arms; its K has the factors of each
+    equations: Ints1
+    differences: Differences
+    # for u shared unknowns: A, A_o, U, before the solution those of F, (n, R, P + 13 + u); B_i
+    # (n, u, P); B_o, then the powers of the forces on the object (u + w, 13)
     derivatives: Floats3
     on_object: Floats3
     by_object: Floats2
     Wo: Floats2  # (N, 6) at the beginning of the step
-    # factors: of each arm's equations (n, d + m, d + m), of S (u, u), of E (n, d + e, d + e), of
-    # the system for alpha (u, u)
-    K: Floats3
+    # factors: of S (u, u), of E (n, d + e, d + e), of the system for alpha (u, u); pivots of each
+    # arm's equations
     K_pivots: Ints2
     S: Floats2
     S_pivots: Ints1
@@ -171,30 +163,28 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
         if own.kernel is not None
     ]
     own_columns, rows = 2 * d + e, d + m + e + works
-    u = 12 if data.model.constants.control_reach == CARRYING else 6
+    constants = data.model.constants
+    carries = len(constants.control) > 0 and constants.control_reach == CARRYING
+    u, equations = 12 if carries else 6, np.zeros(0, dtype=np.int64)
+    if constants.local_effects:
+        _, equations = equation_work(data, 2 * layout.nv)
     return ArmBlocks(
         d=d,
         m=m,
         e=e,
+        works=works,
         shared=u,
         share=np.zeros(6),
         used=np.zeros(1, dtype=np.int64),
         counts=np.array([len(own) for own in owned], dtype=np.int64),
         states=states,
         powers=np.array(powers, dtype=np.int64),
-        power=np.zeros((n + 1, works)),
-        before=np.zeros(layout.nv),
-        products=np.zeros((n, rows + 12)),
-        products_o=np.zeros(6 + works),
-        base=np.zeros((n, rows + 12)),
-        base_o=np.zeros(6 + works),
-        found=np.zeros((n, rows + 12)),
-        found_o=np.zeros(6 + works),
+        equations=equations,
+        differences=Differences(local=1, laws=len(constants.control) - carries, order=1),
         derivatives=np.zeros((n, rows, own_columns + SHARED + u)),
         on_object=np.zeros((n, u, own_columns)),
         by_object=np.zeros((u + works, SHARED)),
         Wo=np.zeros((layout.contacts, 6)),
-        K=np.zeros((n, d + m, d + m)),
         K_pivots=np.zeros((n, d + m), dtype=np.int64),
         S=np.zeros((u, u)),
         S_pivots=np.zeros(u, dtype=np.int64),
@@ -239,266 +229,221 @@ def differentiate_arms(step, blocks, t, h):
 
     Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular.
     """
-    _, data, work = open_system(step.system)
-    clear_derivatives(blocks)
-    write_products(blocks, data, work, blocks.products, blocks.products_o)
-    status = differentiate_by_time(step, blocks, t, h)
-    if status == OK and not factor_arms(blocks, data, work):
-        status = NOT_FINITE
-    if status == OK:
-        status = differentiate_by_state(step, blocks, t)
-    if status == OK and not solve_arms(blocks, work):
-        status = NOT_FINITE
+    model, data, work = open_system(step.system)
+    for i in range(blocks.counts.size):
+        clear_table(blocks.derivatives[i])
+        clear_table(blocks.on_object[i])
+    clear_table(blocks.by_object)
+    clear_slopes(model, data, work, 1, data.torque_slopes, 0)
+    status = write_derivatives(step.system, blocks.equations, False, data.twist)
+    if status != OK:
+        return status
+    add_equations(step, blocks)
+    if blocks.shared > 6:
+        status = differentiate_carrying(step.system, blocks)
+        if status != OK:
+            return status
+    usable = factor_arms(blocks, data, work)
+    status = add_forces(step, blocks, h)
+    if status != OK:
+        return status
+    return OK if usable and solve_arms(blocks, work) else NOT_FINITE
+
+
+@kernel
+def add_equations(step, blocks):
+    """Add the derivatives of the arms and their contacts, with feedback on the drift."""
+    model, data, work = open_system(step.system)
+    equations, stage = open_equations(blocks.equations), step.stage
+    own = 2 * blocks.d + blocks.e
+    for l in range(6):  # noqa: E741
+        for c in range(TIME):
+            blocks.by_object[l, c] += equations.dF_o[l, c]
+    for i in range(blocks.counts.size):
+        d0, r0, A, dF = work.dofs[i], work.rows[i], blocks.derivatives[i], equations.dF[i]
+        n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
+        at = arm_columns(n, False)
+        for c in range(at.end):
+            column = column_of_block(blocks, at, own, c)
+            for k in range(n + m):
+                A[k, column] += dF[k, c]
+            velocity = velocity_of(at, c)
+            for k in range(m):
+                rates = equations.rates[r0 + k]
+                A[n + k, column] += 2.0 * stage.alpha * rates[c]
+                if velocity >= 0 and model.codes[r0 + k, KIND] != TANGENT:
+                    A[n + k, column] += stage.beta * stage.beta * rates[velocity]
+        for l in range(6):  # noqa: E741
+            for j in range(n):
+                blocks.on_object[i, l, j] += equations.dF_o[l, 12 + d0 + j]
+            for k in range(m):
+                blocks.Wo[r0 + k, l] = A[n + k, own + SHARED + l] = data.Wo[r0 + k, l]
+
+
+@inlined
+def column_of_block(blocks, at, own, c):
+    """Place in an arm's block of a column of its equations."""
+    if c < at.positions:
+        return own + c
+    return c - at.positions if c < at.velocities else blocks.d + c - at.velocities
+
+
+@inlined
+def velocity_of(at, c):
+    """Column of the velocity along a displacement; -1 for that of a velocity."""
+    if c < at.twist:
+        return at.twist + c
+    return at.velocities + c - at.positions if at.positions <= c < at.velocities else -1
+
+
+@kernel
+def differentiate_carrying(struct, blocks):
+    """Write the derivatives of gravity compensation, s fixed, and by s; and those of ``F_s``.
+
+    Returns a status.
+    """
+    _, data, work = open_system(struct)
+    equations, columns = open_equations(blocks.equations), force_columns(data)
+    for k in range(data.static_force.size):
+        data.static_force[k] = 0.0
+        for l in range(6):  # noqa: E741
+            data.static_force[k] += data.Wo[k, l] * blocks.share[l]
+    status = write_derivatives(struct, blocks.equations, True, blocks.share)
+    if status != OK:
+        return status
+    for i in range(blocks.counts.size):
+        d0, r0, dF, W = work.dofs[i], work.rows[i], equations.dF[i], work.Y[i]
+        n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
+        at = arm_columns(n, False)
+        for c in range(at.velocities):
+            if at.twist <= c < at.positions:
+                continue
+            of_object = c < at.twist
+            column = c if of_object else columns.positions + d0 + c - at.positions
+            for j in range(n):
+                slope = dF[j, c]
+                for k in range(m):
+                    slope -= W[j, k] * equations.rates[r0 + k, c]
+                data.torque_slopes[d0 + j, column] += slope
+            for l in range(6):  # noqa: E741
+                change = 0.0
+                for k in range(m):
+                    change += data.Wo[r0 + k, l] * equations.rates[r0 + k, c]
+                if of_object:
+                    blocks.by_object[6 + l, c] += change
+                else:
+                    change -= equations.dF_o[l, 12 + d0 + c - at.positions]
+                    blocks.on_object[i, 6 + l, c - at.positions] += change
+        for j in range(n):
+            for l in range(6):  # noqa: E741
+                for k in range(m):
+                    change = W[j, k] * data.Wo[r0 + k, l]
+                    data.torque_slopes[d0 + j, columns.share + l] -= change
+    for l in range(6):  # noqa: E741
+        for c in range(6):
+            blocks.by_object[6 + l, c] -= equations.dF_o[l, c]
+    return OK
+
+
+# --- forces --------------------------------------------------------------------------------------
+
+
+@kernel
+def add_forces(step, blocks, h):
+    """Add the derivatives of the forces of control and effects, and of their powers.
+
+    Returns a status.
+    """
+    struct, differences = step.system, blocks.differences
+    model, data, work = open_system(struct)
+    held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
+    controlled = model.control.shape[0] > 0
+    differences.time_change = TIME_CHANGE * min(h, 1.0)  # [s]
+    differences.evaluations = 0
+    total, status = blocks.works - 1, OK
+    for k in range(model.applied_end + 1):
+        if k == model.passive_end and controlled:
+            status = differentiate_laws(struct, blocks, held)
+        if status == OK and k == model.actuator_end and controlled:
+            gather(blocks, data, work, total, True)
+        actuates = model.passive_end <= k < model.actuator_end
+        if status == OK and k < model.applied_end and (controlled or not actuates):
+            status = differentiate_effect(struct, differences, k)
+            gather(blocks, data, work, blocks.powers[k], False)
+        if status != OK:
+            break
+    step.stage.evaluations += differences.evaluations
     return status
 
 
 @inlined
-def clear_derivatives(blocks):
-    """Prepare for :func:`add_difference`."""
-    for i in range(blocks.counts.size):
-        for k in range(blocks.derivatives.shape[1]):
-            clear(blocks.derivatives[i, k])
-        for k in range(blocks.shared):
-            clear(blocks.on_object[i, k])
-    for k in range(blocks.by_object.shape[0]):
-        clear(blocks.by_object[k])
+def differentiate_laws(struct, blocks, held):
+    """Add the derivatives of the torques of the control, and compute these; returns a status."""
+    model, data, _ = open_system(struct)
+    differences, time_change = blocks.differences, blocks.differences.time_change
+    laws = differences.laws
+    follows, differs = model.control_reach > OPEN_LOOP and not held, False
+    for k in range(laws):
+        differs = differs or model.control[k, 2] == 0
+    if held:
+        differences.time_change = 0.0
+    status = differentiate_control(struct, differences, follows, differs)
+    differences.time_change = time_change
+    for k in range(laws, model.control.shape[0]):
+        call_cfunc(model.control[k, 0], struct, float(model.control[k, 1]), data.time.now)
+    return status
 
 
 @kernel
-def differentiate_by_time(step, blocks, t, h):
-    """Write the residuals of the beginning, and their derivatives by time where they have any.
+def gather(blocks, data, work, power, of_drives):
+    """Add the derivatives in the data, of torques of the drives or of one effect, to the blocks.
 
-    These come from two later times, inside the step: its beginning may be a kink.  Returns a
-    status.
+    ``power`` is the place of the power of these, whose derivatives follow; -1: it does not count.
     """
-    model, _, _ = open_system(step.system)
-    column = 2 * blocks.d + blocks.e + TIME
-    change = TIME_CHANGE * min(h, 1.0)  # [s]
-    steady = model.control.shape[0] == 0 and model.effects.shape[0] == 0
-    for k in range(1 if steady else 3):
-        status = write_residuals(step, blocks, t + k * change, step.z, False, False)
-        if status != OK:
-            return status
-        if k == 0:
-            for i in range(blocks.counts.size):
-                copy(blocks.found[i], blocks.base[i])
-            copy(blocks.found_o, blocks.base_o)
-        else:
-            add_difference(blocks, (2.0 if k == 1 else -0.5) / change, column)
-    return OK
-
-
-@kernel
-def differentiate_by_state(step, blocks, t):
-    """Displace the object; then one joint, or one effect's state, of all arms at once.
-
-    As the object's columns need the arms' terms at the beginning of the step, they come first.
-    Returns a status.
-    """
-    _, data, work = open_system(step.system)
-    places, d, own = chart_places(data), blocks.d, 2 * blocks.d + blocks.e
-    status = differentiate_by_share(step, blocks, t)
-    if status != OK:
-        return status
-    fast = CHANGE * max(1.0, greatest(step.z[places.velocity : places.states]))
-    strong = CHANGE * max(1.0, greatest(step.z[places.states : places.works]))
-    central = step.stage.beta != 0.0
-    copy(step.z, step.z_stage)
-    for k in range(TIME + own):
-        of_arms = k >= TIME
-        column = k - TIME if of_arms else own + k
-        of_position = column < d or own <= column < own + TWIST
-        if of_position:
-            change = CENTRAL_CHANGE if central else CHANGE
-        else:
-            change = strong if 2 * d <= column < own else fast
-        sides = 2 if central and of_position else 1
-        for side in range(sides):
-            offset = change if side == 0 else -change
-            displace(step, blocks, work, places, column, offset)
-            status = write_residuals(step, blocks, t, step.z_stage, of_arms, of_position)
-            if status != OK:
-                return status
-            add_difference(blocks, 1.0 / (sides * offset), column)
-        displace(step, blocks, work, places, column, 0.0)
-    return OK
-
-
-@kernel
-def differentiate_by_share(step, blocks, t):
-    """Displace s, by so little that drives within their limits stay there; returns a status."""
-    own = 2 * blocks.d + blocks.e
-    change = CHANGE * max(1.0, greatest(blocks.share))
-    for l in range(blocks.shared - 6):  # noqa: E741
-        before = blocks.share[l]
-        blocks.share[l] += change
-        status = write_residuals(step, blocks, t, step.z, False, False)
-        blocks.share[l] = before
-        if status != OK:
-            return status
-        add_difference(blocks, 1.0 / change, own + SHARED + 6 + l)
-    return OK
-
-
-@inlined
-def displace(step, blocks, work, places, column, change):
-    """Displace the entry of the state that a column belongs to, of every arm that has it."""
-    d, z, own = blocks.d, step.z_stage, 2 * blocks.d + blocks.e
-    if column >= own:
-        at = column - own
-        if at >= TWIST:
-            at += places.velocity - TWIST
-        z[at] = step.z[at] + change
-        return
-    for i in range(blocks.counts.size):
-        first, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        at = -1
-        if column < d and column < joints:
-            at = places.joints + first + column
-        elif d <= column < d + joints:
-            at = places.rates + first + column - d
-        elif 2 * d <= column < 2 * d + blocks.counts[i]:
-            at = places.states + blocks.states[i, column - 2 * d]
-        if at >= 0:
-            z[at] = step.z[at] + change
-
-
-@kernel
-def write_residuals(step, blocks, t, z, arms_move, positions_move):
-    """Write F at a state, for the accelerations and forces in the data; returns a status.
-
-    Without ``arms_move`` the arms' terms are those in the data, without ``positions_move`` all
-    products of matrices are those of the beginning.
-    """
-    struct, stage = step.system, step.stage
-    model, data, work = open_system(struct)
-    found, found_o = blocks.found, blocks.found_o
-    load_chart(z, step.base, data)
-    data.time.now = min(t, stage.latest)
-    if arms_move:
-        stage.evaluations += 1
-        status = update_kinematics(struct)
-        if status != OK:
-            return status
-    else:
-        object_terms(model, data)
-        update_rows(struct)
-    write_local_forces(struct, blocks)
-    drift_terms(data, stage.alpha, stage.beta)
-    if data.status.failed:
-        return CALLBACK_FAILED
-    if positions_move:
-        write_products(blocks, data, work, found, found_o)
-    else:
-        for i in range(blocks.counts.size):
-            copy(blocks.products[i], found[i])
-        copy(blocks.products_o, found_o)
+    total = blocks.works - 1
+    at, places, own = force_columns(data), chart_places(data), 2 * blocks.d + blocks.e
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
+    slopes = data.torque_slopes if of_drives else data.force_slopes
+    force, first = (data.torque, 0) if of_drives else (data.h, places.joints)
     for i in range(blocks.counts.size):
-        row, d0, r0 = found[i], work.dofs[i], work.rows[i]
-        n = work.dofs[i + 1] - d0
-        for a in range(n):
-            row[a] -= data.h[d0 + a]
-        for k in range(work.rows[i + 1] - r0):
-            row[n + k] -= data.c[r0 + k]
-        for k in range(blocks.counts[i]):
-            row[rates + k] = data.inner_rate[blocks.states[i, k]]
-        for k in range(blocks.power.shape[1]):
-            row[powers + k] = blocks.power[i, k]
-    for l in range(6):  # noqa: E741
-        found_o[l] -= data.h_o[l]
-    for k in range(blocks.power.shape[1]):
-        found_o[6 + k] = blocks.power[blocks.counts.size, k]
-    return OK
-
-
-@kernel
-def write_products(blocks, data, work, found, found_o):
-    """Write the products of matrices in F: all but ``h, h_o, c``, and g of the arms."""
-    end = blocks.derivatives.shape[1]
-    for i in range(blocks.counts.size):
-        row, d0, r0, M, W = found[i], work.dofs[i], work.rows[i], work.L[i], work.Y[i]
-        n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
-        for l in range(12):  # noqa: E741
-            row[end + l] = 0.0
-        for k in range(m):
-            contact, force, s, carried = data.Wo[r0 + k], data.force[r0 + k], 0.0, 0.0
-            for l in range(6):  # noqa: E741
-                s += contact[l] * data.q_o[l]
-                carried += contact[l] * blocks.share[l]
-            for l in range(6):  # noqa: E741
-                row[end + l] -= contact[l] * force
-                row[end + 6 + l] += contact[l] * carried
-            row[n + k] = s
-        for a in range(n):
-            own, s = data.qdd[d0 + a], 0.0
-            for b in range(a):
-                s += M[a, b] * data.qdd[d0 + b]
-                row[b] += M[a, b] * own
-            s += M[a, a] * own
-            for k in range(m):
-                s -= W[a, k] * data.force[r0 + k]
-                row[n + k] += W[a, k] * own
-            row[a] = s
-    for l in range(6):  # noqa: E741
-        s = 0.0
-        for k in range(6):
-            s += data.inertia[l, k] * data.q_o[k]
-        found_o[l] = s
-
-
-@inlined
-def add_difference(blocks, weight, column):
-    """Add the change of the residuals, times a weight, to one column of the derivatives."""
-    own, end = 2 * blocks.d + blocks.e, blocks.derivatives.shape[1]
-    base, found = blocks.base, blocks.found
-    for i in range(blocks.counts.size):
-        for k in range(end):
-            blocks.derivatives[i, k, column] += weight * (found[i, k] - base[i, k])
-        for l in range(blocks.shared if column < own + SHARED else 0):  # noqa: E741
-            change = weight * (found[i, end + l] - base[i, end + l])
-            if column < own:
-                blocks.on_object[i, l, column] += change
+        A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
+        joints, states = d1 - d0, blocks.counts[i]
+        for c in range(2 * joints + states + TIME + 1 + blocks.shared - 6):
+            if c < joints:
+                source, column = at.positions + d0 + c, c
+            elif c < 2 * joints:
+                source, column = at.rates + d0 + c - joints, blocks.d + c - joints
+            elif c < 2 * joints + states:
+                k = c - 2 * joints
+                source, column = at.states + blocks.states[i, k], 2 * blocks.d + k
             else:
-                blocks.by_object[l, column - own] += change
-    if own <= column < own + SHARED:
-        for k in range(blocks.found_o.size):
-            change = weight * (blocks.found_o[k] - blocks.base_o[k])
-            row = k if k < 6 else k - 6 + blocks.shared
-            blocks.by_object[row, column - own] += change
-
-
-@kernel
-def write_local_forces(struct, blocks):
-    """The right-hand sides ``h`` and ``h_o`` of local control and effects, and the powers by arm.
-
-    As :func:`multiarm.dynamics.equations.right_hand_sides` in scenes whose effects are local.
-    """
-    model, data, work = open_system(struct)
-    arms, total = blocks.counts.size, blocks.power.shape[1] - 1
-    for i in range(arms + 1):
-        clear(blocks.power[i])
-    for i in range(arms):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        bias = floats_at(data.pointers[i, BIAS_AT], d)
-        for j in range(d):
-            data.h[d0 + j] = -bias[j]
-    call_local_effects(struct, model, data, work, blocks, 0, model.passive_end)
-    if model.control.shape[0] > 0:
-        load_gravity_torque(data, work)
-        clear(data.torque)
-        carries = 1 if blocks.shared > 6 else 0
-        for k in range(model.control.shape[0] - carries):
-            law, place = model.control[k, 0], float(model.control[k, 1])
-            call_cfunc(law, struct, place, data.time.now)
-        if carries == 1:
-            carry(blocks, data, work)
-        call_local_effects(struct, model, data, work, blocks, model.passive_end, model.actuator_end)
-        for i in range(arms):
-            for j in range(work.dofs[i], work.dofs[i + 1]):
-                data.h[j] += data.torque[j]
-                blocks.power[i, total] += data.torque[j] * data.v[j]
-    call_local_effects(struct, model, data, work, blocks, model.actuator_end, model.applied_end)
+                k = c - 2 * joints - states
+                column = own + k if k <= TIME else own + SHARED + 6 + k - TIME - 1
+                source = k if k < TIME else at.time + k - TIME
+            power_slope = 0.0
+            for j in range(joints):
+                slope = slopes[first + d0 + j, source]
+                A[j, column] -= slope
+                power_slope += slope * data.v[d0 + j]
+            if joints <= c < 2 * joints:
+                power_slope += force[d0 + c - joints]
+            for k in range(0 if of_drives else states):
+                A[rates + k, column] += slopes[places.velocity + blocks.states[i, k], source]
+            if power >= 0:
+                A[powers + total, column] += power_slope
+            if 0 <= power < total:
+                A[powers + power, column] += power_slope
+    for c in range(0 if of_drives else TIME + 1):
+        source = c if c < TIME else at.time
+        power_slope = data.h_o[c - TWIST] if TWIST <= c < TIME else 0.0
+        for l in range(6):  # noqa: E741
+            slope = slopes[l, source]
+            blocks.by_object[l, c] -= slope
+            power_slope += slope * data.twist[l]
+        if power >= 0:
+            blocks.by_object[blocks.shared + total, c] += power_slope
+        if 0 <= power < total:
+            blocks.by_object[blocks.shared + power, c] += power_slope
 
 
 @kernel
@@ -519,51 +464,16 @@ def share_weight(struct, blocks):
     return True
 
 
-@kernel
-def carry(blocks, data, work):
-    """Add the torques of gravity compensation for the wrench that s distributes."""
-    for i in range(blocks.counts.size):
-        d0, r0, W = work.dofs[i], work.rows[i], work.Y[i]
-        for j in range(work.dofs[i + 1] - d0):
-            data.torque[d0 + j] += data.gravity_torque[d0 + j]
-            for k in range(work.rows[i + 1] - r0):
-                for l in range(6):  # noqa: E741
-                    data.torque[d0 + j] -= W[j, k] * data.Wo[r0 + k, l] * blocks.share[l]
-
-
-@inlined
-def call_local_effects(struct, model, data, work, blocks, first, end):
-    """Call the effects of one phase, and add the powers of their forces by arm."""
-    arms, total, before = blocks.counts.size, blocks.power.shape[1] - 1, blocks.before
-    first_joint = chart_places(data).joints
-    for k in range(first, end):
-        power = blocks.powers[k]
-        copy(data.generalised_forces, before)
-        call_cfunc(model.effects[k, 0], struct, float(model.effects[k, 1]), data.time.now)
-        if power < 0:
-            continue
-        for i in range(arms):
-            s = 0.0
-            for j in range(work.dofs[i], work.dofs[i + 1]):
-                s += (data.h[j] - before[first_joint + j]) * data.v[j]
-            blocks.power[i, power] += s
-            blocks.power[i, total] += s
-        s = 0.0
-        for l in range(6):  # noqa: E741
-            s += (data.h_o[l] - before[l]) * data.twist[l]
-        blocks.power[arms, power] += s
-        blocks.power[arms, total] += s
-
-
 # --- solution for the derivatives ----------------------------------------------------------------
 
 
 @kernel
 def factor_arms(blocks, data, work):
-    """Factors of the arms' equations at the matrices in the data, and ``M_o`` and ``W_o`` of the
-    solution; returns whether they can be used.
+    """Factors of the arms' equations, and ``M_o`` and products of ``W_o`` of the solution.
+
+    Returns whether they can be used.
     """
-    usable, first, S = True, 2 * blocks.d + blocks.e + SHARED, blocks.S
+    usable, S, K = True, blocks.S, open_equations(blocks.equations).K
     for l in range(blocks.shared):  # noqa: E741
         clear(S[l])
         for c in range(6):
@@ -571,30 +481,16 @@ def factor_arms(blocks, data, work):
             for k in range(data.Wo.shape[0] if l >= 6 else 0):
                 S[l, 6 + c] += data.Wo[k, l - 6] * data.Wo[k, c]
     for i in range(blocks.counts.size):
-        r0, n = work.rows[i], work.dofs[i + 1] - work.dofs[i]
-        m, K, M, W = work.rows[i + 1] - r0, blocks.K[i], work.L[i], work.Y[i]
-        for a in range(n):
-            for b in range(a + 1):
-                K[a, b] = K[b, a] = M[a, b]
-            for k in range(m):
-                K[a, n + k], K[n + k, a] = -W[a, k], W[a, k]
-        for k in range(m):
-            copy(data.Wo[r0 + k], blocks.Wo[r0 + k])
-            for l in range(6):  # noqa: E741
-                blocks.derivatives[i, n + k, first + l] = data.Wo[r0 + k, l]
-            for b in range(m):
-                K[n + k, n + b] = 0.0
-        usable = usable and factor_lu(K, n + m, blocks.K_pivots[i]) > 0.0
+        size = work.dofs[i + 1] - work.dofs[i] + work.rows[i + 1] - work.rows[i]
+        usable = usable and factor_lu(K[i], size, blocks.K_pivots[i]) > 0.0
     return usable
 
 
 @kernel
 def solve_arms(blocks, work):
-    """From the derivatives of the residuals to those of the accelerations; returns whether it
-    succeeded.
-    """
+    """From the derivatives of F to those of the accelerations; returns whether it succeeded."""
     own = 2 * blocks.d + blocks.e
-    first, S, u = own + SHARED, blocks.S, blocks.shared
+    first, S, u, K = own + SHARED, blocks.S, blocks.shared, open_equations(blocks.equations).K
     for l in range(u):  # noqa: E741
         for c in range(SHARED):
             blocks.by_object[l, c] = -blocks.by_object[l, c]
@@ -605,7 +501,7 @@ def solve_arms(blocks, work):
             row = A[k]
             for c in range(row.size):
                 row[c] = -row[c]
-        solve_rows(blocks.K[i], n + m, blocks.K_pivots[i], A)
+        solve_rows(K[i], n + m, blocks.K_pivots[i], A)
         for l in range(u):  # noqa: E741
             row = B[l]
             for c in range(own):
@@ -635,7 +531,7 @@ def write_time_slope(blocks, struct, slope):
     clear(slope)
     for l in range(6):  # noqa: E741
         slope[places.velocity + l] = blocks.by_object[l, TIME]
-    for k in range(blocks.power.shape[1]):
+    for k in range(blocks.works):
         slope[places.works + k] = blocks.by_object[blocks.shared + k, TIME]
     for i in range(blocks.counts.size):
         A, first = blocks.derivatives[i], places.rates + work.dofs[i]
@@ -646,5 +542,5 @@ def write_time_slope(blocks, struct, slope):
             slope[first + j] = s
         for k in range(blocks.counts[i]):
             slope[places.states + blocks.states[i, k]] = A[rates + k, time]
-        for k in range(blocks.power.shape[1]):
+        for k in range(blocks.works):
             slope[places.works + k] += A[powers + k, time]

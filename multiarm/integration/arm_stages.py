@@ -176,7 +176,7 @@ def write_object_rates(gamma, h, omega, places, right, alpha, rates):
 @inlined
 def add_powers(gamma, blocks, work, places, h, right, out):
     """Rates of the works along the rates of the state, which are known."""
-    d, count = blocks.d, blocks.power.shape[1]
+    d, count = blocks.d, blocks.works
     first = blocks.d + blocks.m + blocks.e
     for k in range(count):
         total, row = 0.0, blocks.by_object[blocks.shared + k]

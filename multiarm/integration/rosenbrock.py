@@ -25,14 +25,14 @@ with ``R = (1/gamma - hB)^{-1}``, which is written down,
 
 one matrix as large as there are velocities, half as large as the state, without inner states.
 
-*The differences* are those of residuals, arm by arm, where control and effects are local, gravity
-compensation besides (:mod:`multiarm.integration.arm_blocks`): 2 n evaluations without solution, 3 n
-with drift feedback, for n joints of the largest arm, and a cost linear in the arms.  Elsewhere they
-are those of whole evaluations, central in the positions, on which everything depends in the most
-curved way, and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n)
-evaluations for n joints of all arms, two more when something depends on time.  The cost of a step
-then grows with the square of the number of arms, that of the matrix with its cube; for few arms
-both are small.
+*The derivatives* are exact, arm by arm, where control and effects are local, gravity compensation
+besides (:mod:`multiarm.integration.arm_blocks`): no further evaluation, and a cost linear in the
+arms.  A law or effect that states no derivative adds 2 n + 1 evaluations of the kinematics, for n
+joints of the largest arm.  Elsewhere they are differences of whole evaluations, central in the
+positions, on which everything depends in the most curved way, and forward in the velocities, of
+which accelerations are quadratic functions: 3 (6 + n) evaluations for n joints of all arms, two
+more when something depends on time.  The cost of a step then grows with the square of the number of
+arms, that of the matrix with its cube; for few arms both are small.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ class Numbers:
 
     def __init_subclass__(cls) -> None:
         cls._fields = tuple(name for name in cls.__annotations__)
-        for k, (name, (kind, _)) in enumerate(zip(cls._fields, _fields_of(cls), strict=True)):
+        for k, (name, (kind, _)) in enumerate(zip(cls._fields, _fields_of(cls), strict=True)):  # type: ignore[arg-type]
             setattr(cls, name, _number_property(WIDTH * k, kind is types.float64))
 
     def __init__(self, **values: float) -> None:
@@ -168,6 +168,7 @@ def _number_property(place: int, real: bool) -> property:
     return property(read, write)
 
 
+@functools.cache  # reading annotations takes longer than a call of a kernel
 def _fields_of(holder: type) -> list[tuple[Any, int]]:
     """Number type and axes of every field, from its annotations; -1 axes: a view of numbers."""
     hints = get_type_hints(holder, include_extras=True)

@@ -221,8 +221,8 @@ def _ambiguity_remarks(run: Run) -> list[str]:
         return []
     return [
         f"{count_of(steps, 'step')} ended where friction leaves the motion open: the equations "
-        f"have several solutions there, and that of the least forces was taken; lessen the "
-        f"friction of contacts that press against each other"
+        f"have several solutions there, and that of the least forces was taken; fewer contacts, or "
+        f"`effects: contact_compliance`, make the forces unique"
     ]
 
 

@@ -9,7 +9,6 @@ closed.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -30,13 +29,14 @@ from pinocchio_forest import constrained_forest
 from repository import SCENES
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
+from steps import without_derivatives
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
+from multiarm.control.derivatives import holding_derivatives
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.equation_derivatives import write_derivatives
-from multiarm.dynamics.force_derivatives import differentiate_forces
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.ahead import argument_types
 from multiarm.spatial import retract
@@ -167,13 +167,53 @@ def test_control_in_closed_form_has_the_derivatives_of_differences(name, rng):
         scene = scene.replace(control={"kind": "joint_pd", **gains})
     system = ma.compile_system(scene)
     state = random_state(system, rng, turn=0.2)
-    with system.borrow() as data:
-        evaluation.evaluate(data, 0.3, state)
-        found = data.model.control_derivative(data)
-        expected = np.zeros((found.shape[1], 6 + len(found)))
-        assert differentiate_forces(data.struct, True, expected) == OK
-    assert_equal(found, expected[:, 6:].T, 1e-9)
+    found, expected = (forces_by_state(own, state) for own in (system, without_derivatives(system)))
+    assert_equal(found, expected, 1e-9)
     assert np.abs(found).max() > 1.0
+
+
+def forces_by_state(system, state, t=0.3):
+    """Derivatives of the forces of control and effects, and of the rates of effects' states."""
+    with system.borrow() as data:
+        evaluation.evaluate(data, t, state)
+        return applied_derivatives(data, True)
+
+
+EFFECTS = {
+    "joint_damping": {"joint_damping": 30.0},
+    "joint_friction": {"joint_friction": {"torque": 3.0, "speed": 0.3}},
+    "drag": {"drag": {"linear": [1, 2, 3], "quadratic": [4, 5, 6], "angular": [1, 2, 3],
+                      "wind": [1, -2, 0.5]}},
+    "actuator_lag": {"actuator_lag": {"left": 0.1, "right": [0.2, 0, 0.1, 0, 0, 0.3]}},
+    "torque_limits": {"torque_limits": 2.0},
+    "limits before lag": {"torque_limits": 2.0, "actuator_lag": 0.1},
+    "loads in axes of the world": {"external_wrenches": [
+        {"on": "left/wrist_2_link", "at": [0, 0.1, 0.2], "force": [5, 6, 7], "torque": [1, 2, 3]},
+        {"on": "object", "at": [0, 0.1, 0.2], "force": [5, 6, 7], "torque": [1, 2, 3]},
+    ]},
+    "loads in axes of the body": {"external_wrenches": [
+        {"on": "right/forearm_link", "at": [0, 0.1, 0.2], "force": [5, 6, 7],
+         "torque": [1, 2, 3], "axes": "body"},
+        {"on": "object", "at": [0, 0.1, 0.2], "force": [5, 6, 7], "torque": [1, 2, 3],
+         "axes": "body", "sinusoid": {"frequency": 0.4}},
+    ]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_effects_have_the_derivatives_of_differences(name, rng):
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 10, "gravity_compensation": False}
+    system = ma.compile_system(
+        ur5_pair({"kind": "weld"}, BALL, control=control, effects=EFFECTS[name])
+    )
+    assert all(own.derivative is not None for own in system.model.effects.kernels)
+    state = random_state(system, rng, turn=0.2, speed=0.5)
+    found, expected = (forces_by_state(own, state) for own in (system, without_derivatives(system)))
+    assert_equal(found, expected, 1e-9)
+    free = forces_by_state(
+        ma.compile_system(ur5_pair({"kind": "weld"}, BALL, control=control)), state
+    )
+    assert np.abs(found[: len(free), : free.shape[1]] - free).max() > 0.1
 
 
 def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):
@@ -184,14 +224,13 @@ def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):
     state = random_state(system, rng, turn=0.1)
     with system.borrow() as data:
         evaluation.evaluate(data, 0.3, state)
-        assert data.model.control_derivative(data) is None
+        assert holding_derivatives(data) is None
     found, expected = ma.derivatives(system, 0.3, state), by_differences(system, state)
     assert_equal(found.matrix[:, : expected.shape[1]], expected)
 
 
 @pytest.mark.parametrize("effect", [{"actuator_lag": 0.1}, {"torque_limits": 2.0}])
-def test_drives_that_delay_or_limit_torques_leave_differences(effect, rng):
-    """Closed forms are those of commanded torques."""
+def test_torques_are_what_drives_that_delay_or_limit_them_leave(effect, rng):
     control = {"kind": "joint_pd", "stiffness": 100, "damping": 10, "gravity_compensation": False}
     system = ma.compile_system(ur5_pair({"kind": "weld"}, BALL, control=control, effects=effect))
     state = random_state(system, rng, turn=0.1)
@@ -407,7 +446,7 @@ def test_control_knows_the_contacts_of_joints_only(gap):
     welded = {"joints": [{"arm": "arm", "kind": "weld"}], "control": control}
     system = ma.compile_system(over_floor(gap).scene.replace(**welded))
     assert system.model.control_derivative is not None
-    plain = replace(system, model=replace(system.model, control_derivative=None))
+    plain = without_derivatives(system)
     found, expected = (ma.derivatives(own, 0.3).matrix for own in (system, plain))
     fixed = np.isfinite(expected)
     assert_equal(np.where(fixed, found, 0.0), np.where(fixed, expected, 0.0))

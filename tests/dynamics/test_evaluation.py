@@ -137,7 +137,9 @@ def test_residuals_are_roundings(case):
     ev = ma.evaluate(system, 0.0, place(system))
     size = max(np.max(np.abs(force)) for force in ev.contact_forces.values())
     largest = max(vars(ev.residuals).values())
-    assert 0.0 < largest < 1e-9 * size and ev.message == ""
+    assert 0.0 < largest < 1e-9 * size
+    # four corners that slide in different directions: how they share the weight changes the motion
+    assert ("friction leaves the motion open" in ev.message) == (case == "sliding")
 
 
 def test_what_is_computed_later_differs_between_two_states():

@@ -24,7 +24,7 @@ from refusals import refused
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.dynamics.arrays import OWN_ARRAYS
+from multiarm.dynamics.arrays import EFFECTS
 from multiarm.errors import SceneError
 from multiarm.problems.random_scenes import random_scene
 
@@ -397,7 +397,7 @@ def test_each_effect_alone_adds_what_it_adds_to_all(rng):
 def test_a_scene_without_effects_has_nothing_of_them(sledge):
     system = sledge({})
     assert system.model.constants.effects.size == 0 and data_of(system).effects == []
-    assert data_of(system).struct.size == 4 * OWN_ARRAYS
+    assert data_of(system).struct.size == 4 * EFFECTS
     assert data_of(system).arrays.inner.size == 0 and data_of(system).arrays.power.size == 1
     assert not system.model.constants.monitors.size
 

@@ -141,7 +141,7 @@ def spun(request, rng, tmp_path):
 
 
 def test_derivatives_of_a_step_are_those_of_the_accelerations(spun):
-    """Forward and central differences against differences of order 8."""
+    """Against differences of order 8."""
     system, state, textbook = spun
     stepping, n, J = step_of_the_package(system, state, 1e-3), textbook.n, textbook.jacobian(0.0)
     by_position, by_velocity = derivatives_of(system, stepping)

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 from mechanics import data_of
 
+from multiarm.dynamics.effect_kernels import EffectProgram
+from multiarm.dynamics.model import with_effects
 from multiarm.dynamics.status import OK
-from multiarm.jit.pointers import CFUNC_PROTOTYPE
+from multiarm.jit.pointers import function_at
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Task, prepare, run_spec
 
@@ -19,8 +21,20 @@ def coupled(system):
     return replace(system, model=system.model.with_constants(local_effects=False))
 
 
-def step_of_the_package(system, state, h):
-    """The arrays of one step of length ``h`` from time 0."""
+def without_derivatives(system):
+    """The same system with laws and effects that state no derivatives."""
+    kernels = (replace(own, derivative=None) for own in system.model.effects.kernels)
+    effects = EffectProgram(tuple(kernels))
+    constants = with_effects(system.model.constants, effects)
+    control = constants.control.copy()
+    control[:, 2] = 0
+    constants = constants._replace(control=control)
+    changes = {"effects": effects, "constants": constants, "control_derivative": None}
+    return replace(system, model=replace(system.model, **changes))
+
+
+def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
+    """The arrays of one step of length ``h`` from time 0; with gains of the drift feedback."""
     choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
     changes = {"duration": h, "stabilization": "none", "output_step": h}
     spec = run_spec(system.scene.run, changes, choice, None)
@@ -29,7 +43,8 @@ def step_of_the_package(system, state, h):
     stepping = run.stepping
     step, struct = stepping.step, stepping.struct
     step.k[0] = step.slope
-    make = CFUNC_PROTOTYPE(stepping.coefficients.step)
+    step.stage.alpha, step.stage.beta = alpha, beta
+    make = function_at(stepping.coefficients.step)
     assert make(struct.ctypes.data, struct.size, 0.0, h) == OK
     return stepping
 

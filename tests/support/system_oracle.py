@@ -12,12 +12,12 @@ relative to the largest term of the equations in question; where they are larger
 the system may be as sensitive: errors as large as what ``BACKWARD`` of each coefficient does
 are accepted.
 
-*Band.*  Constraints that contribute less than ``COUPLED_RANK_TOLERANCE`` count as dependent, and
-by how much they do depends on how levers and inertias are weighed: by each arm's own (node), or by
-all (reference, reactions).  Where a singular value is between the two of ``BAND``, in plain
-geometry or so weighed, only balances and constraints are asked for, and a rank between the numbers
-of singular values above either end of ``RANK_BAND``; likewise of the node algorithm where an arm
-moves by less than ``BESIDE_OBJECT`` of what the object does.
+*Band.* Constraints that contribute less than ``COUPLED_RANK_TOLERANCE`` count as dependent, and by
+how much they do depends on how levers and inertias are weighed: by each arm's own (node), or by all
+(reference, reactions). Where a singular value is between the two of ``BAND``, in plain geometry or
+so weighed, only balances and constraints are asked for, and a rank between the numbers of singular
+values above either end of ``RANK_BAND``; likewise of the node algorithm where an arm moves by less
+than ``BESIDE_OBJECT`` of what the object does.
 
 *Depth.*  Weighed by all inertias, a gram held by tonnes comes near the tolerance by its mass alone.
 Where a singular value that counts is below ``DEPTH``, reference and reactions are not asked.

@@ -194,7 +194,12 @@ def written_arrays(data) -> dict[str, np.ndarray]:
         "arrays": data.arrays._asdict(),
         "work": data.work._asdict(),
         "coupled": data.coupled._asdict(),
-        "effects": {f"{k} {i}": a for k, own in enumerate(data.effects) for i, a in enumerate(own)},
+        "effects": {
+            f"{k} {i}": np.asarray(part)
+            for k, (slots, arrays) in enumerate(data.effects)
+            for i, part in enumerate((slots, *arrays))
+            if isinstance(part, np.ndarray)  # numbers never change
+        },
     }
     found = {f"{p}.{name}": a for p, own in parts.items() for name, a in own.items()}
     memory = {n: a.struct if isinstance(a, Numbers) else a for n, a in found.items()}
