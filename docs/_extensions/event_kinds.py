@@ -49,6 +49,29 @@ def _texts(node):
     return {value for value in constants if isinstance(value, str)}
 
 
+def _constants(tree):
+    """Texts that a module gives a name, alone or several in one statement."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and len(node.targets) == 1:
+            target, value = node.targets[0], node.value
+            pairs = [(target, value)]
+            if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+                pairs = zip(target.elts, value.elts, strict=True)
+            for name, text in pairs:
+                if isinstance(name, ast.Name) and isinstance(getattr(text, "value", None), str):
+                    yield name.id, text
+
+
+class _Inlined(ast.NodeTransformer):
+    """A module with texts in place of their names."""
+
+    def __init__(self, tree):
+        self.texts = dict(_constants(tree))
+
+    def visit_Name(self, node):
+        return self.texts.get(node.id, node) if isinstance(node.ctx, ast.Load) else node
+
+
 def _kinds_in(tree):
     """What the key ``kind`` of the events that a module makes can be."""
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
@@ -84,7 +107,8 @@ def kinds():
     for path in (ROOT / "multiarm").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         if '"kind":' in text:
-            found |= set(_kinds_in(ast.parse(text)))
+            tree = ast.parse(text)
+            found |= set(_kinds_in(_Inlined(tree).visit(tree)))
     return found
 
 

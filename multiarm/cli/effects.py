@@ -99,7 +99,7 @@ def effects(
     console.print(Text(page.accuracy_text(study), "dim"))
     for item in rendered(page.table(study)):
         console.print(item)
-    if study.run["certificate"].startswith("not met"):
+    if not study.run["certified"]:
         console.print(Text(f"The scene's own run: {study.run['certificate']}", "yellow"))
     console.print(Text(page.summary(study), "bold green"), soft_wrap=True)
     write_files(page, study, plot=plot, html=html, json=json)

@@ -118,7 +118,7 @@ def methods(name: KindName = None, json: JsonFile = None) -> None:
             heads=("method", "order", "when to choose it"),
         ),
         "stabilizations": Section(
-            "Stabilizations: how the joints are stabilizations closed",
+            "Stabilizations: how the joints are kept closed",
             "stabilization",
             "stabilizations",
             stabilizations,

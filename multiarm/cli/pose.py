@@ -27,8 +27,8 @@ def pose(
 
     Postures are found of arms that have none, or `posture: solve`; places of arms with `base:
     {solve: [x, y, yaw]}`. Printed are joint positions from base to tip, in rad, of sliding joints
-    in m, and bases in m and rad, as a scene has them. An arm that reaches its place on the object
-    from nowhere is an error, which says how near it comes and where to move its base.
+    in m, and bases in m and rad, as a scene has them. It is an error if an arm cannot reach its
+    place on the object; the message says how near it comes and where to move its base.
     """
     if write:
         check_targets({"SCENE": scene})

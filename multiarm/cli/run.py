@@ -323,8 +323,8 @@ def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
     if certificate is None:
         return {"error": _error(figures)}
     style = "bold green" if certificate["met"] else "bold yellow"
-    accuracy_met = Text.assemble((certificate["verdict"], style), f": {certificate['details']}")
-    rows: dict[str, RenderableType] = {"accuracy": accuracy_met}
+    verdict = Text.assemble((certificate["verdict"], style), f": {certificate['details']}")
+    rows: dict[str, RenderableType] = {"accuracy": verdict}
     checked = [row["wall_time_s"] or 0.0 for row in certificate["attempts"] if not row["returned"]]
     if checked:
         runs = count_of(len(checked), "more run")

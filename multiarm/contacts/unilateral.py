@@ -284,7 +284,11 @@ class _Rows:
         else:
             for tangent in (1, 2):
                 name = f"{contact.name}, friction {tangent}"
-                self._add(replace(contact, name=name, tangent=tangent, pushes_only=False))
+                self._add(
+                    replace(
+                        contact, name=name, tangent=tangent, pushes_only=False, parent=contact.name
+                    )
+                )
             self._constrain(
                 CONTACT,
                 contact,

@@ -248,6 +248,11 @@ def pack_harmonic(
     return np.concatenate([[frequency], np.column_stack(columns).ravel()])
 
 
+def unpack_harmonic(parameters: np.ndarray, n: int) -> tuple[float, np.ndarray]:
+    """Frequency [Hz], and ``tau_0, A cos psi, A sin psi`` of every joint, shape (n, 3)."""
+    return float(parameters[0]), parameters[1 : 1 + 3 * n].reshape(n, 3)
+
+
 def pack_path(bounds: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Parameters of :func:`path_point` from ``bounds`` (S + 1,), ``coefficients`` (S, n, width)."""
     return np.concatenate(

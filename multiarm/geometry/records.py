@@ -188,6 +188,8 @@ class Contact:
         The real contact cannot pull; a pulling force is reported.
     mu : float, optional
         Its own coefficient of friction; absent: that of its joint or of the scene.
+    parent : str
+        Of a tangent: the name of the contact whose tangent it is.
     """
 
     name: str
@@ -198,6 +200,7 @@ class Contact:
     minus: Contact | None = None
     pushes_only: bool = False
     mu: float | None = None
+    parent: str = ""
 
     def mapped(
         self, on_arm: Callable[[Surface], Surface], on_object: Callable[[Surface], Surface]

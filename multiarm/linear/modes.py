@@ -30,6 +30,15 @@ RANK_TOLERANCE = 1e-8
 NAMED_SHARE, NAMED = 0.3, 3
 
 
+OSCILLATES, DECAYS, GROWS = "oscillates", "decays", "grows"
+OSCILLATES_AND_GROWS = "oscillates and grows"
+OSCILLATES_FOR_EVER, DRIFTS = "oscillates for ever", "drifts"
+"""Kinds of modes: nothing damps what oscillates for ever, nothing drives back what drifts."""
+GROWING = frozenset({GROWS, OSCILLATES_AND_GROWS})
+STEADY = frozenset({OSCILLATES_FOR_EVER, DRIFTS})
+"""Kinds that neither decay nor grow."""
+
+
 @dataclass(frozen=True)
 class Mode:
     """A natural motion.
@@ -76,8 +85,7 @@ class Mode:
     @property
     def time_constant(self) -> float:
         """Time in which it decays, or grows, by the factor e [s]; infinite when it does neither."""
-        steady = self.kind in ("drifts", "oscillates for ever")
-        return math.inf if steady else 1.0 / abs(self.eigenvalue.real)
+        return math.inf if self.kind in STEADY else 1.0 / abs(self.eigenvalue.real)
 
 
 def modes_of(
@@ -117,7 +125,7 @@ def modes_of(
                 shape=shape,
                 moving=tuple(names[i] for i in order[:NAMED]),
                 controllable=_is_reached(A, B, value),
-                kind="drifts" if drifts else _kind(value, noise),
+                kind=DRIFTS if drifts else _kind(value, noise),
             )
         )
     return tuple(modes)
@@ -126,9 +134,9 @@ def modes_of(
 def stability_of(modes: Sequence[Mode]) -> str:
     """What the linear terms say of the stability of an equilibrium."""
     kinds = {mode.kind for mode in modes}
-    if kinds & {"grows", "oscillates and grows"}:
+    if kinds & GROWING:
         return "unstable"
-    return "undecided" if kinds & {"drifts", "oscillates for ever"} else "stable"
+    return "undecided" if kinds & STEADY else "stable"
 
 
 def _is_reached(A: np.ndarray, B: np.ndarray, eigenvalue: complex) -> bool:
@@ -142,7 +150,7 @@ def _is_reached(A: np.ndarray, B: np.ndarray, eigenvalue: complex) -> bool:
 
 def _kind(value: complex, noise: float) -> str:
     if value.imag == 0.0:
-        return "grows" if value.real > 0.0 else "decays"
+        return GROWS if value.real > 0.0 else DECAYS
     if value.real > noise:
-        return "oscillates and grows"
-    return "oscillates" if value.real < -noise else "oscillates for ever"
+        return OSCILLATES_AND_GROWS
+    return OSCILLATES if value.real < -noise else OSCILLATES_FOR_EVER

@@ -137,7 +137,7 @@ def _as_base(value: Any) -> Any:
 class ArmSpec(_FromUrdf):
     """One arm: a serial chain of 1 to 16 joints from its base to its tip."""
 
-    mjcf: Path | None = None
+    mjcf: FilePath | None = None
     """A MuJoCo file, instead of a name."""
     base: SerializeAsAny[Annotated[BaseSpec, BeforeValidator(_as_base)]] = BaseSpec()
     """The root link in the world. {solve: [x, y, yaw]}: the place is found, for the arm's joint on

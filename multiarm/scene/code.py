@@ -225,7 +225,7 @@ def load_code(reference: CodeReference, noun: str = "function") -> Callable:
     if file is not None and not file.is_file():
         raise ModelError(
             f"cannot load the {noun} '{reference}': there is no file {file}; correct the path, "
-            "which starts at the scene's folder"
+            "which starts at the folder of the scene or sweep that names it"
         )
     try:
         module = importlib.import_module(home) if file is None else _file_module(file)

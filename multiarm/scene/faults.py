@@ -220,6 +220,8 @@ def _sentence(
         return f"must be greater than {context['gt']:g}, got {shown(value)}"
     if kind == "greater_than_equal":
         return f"must be at least {context['ge']:g}, got {shown(value)}"
+    if kind == "less_than_equal":
+        return f"must be at most {context['le']:g}, got {shown(value)}"
     return f"{_EXPECTED.get(kind, details['msg'])}, got {shown(value)}"
 
 

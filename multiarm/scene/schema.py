@@ -477,7 +477,7 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
     for where, text in effects.warnings(arms):
         findings.warning(("effects", *where), text)
     if parts.run is not None:
-        with_events = effects.with_events or FRICTION * parts.rubs
+        with_events = causes_of_events(effects, parts.rubs)
         message = method_fault(parts.run.integrator, effects.with_states, with_events)
         if message:
             findings.fault(("run", "integrator"), message)
@@ -491,8 +491,11 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
         )
 
 
-FRICTION = ("mu",)
-"""What has events in scenes without an effect that has some."""
+def causes_of_events(effects: EffectsSpec, has_friction: bool) -> tuple[str, ...]:
+    """The effects that have events; where there is none, the friction of contacts has them."""
+    if effects.with_events or not has_friction:
+        return effects.with_events
+    return ("mu",)
 
 
 def method_fault(

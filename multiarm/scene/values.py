@@ -175,23 +175,37 @@ FilePath = Annotated[Path, BeforeValidator(_file_path)]
 # --- numbers and vectors -------------------------------------------------------------------------
 
 
-def _number(value: Any) -> float:
+def _as_float(value: Any) -> float:
     truth = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")  # NumPy's too
     if truth or isinstance(value, str) or not hasattr(value, "__float__"):
         raise fault(f"must be a number, got {shown(value)}")
     try:
-        number = float(value)
+        return float(value)
     except (TypeError, ValueError, OverflowError):
         raise fault(f"must be a number, got {shown(value)}") from None
+
+
+def _number(value: Any) -> float:
+    number = _as_float(value)
     if not math.isfinite(number):
         raise fault(f"must be finite, got {number}")
     return number
+
+
+def _bound(value: Any) -> float:
+    bound = _as_float(value)
+    if math.isnan(bound):
+        raise fault(f"must be a number, got {bound}")
+    return bound
 
 
 Number = Annotated[float, BeforeValidator(_number)]
 # bounds stand within the validator, where they are the number's own in JSON Schema
 Positive = Annotated[float, Field(gt=0.0), BeforeValidator(_number)]
 NonNegative = Annotated[float, Field(ge=0.0), BeforeValidator(_number)]
+UnitInterval = Annotated[float, Field(ge=0.0, le=1.0), BeforeValidator(_number)]
+Bound = Annotated[float, BeforeValidator(_bound)]
+"""A number, infinite where there is no bound."""
 number_list = TypeAdapter(tuple[Number, ...]).validate_python
 """Numbers of a list as floats; every one that is no finite number is a fault at its place."""
 

@@ -43,12 +43,17 @@ BLOCK_SAMPLES = 4096
 class Output:
     """Columns of a channel that are compared together."""
 
-    name: str  # such as ``left: joints``
+    noun: str  # what it is, such as ``joints``
     kind: str  # one of ``KINDS``
     channel: str
     columns: np.ndarray
     others: np.ndarray  # the columns of the other run
     arm: str = ""  # empty for the object
+
+    @property
+    def name(self) -> str:
+        """Such as ``left: joints``."""
+        return f"{self.arm}: {self.noun}" if self.arm else self.noun
 
 
 @dataclass
@@ -56,6 +61,8 @@ class Difference:
     """Largest difference of one output."""
 
     kind: str
+    noun: str  # of the output
+    arm: str = ""  # empty for the object
     worst: float = 0.0
     time: float = 0.0  # [s], of the largest difference
     size: float = 0.0  # of the values themselves
@@ -97,13 +104,13 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
         for kind, noun in ((ROTATION, "joints"), (POSITION, "sliding joints")):
             columns = np.flatnonzero(units == UNITS[kind])
             if columns.size:
-                found.append(Output(f"{arm}: {noun}", kind, joints.name, columns, columns, arm))
+                found.append(Output(noun, kind, joints.name, columns, columns, arm))
         name = f"arms/{arm}/contact_force"
         labels, others = (r.channels[name].labels for r in (run, other))
         columns = np.flatnonzero([label in others for label in labels])
         if columns.size:
             same = np.flatnonzero([label in labels for label in others])
-            found.append(Output(f"{arm}: contact forces", FORCE, name, columns, same, arm))
+            found.append(Output("contact forces", FORCE, name, columns, same, arm))
     return found
 
 
@@ -123,7 +130,7 @@ def compare(
     outputs, samples = outputs_of(run, other), min(len(run), len(other))
     velocities = [name for name in run.channels if name.endswith(("twist", "joint_velocity"))]
     contacts = sum(output.columns.size for output in outputs if output.kind == FORCE)
-    result = {output.name: Difference(output.kind) for output in outputs}
+    result = {o.name: Difference(o.kind, o.noun, o.arm) for o in outputs}
     apart = {name: np.zeros(run.channels[name].shape) for name in velocities}
     width = max(1, -(-samples // 400))  # at most 400 points of the course, each of its worst sample
     times: list[float] = []

@@ -37,7 +37,7 @@ from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
-from multiarm.scene.schema import FRICTION, method_fault
+from multiarm.scene.schema import causes_of_events, method_fault
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS
 
@@ -202,7 +202,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
     effects, with_states = task.system.scene.effects, data.model.effects.with_states
-    with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
+    with_events = causes_of_events(effects, has_friction=data.model.unilateral is not None)
     if fault := method_fault(name, with_states, with_events):
         raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
     stepping = make_stepping(data, METHODS[name])

@@ -13,6 +13,14 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.results.event_log import EventLog
 
+LOSES_DIRECTION, HAS_IT_AGAIN = "loses a direction", "has it again"
+PASSES_SINGULAR_POSTURE = "passes a singular posture"
+RANK_FALLS, RANK_RISES = "rank falls", "rank rises"
+SOLVER_EVENTS = frozenset(
+    {LOSES_DIRECTION, HAS_IT_AGAIN, PASSES_SINGULAR_POSTURE, RANK_FALLS, RANK_RISES}
+)
+"""Kinds of the events of the solver."""
+
 
 class SolverLog:
     """Adds the events of the solver to a run's log; their times are those of the steps' ends."""
@@ -44,7 +52,7 @@ class SolverLog:
                 else:
                     where = f", {_nearest(data, i)}" if in_words else ""
                     text = f"{arm}: passed a singular posture{where}"
-                    events.append({"kind": "passes a singular posture", "arm": arm, "text": text})
+                    events.append({"kind": PASSES_SINGULAR_POSTURE, "arm": arm, "text": text})
         self._lost, self._rank = lost, rank
         self._added += len(events)
         self._log.add([{"time": float(t), **event} for event in events])
@@ -57,7 +65,7 @@ class SolverLog:
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
         if rank == self._rank:
             return []
-        kind = "rank falls" if rank < self._rank else "rank rises"
+        kind = RANK_FALLS if rank < self._rank else RANK_RISES
         text = f"{kind} from {self._rank} to {rank} independent constraints"
         if rank < self._rank:
             text += ": more than one way to move on"
@@ -67,10 +75,10 @@ class SolverLog:
 def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str, Any]:
     if now > before:
         what = "; ".join(words) or f"directions of its joint lost: {now}"
-        return {"kind": "loses a direction", "arm": arm, "text": f"{arm}: {what}"}
+        return {"kind": LOSES_DIRECTION, "arm": arm, "text": f"{arm}: {what}"}
     left = f", {now} still lost" if now else ""
     return {
-        "kind": "has it again",
+        "kind": HAS_IT_AGAIN,
         "arm": arm,
         "text": f"{arm}: can move along its joint's directions again{left}",
     }

@@ -58,7 +58,7 @@ FORCE_ACCURACY = 1e-3
 class Quantity(NamedTuple):
     """What may change; a change is the largest one at an output time."""
 
-    noun: str  # in the names of compared outputs (multiarm.simulation.comparison)
+    noun: str  # of the compared outputs (multiarm.simulation.comparison)
     what: str  # in a sentence
     head: str  # above a column
     unit: str
@@ -140,7 +140,7 @@ class Ledger:
     asked: Mapping[str, float]
     asked_by_scene: bool  # the scene itself requests that accuracy
     # the scene's own run: status, integrator, stabilization, evaluations, milliseconds (of wall
-    # time a simulated second), certificate (its sentence), repeats
+    # time a simulated second), certificate (its sentence), certified (as of an entry), repeats
     run: Mapping[str, Any]
     entries: tuple[Entry, ...]
     machine: Mapping[str, Any]
@@ -309,6 +309,7 @@ def ledger(
             **{key: statistics[key] for key in ("integrator", "stabilization", "evaluations")},
             "milliseconds": milliseconds,
             "certificate": "" if certificate is None else certificate["text"],
+            "certified": _is_certified(base.run),
             "repeats": int(base_times.size),
         },
         entries=tuple(entries),
@@ -355,11 +356,10 @@ def _entry(
     if isinstance(bench, str):
         return replace(entry, trouble=bench, certified=False)
     compared = last_changes if variant.name == RECORDING else changes
-    certificate = bench.run.certificate
     entry = replace(
         entry,
         changes=compared(base.system, base.run, bench.run),
-        certified=certificate is None or bool(certificate["met"]),
+        certified=_is_certified(bench.run),
     )
     if bench.run.status != "completed":
         return replace(entry, trouble=f"the run fails: {bench.run.message}")
@@ -372,6 +372,10 @@ def _entry(
         share=cost.scaled(1.0 / float(np.median(base_times))),
         evaluations=sign * more,
     )
+
+
+def _is_certified(run: Trajectory) -> bool:
+    return run.certificate is None or bool(run.certificate["met"])
 
 
 def changes(system: System, run: Trajectory, variant: Trajectory) -> dict[str, Change]:
@@ -389,12 +393,11 @@ def changes(system: System, run: Trajectory, variant: Trajectory) -> dict[str, C
     with system.borrow() as data:
         undetermined = undetermined_forces(data, run)
     quantities = {quantity.noun: name for name, quantity in QUANTITIES.items()}
-    for output, difference in compare(run, variant, undetermined).outputs.items():
-        arm, _, noun = output.rpartition(": ")
-        name = quantities[noun]
+    for difference in compare(run, variant, undetermined).outputs.values():
+        name = quantities[difference.noun]
         worse = name not in largest or difference.worst > largest[name].value
         if difference.compared and worse:
-            largest[name] = Change(difference.worst, difference.time, arm)
+            largest[name] = Change(difference.worst, difference.time, difference.arm)
     return largest
 
 

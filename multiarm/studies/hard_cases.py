@@ -26,6 +26,7 @@ from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import unknown
 from multiarm.simulation.simulate import simulate
+from multiarm.simulation.solver_log import SOLVER_EVENTS
 from multiarm.studies.records import error_text, machine
 from multiarm.terminal.progress import Progress, Report, displayed
 
@@ -38,16 +39,6 @@ HISTORY = {
     "coupled_arms": "solver/coupled_arms",
 }
 NOT_RUN = "not run"
-SOLVER_EVENTS = frozenset(
-    {
-        "loses a direction",
-        "has it again",
-        "passes a singular posture",
-        "rank falls",
-        "rank rises",
-    }
-)
-"""Kinds of event about the rank and lost directions."""
 
 
 def _events_missing(run: Trajectory, system: System) -> float:

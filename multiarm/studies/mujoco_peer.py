@@ -94,10 +94,10 @@ class MujocoPeer(Peer):
         """Write a state; the object's angular velocity goes to its own axes."""
         d, n = self.data, self.system.model.layout.joints
         mujoco.mj_resetData(self.model, d)
-        d.qpos[:n] = state.position[7:]
+        d.qpos[:n] = state.layout.joint_positions(state.position)
         d.qpos[n : n + 3] = state.object_position
         d.qpos[n + 3 :] = np.roll(state.object_quaternion_xyzw, 1)
-        d.qvel[:n] = state.velocity[6:]
+        d.qvel[:n] = state.layout.joint_rates(state.velocity)
         d.qvel[n : n + 3] = state.object_twist[:3]
         d.qvel[n + 3 :] = self._rotation().T @ state.object_twist[3:]
 

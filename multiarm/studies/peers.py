@@ -19,10 +19,11 @@ import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.contacts.kernel import GAP
-from multiarm.control.laws import harmonic
+from multiarm.control.laws import harmonic, unpack_harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
+from multiarm.effects.joint_damping import JointDamping
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import address_of
 from multiarm.scene import RunSpec
@@ -268,9 +269,8 @@ def sinusoid(system: System) -> Sinusoid | None:
     program, parameters = system.model.constants.control, system.model.constants.parameters
     if program.shape[0] > 1 or program[0, 0] != address_of(harmonic):
         return None
-    at = program[0, 1]
-    constant, sine, cosine = parameters[at + 1 : at + 1 + 3 * n].reshape(n, 3).T.copy()
-    return Sinusoid(2.0 * np.pi * float(parameters[at]), constant, sine, cosine)
+    frequency, columns = unpack_harmonic(parameters[program[0, 1] :], n)
+    return Sinusoid(2.0 * np.pi * frequency, *columns.T.copy())
 
 
 def control_torque(system: System, t: float, state: State) -> np.ndarray:
@@ -299,8 +299,7 @@ def largest_gap(system: System, state: State) -> float:
 
 def joint_damping(system: System) -> np.ndarray:
     """Coefficients of the joints' viscous friction, zero without that effect, shape (n,)."""
-    damping = np.zeros(system.model.layout.joints)
     for kernel in system.model.effects.kernels:
-        if kernel.name == "joint_damping":
-            damping += kernel.arrays[0]
-    return damping
+        if isinstance(kernel.arrays, JointDamping):
+            return kernel.arrays.coefficients.copy()
+    return np.zeros(system.model.layout.joints)

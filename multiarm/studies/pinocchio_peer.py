@@ -270,11 +270,13 @@ class PinocchioLoops(Peer):
         """``y`` of a state, shape (m + nv,), or (m + nv + 1,) of a free object."""
         n, split = self.damping.size, self._split
         y = np.zeros(split + self.model.nv + (self._kind == FREE))
-        y[:n], y[split : split + n] = state.position[7:], state.velocity[6:]
+        y[:n] = state.layout.joint_positions(state.position)
+        y[split : split + n] = state.layout.joint_rates(state.velocity)
         data, pose, rate = self.data, y[n:split], y[split + n :]
-        R_O, twist = _se3(state.position).rotation, state.object_twist
+        object_pose = state.layout.poses(state.position)[0]
+        R_O, twist = _se3(object_pose).rotation, state.object_twist
         if self._kind == FREE:
-            pose[:], rate[:3], rate[3:6] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
+            pose[:], rate[:3], rate[3:6] = object_pose, R_O.T @ twist[:3], R_O.T @ twist[3:]
         if self._kind not in ("ball", "revolute"):
             return y
         pose[-1] = 1.0 if self._kind == "ball" else 0.0
@@ -340,5 +342,5 @@ def _rigid_parts(joint) -> list[tuple[pin.ContactType, pin.SE3]]:
     return [(kind, pin.SE3(np.eye(3), np.array([0.0, 0.0, end]))) for end in ends]
 
 
-def _se3(position: np.ndarray) -> pin.SE3:
-    return pin.XYZQUATToSE3(np.asarray(position[:7], dtype=float))
+def _se3(pose: np.ndarray) -> pin.SE3:
+    return pin.XYZQUATToSE3(np.asarray(pose, dtype=float))

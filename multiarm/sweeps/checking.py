@@ -88,8 +88,6 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[Fault]:
         except MultiarmError as error:
             reason = str(error)
         if reason:
-            # the message was written for functions that a scene names
-            reason = reason.replace("the scene's folder", "the sweep's folder")
             faults.append(fault_at(("keep",), reason))
     names = [quantity.name for quantity in spec.quantities()]
     for name in sorted({name for name in names if names.count(name) > 1}):

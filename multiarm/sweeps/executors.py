@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SweepError
 from multiarm.integration.time_loop import advance
-from multiarm.sweeps.run import Context, lost_run, prepare, run
+from multiarm.sweeps.run import Context, Row, lost_run, prepare, run
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -36,7 +36,6 @@ __all__ = ["connected", "run_here", "run_in_processes", "run_on_cluster"]
 
 Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
-Row = dict[str, Any]
 CHUNK_TIME = 0.5
 """[s] that a chunk takes."""
 MOST_JOBS = 256
@@ -89,7 +88,7 @@ def _until_a_worker_dies(
         ended = parallel(tasks())
         for rows in ended:
             for row in rows:
-                del under_way[row["run"]]
+                del under_way[row.run]
             if isinstance(chunks, Chunks):
                 chunks.learn(rows)
             yield rows
@@ -188,7 +187,7 @@ class Chunks:
     def learn(self, rows: Sequence[Row]) -> None:
         """Update the mean time of a run."""
         self._runs += len(rows)
-        self._spent += sum(row["wall_time"] for row in rows)
+        self._spent += sum(row.wall_time for row in rows)
 
 
 def _explained(error: Exception) -> Exception:

@@ -23,7 +23,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import pandas
 import pyarrow as pa
@@ -36,6 +36,9 @@ from multiarm.results.files import atomic_file, resolved
 from multiarm.results.sinks import provenance
 from multiarm.scene.faults import fault, place
 from multiarm.sweeps.plan import SweepPlan
+
+if TYPE_CHECKING:
+    from multiarm.sweeps.run import Row
 
 __all__ = ["About", "Column", "PartWriter", "create", "is_sweep", "read_about", "read_rows"]
 
@@ -254,14 +257,14 @@ class PartWriter:
     def __init__(self, folder: Path, about: About, plan: SweepPlan) -> None:
         self._folder, self._plan = folder, plan
         self._values = {column.key: column.name for column in about.of_group("values")}
-        self._names = {column.key: column.name for column in about.of_group("quantities")}
+        self._quantities = {column.key: column.name for column in about.of_group("quantities")}
         types = {self._values[path]: _arrow_type(plan.table[path].tolist()) for path in plan.paths}
         self._schema = _schema(about, types)
         self._writer, self._number = secrets.token_hex(4), 0
         self._part = self._schema.empty_table()
 
-    def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Append rows as :func:`multiarm.sweeps.run.run` returns them; they are then on the disk.
+    def append(self, rows: Sequence[Row]) -> None:
+        """Append rows; they are then on the disk.
 
         Raises
         ------
@@ -277,9 +280,10 @@ class PartWriter:
         if len(part) >= PART_ROWS:
             self._number, self._part = self._number + 1, self._schema.empty_table()
 
-    def _written(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        values = self._plan.table.loc[row["run"]]
-        written = {self._names.get(key, key): value for key, value in row.items()}
+    def _written(self, row: Row) -> dict[str, Any]:
+        values = self._plan.table.loc[row.run]
+        written = {column.name: getattr(row, column.key) for column in (*FIXED, *MEASURED)}
+        written |= {name: row.quantities[key] for key, name in self._quantities.items()}
         for path, name in self._values.items():
             as_text = pa.types.is_string(self._schema.field(name).type)
             written[name] = str(values[path]) if as_text else values[path]

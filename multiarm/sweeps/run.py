@@ -29,7 +29,7 @@ from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
 
-__all__ = ["Context", "lost_run", "prepare", "run", "simulate_run"]
+__all__ = ["Context", "Row", "lost_run", "prepare", "run", "simulate_run"]
 
 
 @dataclass(frozen=True)
@@ -66,15 +66,36 @@ class Context:
         )
 
 
-def run(context: Context, number: int, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Carry out one run and return its row.
+@dataclass(frozen=True)
+class Row:
+    """What a sweep stores of one run.
 
-    Returns
-    -------
-    dict
-        ``run``; ``status``, "completed" or "failed", the latter also if a user-defined quantity
-        raised an error; ``message``; every quantity by name, None if the run failed, or where it is
-        not defined; ``wall_time`` [s]; ``worker``, computer and process.
+    Attributes
+    ----------
+    run : int
+        Its number, from 1 on.
+    status : str
+        "completed" or "failed", the latter also if a user-defined quantity raised an error.
+    message : str
+        Why it did not complete.
+    quantities : dict
+        Name -> number; None if the run failed, or where the quantity is not defined.
+    wall_time : float
+        [s]
+    worker : str
+        Computer and process.
+    """
+
+    run: int
+    status: str
+    message: str
+    quantities: dict[str, float | None]
+    wall_time: float
+    worker: str
+
+
+def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
+    """Carry out one run and return its row.
 
     Raises
     ------
@@ -107,7 +128,7 @@ def run(context: Context, number: int, values: Mapping[str, Any]) -> dict[str, A
     return _row(context, number, status, message, numbers, wall_time, _worker())
 
 
-def lost_run(context: Context, number: int) -> dict[str, Any]:
+def lost_run(context: Context, number: int) -> Row:
     """The row of a run whose workers died every time."""
     message = (
         "its worker died every time: the process was ended, by lack of memory perhaps, or broke "
@@ -119,12 +140,9 @@ def lost_run(context: Context, number: int) -> dict[str, Any]:
 def _row(
     context: Context, number: int, status: str, message: str,
     numbers: Mapping[str, float | None], wall_time: float, worker: str,
-) -> dict[str, Any]:  # fmt: skip
+) -> Row:  # fmt: skip
     quantities = {quantity.name: numbers.get(quantity.name) for quantity in context.quantities}
-    return {
-        "run": number, "status": status, "message": printable(message), **quantities,
-        "wall_time": wall_time, "worker": worker,
-    }  # fmt: skip
+    return Row(number, status, printable(message), quantities, wall_time, worker)
 
 
 def simulate_run(plan: SweepPlan, number: int) -> Trajectory:

@@ -31,6 +31,8 @@ from multiarm.terminal.progress import displayed
 if TYPE_CHECKING:
     from distributed import Client
 
+    from multiarm.sweeps.run import Row
+
 __all__ = ["SweepProgress", "sweep"]
 
 SweepProgress = Callable[[int, int, int], None]
@@ -161,7 +163,7 @@ def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> tuple[Path
 
 def _rows(
     plan: SweepPlan, missing: list[int], workers: int | None, client: Client | None
-) -> Iterator[list[dict[str, Any]]]:
+) -> Iterator[list[Row]]:
     """Rows of the missing runs, as they end."""
     from multiarm.jit.ahead import processors
     from multiarm.sweeps.executors import run_here, run_in_processes, run_on_cluster
@@ -184,7 +186,7 @@ def _fill(
     writer: PartWriter,
     plan: SweepPlan,
     done: int,
-    batches: Iterator[list[dict[str, Any]]],
+    batches: Iterator[list[Row]],
     show: SweepProgress,
 ) -> int:
     """Append rows to the folder until all are there or Ctrl-C is pressed; returns how many are."""
@@ -196,7 +198,7 @@ def _fill(
                 writer.append(rows)
             interrupt.deliver()
             done += len(rows)
-            failed += sum(row["status"] != "completed" for row in rows)
+            failed += sum(row.status != "completed" for row in rows)
             show(done, plan.count, failed)
     except KeyboardInterrupt:
         pass  # the finished runs are in the folder

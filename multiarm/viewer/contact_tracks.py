@@ -98,7 +98,7 @@ def row_states(
     states = trajectory.contact_states[owner][rows]
     codes = np.full((len(rows), len(records)), TOUCHING)
     for k, record in enumerate(records):
-        name = record.name if record.name in labels else _rubbing(record)
+        name = record.parent if record.tangent else record.name
         if name in labels:
             codes[:, k] = np.round(states[:, labels.index(name)])
     return codes
@@ -128,12 +128,7 @@ def _place(
 
 
 def _is_friction(trajectory: Trajectory, owner: str, record: Contact) -> bool:
-    return bool(record.tangent) and _rubbing(record) in _labels(trajectory, owner)
-
-
-def _rubbing(record: Contact) -> str:
-    """Name of the contact to which a row of friction belongs."""
-    return record.name.rpartition(", ")[0]
+    return bool(record.tangent) and record.parent in _labels(trajectory, owner)
 
 
 def _labels(trajectory: Trajectory, owner: str) -> tuple[str, ...]:

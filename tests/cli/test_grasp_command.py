@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mechanics import UR5_POSTURE, single_arm
 from repository import SCENES
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -17,6 +18,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp import Polyhedron
 from multiarm.grasp.scenes.judging import judge_grasp, read_grasp
 from multiarm.scene import parse_scene
+from multiarm.spatial import quaternion_to_matrix
 from multiarm.viewer.animate import animate, scene_grasp, sheet
 
 CORNERS = SCENES / "corner_grippers_block.yaml"
@@ -33,6 +35,11 @@ def grasp(*words: object, columns: int = 160):
 def held_by(joint):
     """One UR5 that holds a box by a joint."""
     return single_arm("ur5", "tool0", UR5_POSTURE, joint)
+
+
+def pose_of(X):
+    quaternion = Rotation.from_matrix(X[:3, :3]).as_quat()
+    return {"xyz": X[:3, 3].tolist(), "quaternion_xyzw": quaternion.tolist()}
 
 
 def finite_json(path):
@@ -214,6 +221,34 @@ def test_the_largest_force_is_the_same_over_rows_of_joints_and_over_contacts(nam
     judged = judge_grasp(ma.compile_system(ma.load_scene(SCENES / f"{name}.yaml")))
     # tolerance of a linear program in units of the weight, ten times
     assert judged.carrying.largest_force == pytest.approx(judged.carrying_force, rel=1e-6)
+
+
+def test_the_weight_is_carried_in_the_pose_that_the_start_was_assembled_in():
+    """An arm that can move one joint only: the object, written with a turn, has to turn back."""
+    scene = held_by({"kind": "weld"})
+    system = ma.compile_system(scene)
+    frame, names = system.frames["arm"], system.arms["arm"].joint_names
+    weld = {"kind": "weld", "arm": "arm"}
+    weld |= {"at": pose_of(frame.on_object), "at_tip": pose_of(frame.on_tip)}
+    R = Rotation.from_rotvec([0.02, 0.0, 0.0]).as_matrix()
+    pose = scene.object.pose.matrix()
+    pose[:3, :3] = R @ pose[:3, :3]
+    turned = scene.replace(
+        {
+            "joints": [weld],
+            "arms.arm.lock": dict(zip(names[:5], UR5_POSTURE[:5], strict=True)),
+            "arms.arm.posture": [UR5_POSTURE[5]],
+            "object.pose": pose_of(pose),
+        }
+    )
+    system = ma.compile_system(turned)
+    start = np.eye(4)
+    start[:3, 3] = system.initial_state().object_position
+    start[:3, :3] = quaternion_to_matrix(system.initial_state().object_quaternion_xyzw.copy())
+    assert np.abs(start - pose).max() > 0.01
+    as_assembled = ma.compile_system(turned.replace({"object.pose": pose_of(start)}))
+    force = judge_grasp(system).carrying_force
+    assert force == pytest.approx(judge_grasp(as_assembled).carrying_force, rel=1e-7)
 
 
 def test_contacts_of_a_weld_hold_both_ways():

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.contacts.unilateral import hull_corners
 from multiarm.dynamics.contact_geometry import place_state
+from multiarm.errors import SceneError
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
 from multiarm.problems import HARD_CASES
@@ -160,8 +161,9 @@ def test_an_arm_may_not_be_called_floor(tmp_path):
     data = body_and_cart(tmp_path, box(0.1), {"floor": {}})
     data["arms"]["floor"] = data["arms"].pop("cart")
     data["joints"][0]["arm"] = "floor"
-    with pytest.raises(ma.MultiarmError, match="an arm is called 'floor' as well"):
+    with pytest.raises(SceneError, match=r"\$\.arms\.floor: ") as caught:
         ma.Scene(**data)
+    assert not any(fault.place.startswith("$.effects") for fault in caught.value.faults)
 
 
 def test_contacts_that_others_hold_fast_have_no_response():

@@ -191,13 +191,36 @@ def test_stick_slip_is_that_of_a_spring_and_a_block(tmp_path):
         ({"range": {"cart": {"slid": [0, 1]}}}, "unknown joint 'slid'; did you mean 'slide'?"),
         ({"range": {"cart": {"slide": [1, 0]}}}, "the lower end 1 is not below 0"),
         ({"range": {"cart": {"slide": [1, 2]}}}, "'cart/slide' starts at 0, below its lower end 1"),
-        ({"restitution": 1.5}, "restitution"),
+        ({"range": "urfd"}, "$.effects.joint_limits.range: unknown value 'urfd'"),
+        ({"range": 3}, "$.effects.joint_limits.range: must be a table"),
+        ({"restitution": 1.5}, "$.effects.joint_limits.restitution: must be at most 1, got 1.5"),
+        ({"restitution": "0.5"}, "$.effects.joint_limits.restitution: must be a number"),
+        ({"restitution": True}, "$.effects.joint_limits.restitution: must be a number"),
+        (
+            {"range": {"cart": {"slide": ["-1", 1]}}},
+            "$.effects.joint_limits.range.cart.slide[0]: must be a number",
+        ),
+        (
+            {"range": {"cart": {"slide": [-1, True]}}},
+            "$.effects.joint_limits.range.cart.slide[1]: must be a number",
+        ),
+        (
+            {"range": {"cart": {"slide": [float("nan"), 1]}}},
+            "$.effects.joint_limits.range.cart.slide[0]: must be a number",
+        ),
     ],
 )
 def test_bad_limits_are_told(tmp_path, limits, words):
     with pytest.raises(ma.MultiarmError) as caught:
         ma.compile_system(ma.Scene(**cart_with_box(tmp_path, {"joint_limits": limits})))
     assert words in str(caught.value)
+
+
+def test_a_range_may_be_open_at_one_end(tmp_path):
+    limits = {"range": {"cart": {"slide": [-math.inf, 0.8]}}}
+    system = ma.compile_system(ma.Scene(**cart_with_box(tmp_path, {"joint_limits": limits})))
+    stops = [record.name for record in system.model.unilateral.records["cart"]]
+    assert [name for name in stops if "limit" in name] == ["slide at its upper limit"]
 
 
 def test_a_robot_without_a_range_is_told(tmp_path):

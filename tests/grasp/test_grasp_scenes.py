@@ -12,7 +12,7 @@ import multiarm as ma
 from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.errors import GraspError
 from multiarm.grasp import Contacts, Grasp, Gripper, Polyhedron
-from multiarm.grasp.scenes import grasp_scene, motion_wrenches, needed_squeeze
+from multiarm.grasp.scenes import UnreachableError, grasp_scene, motion_wrenches, needed_squeeze
 from multiarm.grasp.scenes.hands import approach
 from multiarm.grasp.scenes.judging import read_grasp
 from multiarm.scene import Waypoint, dump_scene, parse_scene
@@ -298,6 +298,28 @@ def test_bad_numbers_are_refused_before_the_search(options, message, monkeypatch
     monkeypatch.setattr("multiarm.grasp.scenes.stand_arms", None)  # it is not called
     with pytest.raises(GraspError, match=message):
         grasp_scene(block_grasp(), **options)
+
+
+def test_no_mesh_is_written_when_the_arms_do_not_reach(tmp_path, monkeypatch):
+    """A block with a notch, which is not convex, held as the block is."""
+
+    def out_of_reach(*_):
+        raise UnreachableError("out of reach")
+
+    monkeypatch.setattr("multiarm.grasp.scenes.stand_arms", out_of_reach)
+    x, y, z = 0.5 * SIZE
+    outline = [[-x, -y], [x, -y], [x, y], [0.1, y], [0.1, 0.2], [-0.1, 0.2], [-0.1, y], [-x, y]]
+    notched, grasp = Polyhedron.prism(outline, 2.0 * z), block_grasp()
+    faces = []
+    for point, normal in zip(grasp.contacts.points, grasp.contacts.normals, strict=True):
+        off = np.abs(notched.normals + normal).max(axis=1)
+        off += [abs(face.normal @ point - face.offset) for face in notched.faces]
+        faces.append(int(off.argmin()))
+    grasp = Grasp(notched, grasp.contacts, tuple(faces), grasp.grippers)
+    mesh = tmp_path / "notched.stl"
+    with pytest.raises(UnreachableError):
+        grasp_scene(grasp, mesh=mesh)
+    assert not mesh.exists()
 
 
 def test_a_grasp_looks_at_its_contacts():

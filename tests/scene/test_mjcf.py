@@ -241,6 +241,16 @@ def test_a_file_is_shown_like_a_robot(hard):
     assert f"    mjcf: {hard}" in result.stdout
 
 
+@pytest.mark.parametrize("path", ["~nosuchuser/arm.xml", "a\0b.xml"])
+@pytest.mark.parametrize("place", ["urdf", "mjcf", "tool.urdf"])
+def test_the_path_of_no_file_is_told_at_its_place(place, path):
+    source = {place: path}
+    if place == "tool.urdf":
+        source = {"robot": "ur5", "tool": {"urdf": path, "mount": "tool0"}}
+    with pytest.raises(SceneError, match=rf"ArmSpec\.{place}: "):
+        ArmSpec(**source)
+
+
 def test_an_arm_has_one_source(hard):
     with refused(SceneError, "'mjcf'"):
         ArmSpec(robot="ur5", mjcf=hard)

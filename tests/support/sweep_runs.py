@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 MASS, LIFT, GRIP = "object.mass", "arms.left.base.xyz[2]", "joints[0].at"
 OVER = {MASS: [5.0, 10.0, 20.0], LIFT: {"uniform": [-1e-3, 1e-3]}}
 RUN = {"duration": 0.02, "arms": "compiled"}
@@ -28,7 +30,7 @@ def always(trajectory):
         die()
     return 1.0
 """
-MEASURED = ("wall_time", "worker")
+MEASURED = ["wall_time", "worker"]
 
 
 def jobs_of(plan, runs=None):
@@ -39,16 +41,16 @@ def jobs_of(plan, runs=None):
 
 def same(row):
     """What of a row can be repeated."""
-    return {key: value for key, value in row.items() if key not in MEASURED}
+    return replace(row, wall_time=0.0, worker="")
 
 
 def repeatable(batches):
     """Rows by their runs, without what is measured; every run once."""
     rows = [row for rows in batches for row in rows]
-    assert len({row["run"] for row in rows}) == len(rows)
-    assert all(row["wall_time"] >= 0.0 for row in rows)
-    return sorted(map(same, rows), key=lambda row: row["run"])
+    assert len({row.run for row in rows}) == len(rows)
+    assert all(row.wall_time >= 0.0 for row in rows)
+    return sorted(map(same, rows), key=lambda row: row.run)
 
 
 def statuses(batches):
-    return {row["run"]: (row["status"], row["message"]) for rows in batches for row in rows}
+    return {row.run: (row.status, row.message) for rows in batches for row in rows}

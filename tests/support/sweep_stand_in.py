@@ -12,7 +12,6 @@ import shutil
 import signal
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from repository import SCENES
@@ -20,6 +19,7 @@ from repository import SCENES
 import multiarm as ma
 from multiarm.sweeps.folder import PartWriter, create, is_sweep, read_about, read_rows
 from multiarm.sweeps.plan import SweepPlan, plan_of
+from multiarm.sweeps.run import Row
 
 NAMES = ("gap", "force", "never")
 FAILING = 13
@@ -46,20 +46,20 @@ def stand_in_plan(count: int, seed: int = 3) -> SweepPlan:
     return plan_of(ma.load_scene(SCENES / "two_ur5_box.yaml"), TEXT.format(count=count, seed=seed))
 
 
-def row_of(run: int, worker: str = "here") -> dict[str, Any]:
+def row_of(run: int, worker: str = "here") -> Row:
     """The row that a run has, wherever it is made."""
     rng = np.random.default_rng(run)
     failed = run % FAILING == 0
     gap, force = (float(x) for x in rng.standard_normal(2))
     numbers = {"gap": gap, "force": force * 10.0 ** rng.integers(-300, 300), "never": None}
-    return {
-        "run": run,
-        "status": "failed" if failed else "completed",
-        "message": f"the step of run {run} is too small" if failed else "",
-        **(dict.fromkeys(NAMES) if failed else numbers),
-        "wall_time": 0.0 if failed else float(rng.random()),
-        "worker": worker,
-    }
+    return Row(
+        run=run,
+        status="failed" if failed else "completed",
+        message=f"the step of run {run} is too small" if failed else "",
+        quantities=dict.fromkeys(NAMES) if failed else numbers,
+        wall_time=0.0 if failed else float(rng.random()),
+        worker=worker,
+    )
 
 
 def opened(path: Path, plan: SweepPlan) -> tuple[PartWriter, list[int]]:

@@ -64,7 +64,7 @@ def test_a_cluster_gives_the_same_rows_and_survives_the_death_of_a_worker(scene,
     with cluster_of(tmp_path, 2) as (address, workers), executors.connected(address) as client:
         batches = list(executors.run_on_cluster(Context.of(plan), jobs_of(plan), client))
         assert repeatable(batches) == expected
-        assert len({row["worker"] for rows in batches for row in rows}) == 2
+        assert len({row.worker for rows in batches for row in rows}) == 2
         coming = executors.run_on_cluster(Context.of(slow), jobs_of(slow), client)
         found = [next(coming), next(coming)]
         workers[0].kill()

@@ -36,7 +36,7 @@ from multiarm.errors import SweepError
 from multiarm.sweeps import run as runs
 from multiarm.sweeps.executors import CHUNK_TIME, MOST_JOBS, Chunks, run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.run import Context, simulate_run
+from multiarm.sweeps.run import Context, Row, simulate_run
 
 NOTES = """
 from pathlib import Path
@@ -86,19 +86,18 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
             run=RUN,
         )
         alone = ma.simulate(ma.compile_system(own))
-        assert expected[run - 1] == {
-            "run": run,
-            "status": alone.status,
-            "message": alone.message,
+        quantities = {
             "final_x": alone.object_position[-1, 0],
             "final_z": alone.object_position[-1, 2],
             "largest_contact_force": max(alone.summary()["contact_force_max_N"].values()),
             "energy_balance": np.abs(alone.energy_balance).max(),
             "estimated_error": alone.certificate["estimated_error"]["position_m"],
         }
+        assert expected[run - 1] == Row(run, alone.status, alone.message, quantities, 0.0, "")
         again = simulate_run(plan, run)
         np.testing.assert_array_equal(again.read("object/position"), alone.object_position)
-    assert len({row["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
+    heights = {row.quantities["final_z"] for row in expected}
+    assert len(heights) == 12  # so that a mix-up would be seen
 
 
 @pytest.mark.slow
@@ -111,7 +110,7 @@ def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
         runs.run(Context.of(plan if k % 2 == 0 else lighter), *job) for k, job in enumerate(between)
     ]
     assert [same(row) for row in mixed[::2]] == expected
-    assert mixed[0]["final_z"] != mixed[1]["final_z"]
+    assert mixed[0].quantities["final_z"] != mixed[1].quantities["final_z"]
     alone = [runs.run(Context.of(plan, session=str(job[0])), *job) for job in jobs_of(plan, [1, 2])]
     assert list(map(same, alone)) == expected[:2]
 
@@ -138,20 +137,33 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
     over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
     plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
     rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
-    assert [row["status"] for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
-    assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1]["message"]
-    assert rows[1]["steps"] > 0 and rows[1]["fussy"] is None
-    assert rows[3]["message"].startswith("the run could not begin: ")
-    assert rows[3]["steps"] is rows[3]["fussy"] is None
+    assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
+    assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
+    assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
+    assert rows[3].message.startswith("the run could not begin: ")
+    assert rows[3].quantities == {"steps": None, "fussy": None}
+
+
+def test_quantities_may_have_the_names_of_other_columns(scene, tmp_path):
+    def seven(trajectory):
+        return 7.0
+
+    names = ["run", "status", "message", "wall_time", "worker"]
+    keep = [{"function": seven, "name": name} for name in names]
+    made = ma.sweep(scene, {MASS: [5.0]}, keep=keep, out=tmp_path / "s.sweep", workers=1, **RUN)
+    assert (made.table["run"].tolist(), made.status_counts) == ([1], {"completed": 1})
+    assert made.table["worker"][0].endswith(f":{os.getpid()}") and made.table["wall_time"][0] != 7.0
+    assert made.table[[f"quantity {name}" for name in names]].values.tolist() == [[7.0] * 5]
+    assert [spread.largest for spread in made.summary().spreads] == [7.0] * 5
 
 
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
     broken = scene.replace({GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
     rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
-    assert [row["status"] for row in rows] == ["completed", "failed"]
-    assert "does not satisfy the joint of arm 'left'" in rows[1]["message"]
-    assert rows[1]["steps"] is None
+    assert [row.status for row in rows] == ["completed", "failed"]
+    assert "does not satisfy the joint of arm 'left'" in rows[1].message
+    assert rows[1].quantities == {"steps": None}
 
 
 def test_another_version_of_the_program_is_refused(plan, monkeypatch):
@@ -165,7 +177,7 @@ def test_another_version_of_the_program_is_refused(plan, monkeypatch):
 
 
 def timed(wall):
-    return {"run": 1, "wall_time": wall}
+    return Row(1, "completed", "", {}, wall, "here")
 
 
 def test_chunks_take_about_the_same_time_however_long_a_run_takes():
@@ -196,7 +208,7 @@ def test_towards_the_end_chunks_become_short_so_that_workers_end_together():
 def test_processes_give_the_same_rows(plan, expected):
     batches = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
     assert repeatable(batches) == expected
-    workers = {row["worker"] for rows in batches for row in rows}
+    workers = {row.worker for rows in batches for row in rows}
     assert len(workers) == 2
     assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
 
@@ -325,7 +337,7 @@ def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypat
         scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
     )
     here = repeatable(run_here(Context.of(plan), jobs_of(plan)))
-    assert here[0]["final_z"] != here[1]["final_z"]
+    assert here[0].quantities != here[1].quantities
     assert repeatable(run_in_processes(Context.of(plan), jobs_of(plan), 2)) == here
 
 
@@ -339,7 +351,7 @@ weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
 for rows in run_in_processes(Context.of(plan), jobs_of(plan), 2):
-    print(rows[0]["worker"].rpartition(":")[2], flush=True)
+    print(rows[0].worker.rpartition(":")[2], flush=True)
 """
 
 
@@ -393,8 +405,10 @@ def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path)
     assert told == [(0, 12, 0), (1, 12, 0)]
     assert len(part) == 1 and not part.complete
     whole = ma.sweep(scene, OVER, workers=2, **asked)
-    for name in ("run", "status", "message", *KEEP):
-        assert whole.table[name].tolist() == [row[name] for row in expected]
+    for name in ("run", "status", "message"):
+        assert whole.table[name].tolist() == [getattr(row, name) for row in expected]
+    for name in KEEP:
+        assert whole.table[name].tolist() == [row.quantities[name] for row in expected]
     # what was done is not done again
     pandas.testing.assert_frame_equal(whole.table[:1], early)
     assert len((tmp_path / "notes").read_text()) == 12
@@ -403,7 +417,7 @@ def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path)
     assert told == [(12, 12, 0)]
     fresh = ma.sweep(scene, OVER, workers=1, resume=False, **asked)
     pandas.testing.assert_frame_equal(
-        fresh.table.drop(columns=[*MEASURED]), whole.table.drop(columns=[*MEASURED])
+        fresh.table.drop(columns=MEASURED), whole.table.drop(columns=MEASURED)
     )
     assert len((tmp_path / "notes").read_text()) == 24
 
@@ -428,7 +442,7 @@ def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, s
     runs.run(context, *job)
     calls.clear()
     whole = runs.run(context, *job)
-    assert whole["estimated_error"] > 0.0
+    assert whole.quantities["estimated_error"] > 0.0
     when[0] = int(share * len(calls))
     calls.clear()
     with pytest.raises(KeyboardInterrupt):

@@ -17,13 +17,14 @@ import pyarrow.parquet
 import pytest
 from refusals import refused
 from repository import SUPPORT
-from sweep_runs import MEASURED
+from sweep_runs import MEASURED, same
 from sweep_stand_in import FAILING, NAMES, STEPS, opened, row_of, stand_in_plan
 
 from multiarm.errors import SweepError
 from multiarm.sweeps import folder as folders
 from multiarm.sweeps.folder import PART_ROWS, create, without_mixed_types
 from multiarm.sweeps.result import load_sweep
+from multiarm.sweeps.run import Row
 from multiarm.sweeps.sweep import _folder
 
 PROGRAM = SUPPORT / "sweep_stand_in.py"
@@ -61,15 +62,17 @@ def write_on():
         server.stdin.close()
 
 
-def rows_of(sweep) -> list[dict]:
+def rows_of(sweep) -> list[Row]:
     """Rows as a worker gives them: a missing entry is None."""
-    columns = ["run", "status", "message", *sweep.quantities, *MEASURED]
-    table = sweep.table[columns].astype(object)
-    return table.where(table.notna(), None).to_dict("records")
-
-
-def but_measured(row: dict) -> dict:
-    return {key: value for key, value in row.items() if key not in MEASURED}
+    table = sweep.table.astype(object)
+    return [
+        Row(
+            *(row[name] for name in ("run", "status", "message")),
+            {name: row[name] for name in sweep.quantities},
+            *(row[name] for name in ("wall_time", "worker")),
+        )
+        for row in table.where(table.notna(), None).to_dict("records")
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +112,7 @@ def test_the_parts_can_be_read_without_this_program(sweep):
     table = pandas.read_parquet(sweep.path / "parts").set_index("run").sort_index()
     assert table.index.tolist() == list(range(1, sweep.count + 1))
     assert table["object.mass"][3] == sweep.values_of(3)["object.mass"]
-    assert table["gap"][3] == row_of(3)["gap"]
+    assert table["gap"][3] == row_of(3).quantities["gap"]
     assert table["effects.joint_damping"][3] == str(sweep.values_of(3)["effects.joint_damping"])
     first = next((sweep.path / "parts").glob("*.parquet"))
     schema = pyarrow.parquet.read_schema(first)
@@ -143,14 +146,14 @@ def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path, write
         if path.exists():
             rows = rows_of(load_sweep(path))
             assert len(rows) >= max(said, safe), "what it said to be safe is safe"
-            assert all(but_measured(row) == but_measured(row_of(row["run"])) for row in rows)
+            assert all(same(row) == same(row_of(row.run)) for row in rows)
             safe = len(rows)
     assert 0 < safe < count
     words, code = write_on(path, count, 99)
     assert words[-1] == "end" and code == 0
     sweep, whole = load_sweep(path), load_sweep(written(tmp_path / "whole.sweep", count))
     pandas.testing.assert_frame_equal(
-        sweep.table.drop(columns=list(MEASURED)), whole.table.drop(columns=list(MEASURED))
+        sweep.table.drop(columns=MEASURED), whole.table.drop(columns=MEASURED)
     )
     assert sweep.table["worker"].nunique() > 5, "rows of processes that were killed are kept"
     assert sweep.summary() == replace(whole.summary(), wall_time=sweep.summary().wall_time)
@@ -204,7 +207,7 @@ def test_a_kill_before_any_step_of_writing_costs_at_most_what_was_appended(tmp_p
         if path.exists():
             rows = rows_of(load_sweep(path))
             assert len(rows) in (safe, safe + 2)
-            assert rows == [row_of(row["run"]) for row in rows]
+            assert rows == [row_of(row.run) for row in rows]
         life(path, (7 * first) % 5)  # and again while it resumes
         life(path, None)
         assert rows_of(load_sweep(path)) == [row_of(run) for run in range(1, 11)]
@@ -244,8 +247,8 @@ def test_a_row_that_comes_twice_is_there_once_so_that_writers_do_no_harm_to_each
     for run in (3, 4, 5):
         second.append([row_of(run, "second")])
         first.append([row_of(run, "first")])
-    assert [but_measured(row) for row in rows_of(load_sweep(path))] == [
-        but_measured(row_of(run)) for run in range(1, 6)
+    assert [same(row) for row in rows_of(load_sweep(path))] == [
+        same(row_of(run)) for run in range(1, 6)
     ]
 
 

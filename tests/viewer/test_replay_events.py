@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from mechanics import ur5_pair
@@ -20,10 +22,11 @@ from multiarm.results.channels import (
 from multiarm.results.event_log import LOST, MADE, SLIP, family_of
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
+from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.viewer import replay
 from multiarm.viewer.animate import animate
 from multiarm.viewer.animation import EventPlace, rotations
-from multiarm.viewer.contact_tracks import contacts_of, event_places
+from multiarm.viewer.contact_tracks import contacts_of, event_places, row_states
 from multiarm.viewer.drawing import draw
 from multiarm.viewer.glyphs import AT_ONCE, DURATION, LEAST, event_tracks
 from multiarm.viewer.page import MOST_ROWS, MOST_TICKS, time_line
@@ -191,6 +194,21 @@ def test_rows_of_friction_have_the_state_of_their_contact(above_a_floor):
     colors = {arm: np.zeros(3) for arm in run.arm_names}
     floor = contacts_of(system, run, np.array([0]), colors)[-1]
     assert floor.state[0].tolist() == np.repeat(np.arange(8) % 5, 3).tolist()
+
+
+def test_a_contact_with_a_comma_in_its_name_has_no_state_of_another():
+    """Only "finger" has states; "finger, left" and its rows without slip stay closed."""
+    pair = {"arm": {"sphere": {"radius": 0.01}}, "object": {"plane": {"normal": [0, 0, 1]}}}
+    joint = ContactsJoint(
+        arm="left",
+        contacts=[{"name": "finger", **pair}, {"name": "finger, left", "rolling": True, **pair}],
+    )
+    channel = Channel("arms/left/contact_state", (1,), labels=("finger",))
+    run = SimpleNamespace(
+        channels={channel.name: channel}, contact_states={"left": np.array([[OPEN]])}
+    )
+    states = row_states(run, "left", joint.records(), np.array([0]))
+    assert states.tolist() == [[OPEN, TOUCHING, TOUCHING, TOUCHING]]
 
 
 # Flashes

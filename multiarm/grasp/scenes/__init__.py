@@ -141,24 +141,28 @@ def grasp_scene(
         least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
         squeeze = needed_squeeze(upright.contacts, wrenches, least)
     names = _arm_names(grasp)
+    arms_of_scene = {
+        arm: _arm(upright, k, specs[k], start.arms[k], tip_radius, hand_mass)
+        for k, arm in enumerate(names)
+    }
+    joints = [
+        {
+            "arm": arm,
+            "kind": "contacts",
+            "at": pose_table(gripper.frame),
+            "contacts": contacts(grasp, gripper, tip_radius),
+        }
+        for arm, gripper in zip(names, grasp.grippers, strict=True)
+    ]
+    if mesh is not None and "mesh" in body["shape"]:  # last: it may replace a file
+        grasp.body.save(mesh)
     return Scene(
         name=name
         or f"{len(arms)} arms hold a body of {len(grasp.body.faces)} faces by its corners",
         gravity=GRAVITY,
         object={**body, "pose": pose_table(start.pose(np.eye(4)))},
-        arms={
-            arm: _arm(upright, k, specs[k], start.arms[k], tip_radius, hand_mass)
-            for k, arm in enumerate(names)
-        },
-        joints=[
-            {
-                "arm": arm,
-                "kind": "contacts",
-                "at": pose_table(gripper.frame),
-                "contacts": contacts(grasp, gripper, tip_radius),
-            }
-            for arm, gripper in zip(names, grasp.grippers, strict=True)
-        ],
+        arms=arms_of_scene,
+        joints=joints,
         control={
             "kind": "computed_torque",
             "stiffness": STIFFNESS,
@@ -265,7 +269,6 @@ def _object(body: Polyhedron, mass: float, mesh: str | Path | None) -> dict[str,
             "the body is not convex, and a scene takes such an object from a mesh file: say with "
             "`mesh` which STL file is to be written"
         )
-    body.save(mesh)
     return {
         "shape": {"mesh": {"file": str(Path(mesh).expanduser().resolve())}},
         "mass": mass,

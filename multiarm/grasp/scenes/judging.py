@@ -364,7 +364,7 @@ def judge_grasp(
         stability = _stability(grasp)
         show(3, 4, "judging the grasp: forces and the object's frame")
         carrying = carrying_capacity(system, evaluation)
-        force, frame = _carrying_force(system, grasp), _frame(grasp)
+        force, frame = _carrying_force(system, grasp, evaluation), _frame(grasp)
     return GraspJudgement(
         scene=system.scene.name,
         contacts=contacts,
@@ -430,11 +430,11 @@ def _stability(grasp: SceneGrasp) -> StabilityFacts | None:
     )
 
 
-def _carrying_force(system: System, grasp: SceneGrasp) -> float | None:
+def _carrying_force(system: System, grasp: SceneGrasp, evaluation: Evaluation) -> float | None:
     scene = system.scene
     if scene.gravity is None:
         return None
-    R = scene.object.pose.matrix()[:3, :3]
+    R = quaternion_to_matrix(evaluation.state.object_quaternion_xyzw.copy())
     weight = np.append(-scene.object.mass * R.T @ np.array(scene.gravity), np.zeros(3))
     distribution = distribute_forces(grasp.contacts, weight)
     return distribution.value if distribution else None

@@ -7,25 +7,26 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, TypeAdapter
 
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import unknown
 from multiarm.scene.values import (
     URDF,
+    Bound,
     Faults,
     KnownArm,
     NonNegative,
     Pose,
     Positive,
+    UnitInterval,
     Vec3,
+    list_of,
     shorthand,
 )
 
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec
-
-Restitution = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class SomeContacts(EffectKind):
@@ -64,7 +65,7 @@ class UnilateralContactsSpec(SomeContacts):
     of_pushing = True
     usual: ClassVar[Any] = {}
 
-    restitution: Restitution = 0.0
+    restitution: UnitInterval = 0.0
     """Newton's coefficient, 0 (no bounce) to 1."""
     start: Literal["closed", "as_written"] = "closed"
     """Whether the start is assembled with these contacts closed, as that of a scene without this
@@ -129,7 +130,7 @@ class FloorSpec(EffectKind):
     size: tuple[Positive, Positive] | None = None
     """A table top of so much along x and y of that frame [m]; absent: unbounded. Corners of the
     object leave it over its edges, which themselves touch nothing."""
-    restitution: Restitution = 0.0
+    restitution: UnitInterval = 0.0
     """Newton's coefficient, 0 to 1."""
     mu: NonNegative | None = None
     """Coefficient of friction; absent: without friction."""
@@ -140,8 +141,6 @@ class FloorSpec(EffectKind):
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         if self.points == ():
             return [(("points",), "is empty; list points of the object, or leave it out")]
-        if "floor" in arms:
-            return [((), "an arm is called 'floor' as well; give it another name")]
         return []
 
     @classmethod
@@ -159,6 +158,19 @@ class FloorSpec(EffectKind):
         return {"at": {"xyz": [0.0, 0.0, float(pose[2, 3]) - reach]}}
 
 
+_FromUrdf = Literal["urdf"]
+_Ends = Annotated[
+    tuple[Bound, Bound], list_of("must be a list of two numbers, the lower and the upper end", 2)
+]
+_Ranges = dict[str, dict[str, _Ends]]
+
+
+def _read_range(value: Any) -> Any:
+    """Faults are those of a word or of a table, and not of both."""
+    kind: Any = _FromUrdf if isinstance(value, str) else _Ranges
+    return TypeAdapter(kind).validate_python(value)
+
+
 class JointLimitsSpec(EffectKind):
     """Joints stop at the ends of their range."""
 
@@ -169,9 +181,9 @@ class JointLimitsSpec(EffectKind):
     can_open = True
     usual = URDF
 
-    range: Literal["urdf"] | dict[str, dict[str, tuple[float, float]]] = "urdf"
+    range: Annotated[_FromUrdf | _Ranges, BeforeValidator(_read_range)] = "urdf"
     """Ends [rad, m]; of the URDF, or as given."""
-    restitution: Restitution = 0.0
+    restitution: UnitInterval = 0.0
     """Newton's coefficient, 0 to 1."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:

@@ -138,5 +138,7 @@ class ContactsJoint(Joint):
             rows.append(normal)
             for tangent in (1, 2) if spec.rolling else ():
                 row = f"{name}, no slip {tangent}"
-                rows.append(replace(normal, name=row, tangent=tangent, pushes_only=False))
+                rows.append(
+                    replace(normal, name=row, tangent=tangent, pushes_only=False, parent=name)
+                )
         return rows
