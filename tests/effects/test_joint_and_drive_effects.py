@@ -227,6 +227,8 @@ def test_limits_of_the_urdf_are_the_arms_own(sledge):
     run = ma.simulate(system, duration=0.1, **TIGHT)
     assert np.all(run.joint_torques["a"] == 7.0) and system.arms["a"].effort_limits == [7.0]
     assert [e["time"] for e in run.events if e["kind"] == "saturates"] == [0.0]
+    later = ma.simulate(system, duration=0.1, start_time=5.0, **TIGHT)
+    assert [e["time"] for e in later.events if e["kind"] == "saturates"] == [5.0]
 
 
 def test_joints_that_are_not_named_are_not_limited():

@@ -201,6 +201,20 @@ def test_exactly_the_kernels_that_import_an_edited_file_compile_again(edited, mo
     assert changed
 
 
+def test_kernels_of_other_packages_compile_again_with_any_kernel_of_this_one(monkeypatch):
+    """They name what they use by way of `multiarm.effects`, which loads it on demand."""
+    path = str(ROOT / "examples" / "own_effect" / "magnet_effect.py")
+    function = eval(compile("lambda: 0", path, "eval"))
+    before = kernels._stamp_of(function)
+
+    def read(path):
+        digest, imported = kernels._read(path)
+        return (b"edited" if path == PACKAGE / "dynamics" / "arrays.py" else digest), imported
+
+    monkeypatch.setattr(kernels, "_read_module", read)
+    assert kernels._stamp_of(function) != before
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path, ending):

@@ -575,3 +575,12 @@ def test_a_fault_of_a_setting_is_told_under_its_name(block_system, settings, pla
     with refused(ma.MultiarmError) as caught:
         ma.simulate(block_system, **settings)
     assert str(caught.value).startswith(f"{place}: ")
+
+
+def test_a_run_with_a_sampled_control_may_end_before_time_zero():
+    """Steps end at the samples exactly: times are compared by their magnitude."""
+    sampled = {"control": {"kind": "gravity_compensation", "sample_time": 0.02}}
+    system = ma.compile_system(ur5_pair(*UR5_JOINTS, **sampled))
+    run = ma.simulate(system, 0.1, start_time=-10.0, accuracy=1e-6, certificate=False)
+    assert run.status == "completed", run.message
+    assert run.time[-1] == pytest.approx(-9.9)
