@@ -62,6 +62,7 @@ def assert_wording(message: str) -> None:
 def _on_any_machine(message: str) -> str:
     for pattern, text in (
         (rf"{re.escape(tempfile.gettempdir())}[-\w./]*/", "FOLDER/"),
+        (r"\S*/(site|dist)-packages/\S*/", "INSTALLED/"),
         (re.escape(str(ROOT)), "ROOT"),
         (r"0x[0-9a-f]+", "ADDRESS"),
         (r"code_of_(\w+)_[0-9a-f]{8}\b", r"code_of_\1"),
