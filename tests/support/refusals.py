@@ -63,6 +63,7 @@ def _on_any_machine(message: str) -> str:
     for pattern, text in (
         (rf"{re.escape(tempfile.gettempdir())}[-\w./]*/", "FOLDER/"),
         (r"\S*/(site|dist)-packages/\S*/", "INSTALLED/"),
+        (r"FOLDER/(test_[a-zA-Z_]*)\d+\b", r"FOLDER/\1N"),  # pytest counts them by worker
         (re.escape(str(ROOT)), "ROOT"),
         (r"0x[0-9a-f]+", "ADDRESS"),
         (r"code_of_(\w+)_[0-9a-f]{8}\b", r"code_of_\1"),
