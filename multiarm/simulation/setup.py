@@ -202,7 +202,8 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
     effects, with_states = task.system.scene.effects, data.model.effects.with_states
-    with_events = causes_of_events(effects, has_friction=data.model.unilateral is not None)
+    has_friction = task.system.model.unilateral is not None
+    with_events = causes_of_events(effects, has_friction)
     if fault := method_fault(name, with_states, with_events):
         raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
     stepping = make_stepping(data, METHODS[name])
