@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -82,10 +83,13 @@ class Stepping:
     struct: np.ndarray
 
 
+_address = cache(address_of)
+
+
 def make_stepping(data: Data, tableau: Tableau) -> Stepping:
     """Allocate for the steps of a system; compiles the step of this kind if need be."""
     effects, kind = data.model.effects, KINDS[tableau.kind]
     works = 1 + len(effects.works)
     step = make_step(tableau, data.model.layout, data.struct, effects.states, works)
-    known, work = coefficients(tableau, address_of(kind.step)), kind.make_work(data, step)
+    known, work = coefficients(tableau, _address(kind.step)), kind.make_work(data, step)
     return Stepping(tableau, known, step, work, struct_of(known, step, *work))

@@ -91,7 +91,7 @@ def make_struct(entries: Sequence[np.ndarray | float | Numbers]) -> np.ndarray:
         if isinstance(entry, np.ndarray):
             assert entry.flags.c_contiguous and entry.dtype in _KINDS
             sizes = entry.shape
-            first = entry.ctypes.data
+            first = entry.__array_interface__["data"][0]  # `ctypes.data` takes longer
         else:
             sizes = ()
             whole = isinstance(entry, (int, np.integer))
