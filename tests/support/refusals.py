@@ -61,10 +61,10 @@ def assert_wording(message: str) -> None:
 
 def _on_any_machine(message: str) -> str:
     for pattern, text in (
-        (rf"{re.escape(tempfile.gettempdir())}[-\w./]*/", "FOLDER/"),
         (r"\S*/(site|dist)-packages/\S*/", "INSTALLED/"),
+        (re.escape(str(ROOT)), "ROOT"),  # before the next: it may be in such a folder
+        (rf"{re.escape(tempfile.gettempdir())}[-\w./]*/", "FOLDER/"),
         (r"FOLDER/(test_[a-zA-Z_]*)\d+\b", r"FOLDER/\1N"),  # pytest counts them by worker
-        (re.escape(str(ROOT)), "ROOT"),
         (r"0x[0-9a-f]+", "ADDRESS"),
         (r"code_of_(\w+)_[0-9a-f]{8}\b", r"code_of_\1"),
         (r"worker \S+:\d+", "worker HOST:PROCESS"),
