@@ -246,7 +246,7 @@ def test_a_run_made_once_more_is_the_run_that_was_made(made):
         trajectory = sweep.trajectory(run)
         assert trajectory.status == "completed"
         row = sweep.table.loc[run - 1]
-        assert measure(sweep.plan.quantities, trajectory)[0] == row[[*sweep.quantities]].to_dict()
+        assert measure(sweep.plan.spec.keep, trajectory)[0] == row[[*sweep.quantities]].to_dict()
         assert sweep.scene_of(run).object.mass == row["object.mass"]
         assert sweep.values_of(run) == row[[*sweep.paths]].to_dict()
 

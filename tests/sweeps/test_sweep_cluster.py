@@ -62,9 +62,9 @@ def test_a_cluster_gives_the_same_rows_and_survives_the_death_of_a_worker(scene,
     slow = make_plan(scene, OVER, repeat=20, keep=["final_z", f"{tmp_path}/own.py:slow"], run=RUN)
     here = repeatable(executors.run_here(Context.of(slow), jobs_of(slow)))
     with cluster_of(tmp_path, 2) as (address, workers), executors.connected(address) as client:
-        batches = list(executors.run_on_cluster(Context.of(plan), jobs_of(plan), client))
-        assert repeatable(batches) == expected
-        assert len({row.worker for rows in batches for row in rows}) == 2
+        rows = list(executors.run_on_cluster(Context.of(plan), jobs_of(plan), client))
+        assert repeatable(rows) == expected
+        assert len({row.worker for row in rows}) == 2
         coming = executors.run_on_cluster(Context.of(slow), jobs_of(slow), client)
         found = [next(coming), next(coming)]
         workers[0].kill()

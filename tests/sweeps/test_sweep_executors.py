@@ -34,7 +34,7 @@ from sweep_runs import (
 import multiarm as ma
 from multiarm.errors import SweepError
 from multiarm.sweeps import run as runs
-from multiarm.sweeps.executors import CHUNK_TIME, MOST_JOBS, Chunks, run_here, run_in_processes
+from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context, Row, simulate_run
 
@@ -94,7 +94,7 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
             "estimated_error": alone.certificate["estimated_error"]["position_m"],
         }
         assert expected[run - 1] == Row(run, alone.status, alone.message, quantities, 0.0, "")
-        again = simulate_run(plan, run)
+        again = simulate_run(plan.scene_of(run), certificate=True)
         np.testing.assert_array_equal(again.read("object/position"), alone.object_position)
     heights = {row.quantities["final_z"] for row in expected}
     assert len(heights) == 12  # so that a mix-up would be seen
@@ -106,12 +106,11 @@ def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
     assert repeatable(backwards) == expected
     lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
     between = [job for pair in zip(jobs_of(plan), jobs_of(lighter), strict=True) for job in pair]
-    mixed = [
-        runs.run(Context.of(plan if k % 2 == 0 else lighter), *job) for k, job in enumerate(between)
-    ]
+    contexts = Context.of(plan), Context.of(lighter)
+    mixed = [runs.run(contexts[k % 2], *job) for k, job in enumerate(between)]
     assert [same(row) for row in mixed[::2]] == expected
     assert mixed[0].quantities["final_z"] != mixed[1].quantities["final_z"]
-    alone = [runs.run(Context.of(plan, session=str(job[0])), *job) for job in jobs_of(plan, [1, 2])]
+    alone = [runs.run(Context.of(plan), *job) for job in jobs_of(plan, [1, 2])]
     assert list(map(same, alone)) == expected[:2]
 
 
@@ -119,7 +118,7 @@ def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
     shared, rows = Context.of(plan), []
 
     def carry_out(jobs):
-        rows.append([runs.run(shared, *job) for job in jobs])
+        rows.extend(runs.run(shared, *job) for job in jobs)
 
     halves = jobs_of(plan, range(1, 7)), jobs_of(plan, range(7, 13))
     threads = [threading.Thread(target=carry_out, args=(half,)) for half in halves]
@@ -136,12 +135,12 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 
     over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
     plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
-    rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
+    rows = list(run_here(Context.of(plan), jobs_of(plan)))
     assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
     assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
     assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
     assert rows[3].message.startswith("the run could not begin: ")
-    assert rows[3].quantities == {"steps": None, "fussy": None}
+    assert rows[3].quantities == {}
 
 
 def test_quantities_may_have_the_names_of_other_columns(scene, tmp_path):
@@ -160,10 +159,10 @@ def test_quantities_may_have_the_names_of_other_columns(scene, tmp_path):
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
     broken = scene.replace({GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
-    rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
+    rows = list(run_here(Context.of(plan), jobs_of(plan)))
     assert [row.status for row in rows] == ["completed", "failed"]
     assert "does not satisfy the joint of arm 'left'" in rows[1].message
-    assert rows[1].quantities == {"steps": None}
+    assert rows[1].quantities == {}
 
 
 def test_another_version_of_the_program_is_refused(plan, monkeypatch):
@@ -173,42 +172,14 @@ def test_another_version_of_the_program_is_refused(plan, monkeypatch):
         runs.run(begun, *jobs_of(plan, [1])[0])
 
 
-# --- chunks -------------------------------------------------------------------------------------
-
-
-def timed(wall):
-    return Row(1, "completed", "", {}, wall, "here")
-
-
-def test_chunks_take_about_the_same_time_however_long_a_run_takes():
-    jobs = [(number, {}) for number in range(1, 20_001)]
-    assert len(next(Chunks(jobs, 1))) == 1
-    for wall in (1e-2, 10.0, 1e-6):
-        chunks = Chunks(jobs, 1)
-        chunks.learn([timed(wall)])
-        assert len(next(chunks)) == min(max(int(CHUNK_TIME / wall), 1), MOST_JOBS)
-    assert next(chunks)[0][0] == MOST_JOBS + 1
-
-
-def test_towards_the_end_chunks_become_short_so_that_workers_end_together():
-    chunks = Chunks([(number, {}) for number in range(1, 101)], 2)
-    chunks.learn([timed(0.01)])
-    sizes = [len(chunk) for chunk in chunks]
-    assert sum(sizes) == 100
-    assert sizes == sorted(sizes, reverse=True) and sizes[-1] == 1
-    # no chunk is longer than what is left after it makes for each worker
-    assert all(size <= max(1, sum(sizes[k:]) / 2) for k, size in enumerate(sizes))
-    assert sizes[0] == 12
-
-
 # --- processes ----------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_processes_give_the_same_rows(plan, expected):
-    batches = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert repeatable(batches) == expected
-    workers = {row.worker for rows in batches for row in rows}
+    rows = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
+    assert repeatable(rows) == expected
+    workers = {row.worker for row in rows}
     assert len(workers) == 2
     assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
 
@@ -350,8 +321,8 @@ from multiarm.sweeps.run import Context
 weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
-for rows in run_in_processes(Context.of(plan), jobs_of(plan), 2):
-    print(rows[0].worker.rpartition(":")[2], flush=True)
+for row in run_in_processes(Context.of(plan), jobs_of(plan), 2):
+    print(row.worker.rpartition(":")[2], flush=True)
 """
 
 
