@@ -238,6 +238,7 @@ def _not_zero(vector: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def rising(ends: tuple[float, float]) -> tuple[float, float]:
+    """The ends of a range; a fault unless the first is smaller."""
     if not ends[0] < ends[1]:
         raise fault(f"must run from a smaller to a larger number, got [{ends[0]:g}, {ends[1]:g}]")
     return ends

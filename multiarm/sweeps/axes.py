@@ -63,8 +63,15 @@ Count = Annotated[int, Field(ge=1), BeforeValidator(_whole)]
 NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(_whole)]
 _ValueCount = Annotated[int, Field(ge=1, le=MOST_VALUES), BeforeValidator(_whole)]
 _Whole = Annotated[int, Field(ge=-LARGEST, le=LARGEST), BeforeValidator(_whole)]
-_Exponent = Annotated[Number, Field(ge=-300.0, le=300.0)]
-_THREE = list_of("must be [first, last, how many]", 3)
+_Spaced = Annotated[
+    tuple[Number, Number, _ValueCount], list_of("must be [first, last, how many]", 3)
+]
+
+
+def _exponents(numbers: tuple) -> tuple:
+    if max(abs(numbers[0]), abs(numbers[1])) > 300.0:
+        raise fault(f"are exponents of ten, of at most 300, got {shown(numbers)}")
+    return numbers
 
 
 def _in_ratio(numbers: tuple) -> tuple:
@@ -88,6 +95,11 @@ def _with_values(arguments: tuple[int, ...]) -> tuple[int, ...]:
     return arguments
 
 
+_WholeRange = Annotated[
+    tuple[_Whole, _Whole],
+    list_of("must be whole numbers [lowest, highest]", 2),
+    AfterValidator(rising),
+]
 _Values = Annotated[
     list[Any],
     list_of("must be a list of at least one value", least=1),
@@ -172,25 +184,16 @@ class AxisSpec(OneOf):
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
     values: _Values | None = None
-    linspace: Annotated[tuple[Number, Number, _ValueCount], _THREE] | None = None
-    logspace: Annotated[tuple[_Exponent, _Exponent, _ValueCount], _THREE] | None = None
-    geomspace: (
-        Annotated[tuple[Number, Number, _ValueCount], _THREE, AfterValidator(_in_ratio)] | None
-    ) = None
+    linspace: _Spaced | None = None
+    logspace: Annotated[_Spaced, AfterValidator(_exponents)] | None = None
+    geomspace: Annotated[_Spaced, AfterValidator(_in_ratio)] | None = None
     range: Annotated[tuple[_Whole, ...], AfterValidator(_with_values)] | None = None
     rows: _Values | None = None
     uniform: Range | None = None
     loguniform: Annotated[Range, AfterValidator(_in_ratio)] | None = None
     normal: NormalSpec | None = None
     lognormal: LogNormalSpec | None = None
-    integers: (
-        Annotated[
-            tuple[_Whole, _Whole],
-            list_of("must be whole numbers [lowest, highest]", 2),
-            AfterValidator(rising),
-        ]
-        | None
-    ) = None
+    integers: _WholeRange | None = None
     choice: _Values | None = None
 
     @property

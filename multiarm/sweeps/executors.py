@@ -2,14 +2,15 @@
 
 A worker that dies takes the runs with it that were under way.  On this computer all processes end
 then; half of the runs that were under way are tried again at a time, which leaves in few steps the
-one that kills its worker alone.  Dask repeats a run by itself, and names one that workers die of.
+one that kills its worker alone.  Dask repeats runs by itself, and names those that workers died of,
+which are tried once more.
 A run whose worker dies every time gets a row with status "failed".
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from itertools import islice
@@ -104,22 +105,27 @@ def run_on_cluster(context: Context, jobs: Sequence[Job], client: Client) -> Ite
             f"dask worker {client.scheduler.address}"  # type: ignore[union-attr]
         ) from None
     waiting, sent, ended = iter(jobs), {}, as_completed(loop=client.loop)
+    suspects: set[int] = set()
 
-    def send(count: int) -> None:
-        for job in islice(waiting, count):
+    def send(jobs: Iterable[Job]) -> None:
+        for job in jobs:
             task = client.submit(run, context, *job, pure=False)
-            sent[task] = job[0]
+            sent[task] = job
             ended.add(task)
 
     try:
-        send(2 * sum(client.nthreads().values()))
+        send(islice(waiting, 2 * sum(client.nthreads().values())))
         for task in ended:
-            number = sent.pop(task)
+            job = sent.pop(task)
             error = task.exception() if task.status == "error" else None
+            if isinstance(error, KilledWorker) and job[0] not in suspects:
+                suspects.add(job[0])  # it may have waited behind one that workers die of
+                send([job])
+                continue
             if task.status == "finished":
                 yield task.result()
             elif isinstance(error, KilledWorker):
-                yield lost_run(number)
+                yield lost_run(job[0])
             elif error is not None:
                 raise _explained(error)
             else:
@@ -127,7 +133,7 @@ def run_on_cluster(context: Context, jobs: Sequence[Job], client: Client) -> Ite
                     "dask: the connection with the cluster was lost; what is done is kept: resume "
                     "the sweep when the cluster is back"
                 )
-            send(1)
+            send(islice(waiting, 1))
     finally:
         client.cancel(list(sent), force=True)
 

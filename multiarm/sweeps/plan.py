@@ -86,27 +86,13 @@ class SweepPlan:
         return [_digest(entry.function) for entry in entries]
 
     def values(self, run: int) -> dict[str, Any]:
-        """Path -> value in the scene of a run.
-
-        Raises
-        ------
-        SweepError
-            When there is no such run.
-        """
+        """Path -> value in the scene of a run; raises a SweepError when there is no such run."""
         if not is_integer(run) or not 1 <= run <= self.count:
             raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
         return self.table.loc[run].to_dict()
 
     def scene_of(self, run: int) -> Scene:
-        """The scene of a run.
-
-        Raises
-        ------
-        SweepError
-            When there is no such run.
-        SceneError
-            When its values make no valid scene.
-        """
+        """The scene of a run; raises a SceneError when its values make no valid scene."""
         return self.scene.replace(self.values(run))
 
 
@@ -184,8 +170,13 @@ def make_plan(
         of enumerated ones, and the median and both tails of drawn ones.  A run whose scene turns
         out to be invalid later has status "failed".
     """
+    if isinstance(scene, (str, os.PathLike)):
+        scene = load_scene(os.fspath(scene))
     if not isinstance(scene, Scene):
-        scene = load_scene(_path_of(scene))
+        raise SweepError(
+            f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system "
+            "has its scene as `system.scene`)"
+        )
     source = str(over) if isinstance(over, (str, os.PathLike)) else None
     data, folder = read_sweep(over, changes)
     spec, faults = examined(data, folder)
@@ -206,12 +197,3 @@ def make_plan(
 def program_version() -> str:
     """The version of multiarm."""
     return provenance("")["version"]
-
-
-def _path_of(scene: Any) -> Any:
-    if isinstance(scene, (str, os.PathLike)):
-        return scene
-    raise SweepError(
-        f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system has "
-        "its scene as `system.scene`)"
-    )

@@ -224,30 +224,21 @@ _NUMBER = re.compile(r"\d[\d.]*(?:e[-+]?\d+)?")
 
 @dataclass(frozen=True)
 class Spread:
-    """Statistics of a quantity over the runs that have it.
+    """Statistics of a quantity over the runs that have it; None if no run has it.
 
-    Attributes
-    ----------
-    name, unit, words : str
-    count : int
-        Runs that have it.
-    smallest, largest, mean : float or None
-        None if no run has it, or it is beyond the range of floats.
-    smallest_run, largest_run : int or None
-        The first runs with these values.
-    quantiles : dict
-        Level, 0 to 1 -> value.
+    A number beyond the range of floats is None too.
     """
 
     name: str
     unit: str
     words: str
-    count: int
+    count: int  # runs that have it
     smallest: float | None = None
-    smallest_run: int | None = None
+    smallest_run: int | None = None  # the first run with this value
     largest: float | None = None
     largest_run: int | None = None
     mean: float | None = None
+    # level, 0 to 1 -> value
     quantiles: dict[float, float | None] = field(default_factory=lambda: dict.fromkeys(LEVELS))
 
 
@@ -263,27 +254,14 @@ class Failure:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """A summary of a sweep.
+    """How the runs of a sweep ended, and how each quantity spreads."""
 
-    Attributes
-    ----------
-    count, done : int
-        Planned and finished runs.
-    statuses : dict
-        Status -> runs.
-    wall_time : float
-        [s] Sum over all runs.
-    spreads : tuple of Spread
-    failures : tuple of Failure
-        Messages of runs that did not complete, at most 8 different ones.
-    """
-
-    count: int
-    done: int
-    statuses: dict[str, int]
-    wall_time: float
+    count: int  # planned runs
+    done: int  # finished ones
+    statuses: dict[str, int]  # status -> runs
+    wall_time: float  # [s] of all runs together
     spreads: tuple[Spread, ...]
-    failures: tuple[Failure, ...]
+    failures: tuple[Failure, ...]  # the first few different messages of runs that did not complete
 
     def figures(self) -> dict[str, Any]:
         """The summary as JSON data."""

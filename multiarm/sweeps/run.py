@@ -68,30 +68,14 @@ class Context:
 
 @dataclass(frozen=True)
 class Row:
-    """What a sweep stores of one run.
+    """What a sweep stores of one run."""
 
-    Attributes
-    ----------
-    run : int
-        Its number, from 1 on.
-    status : str
-        "completed" or "failed", the latter also if a user-defined quantity raised an error.
-    message : str
-        Why it did not complete.
-    quantities : dict
-        Name -> number; none that failed, or is not defined.
-    wall_time : float
-        [s]
-    worker : str
-        Computer and process.
-    """
-
-    run: int
-    status: str
-    message: str
-    quantities: dict[str, float | None]
-    wall_time: float
-    worker: str
+    run: int  # its number, from 1 on
+    status: str  # "completed" or "failed", the latter also if a user's quantity raised an error
+    message: str  # why it did not complete
+    quantities: dict[str, float | None]  # by name; none of a run that could not be measured
+    wall_time: float  # [s]
+    worker: str  # computer and process
 
 
 def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:

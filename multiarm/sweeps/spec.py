@@ -266,7 +266,8 @@ def examined(data: Any, folder: Path = Path()) -> tuple[SweepSpec | None, list[F
         keys = ", ".join(SweepSpec.model_fields)
         problem = f"a sweep is a table with the keys {keys}; got {shown(data)}"
         return None, [fault_at((), problem)]
-    reader, faults = TypeAdapter(SweepSpec), []
+    faults: list[Fault] = []
+    reader = TypeAdapter(SweepSpec)
     for _ in range(2):
         try:
             return located(reader.validate_python(data), folder.expanduser().resolve()), faults

@@ -20,7 +20,7 @@ def die():
 
 def once(trajectory):
     mark = HERE / "died"
-    if trajectory.scene.object.mass == 10.0 and not mark.exists():
+    if trajectory.scene.object.mass == 20.0 and not mark.exists():
         mark.touch()
         die()
     return 1.0

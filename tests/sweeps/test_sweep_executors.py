@@ -63,13 +63,6 @@ def expected(plan):
     return repeatable(run_here(Context.of(plan), jobs_of(plan)))
 
 
-@pytest.fixture
-def functions(tmp_path):
-    file = tmp_path / "functions.py"
-    file.write_text(FUNCTIONS)
-    return file
-
-
 # --- a run --------------------------------------------------------------------------------------
 
 
@@ -185,29 +178,17 @@ def test_processes_give_the_same_rows(plan, expected):
 
 
 @pytest.mark.slow
-def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
-    plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
-    found = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert (functions.parent / "died").exists()
-    assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
-
-
-@pytest.mark.slow
-def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
-    over = {MASS: [5.0, 10.0, 20.0, 30.0]}
-    plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
-    found = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
-    assert found[2][1].startswith("its worker died every time")
-
-
-@pytest.mark.slow
-def test_a_single_run_that_kills_its_worker_does_not_kill_its_caller(scene, functions, tmp_path):
-    """Asked for two workers, and there is only one run: it still has a process of its own."""
-    asked = {"over": {MASS: [10.0]}, "keep": [f"{functions}:always"], "certificate": False}
-    found = ma.sweep(scene, asked, out=tmp_path / "one.sweep", workers=2, **RUN)
-    assert found.status_counts == {"failed": 1}
-    assert "its worker died every time" in found.table["message"][0]
+def test_runs_of_a_dead_worker_are_done_again_and_one_that_kills_every_worker_is_a_row(
+    scene, tmp_path
+):
+    """One worker is asked for: its runs have a process of their own all the same."""
+    (tmp_path / "own.py").write_text(FUNCTIONS)
+    keep = [f"{tmp_path}/own.py:{name}" for name in ("once", "always")]
+    plan = make_plan(scene, {MASS: [5.0, 10.0, 20.0, 30.0]}, keep=keep, run=RUN)
+    ended = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 1))
+    assert (tmp_path / "died").exists()
+    assert [ended[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
+    assert ended[2][1].startswith("its worker died every time")
 
 
 def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
@@ -248,12 +229,12 @@ def by_file(scene, tmp_path):
     return load_scene(tmp_path / "scene.yaml"), tmp_path / "own.urdf"
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, workers, tmp_path):
+@pytest.mark.slow
+def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, tmp_path):
     scene, _ = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
     asked = {"over": over, "certificate": False, "keep": ["final_z"]}
-    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=workers, **RUN)
+    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=2, **RUN)
     assert found.status_counts == {"completed": 2}
 
 
@@ -288,28 +269,6 @@ def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another
     found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", keep=kept, workers=1, **RUN)
     assert ma.load_sweep(tmp_path / "s.sweep").trajectory(1).status == "completed"
     assert found.trajectory(1).status == "completed"
-
-
-@pytest.mark.slow
-def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
-    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
-
-    class Pull(ma.Effect):
-        name = "pull"
-
-        class Spec(ma.Effect.Spec):
-            force: float = 0.0
-
-        def forces(self, t, state):
-            return ma.Loads(object_wrench=[0, 0, self.spec.force, 0, 0, 0])
-
-    ma.register_effect(Pull)
-    plan = make_plan(
-        scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
-    )
-    here = repeatable(run_here(Context.of(plan), jobs_of(plan)))
-    assert here[0].quantities != here[1].quantities
-    assert repeatable(run_in_processes(Context.of(plan), jobs_of(plan), 2)) == here
 
 
 CALLER = """

@@ -194,11 +194,11 @@ def test_sobol_points_are_a_net(scene):
 # --- large plans --------------------------------------------------------------------------------
 
 
-def test_a_plan_is_as_long_as_a_table_may_be(scene):
+def test_a_plan_has_at_most_a_million_runs(scene):
     over = {MASS: {"linspace": [1, 2, 1000]}, LIFT: {"uniform": [0, 1]}}
-    plan = make_plan(scene, over, repeat=100)
-    assert plan.count == len(plan.table) == 100_000
-    assert plan.values(100_000)[MASS] == 2.0
+    plan = make_plan(scene, over, repeat=2)
+    assert plan.count == len(plan.table) == 2000
+    assert plan.values(2000)[MASS] == 2.0
     with refused(SweepError, "$.over"):
         make_plan(scene, over, repeat=1001)
 
