@@ -9,8 +9,8 @@ effects with all others (:mod:`multiarm.events.modes`).
 of open contacts are not negative, closed contacts push, sticking ones stay within the friction
 cone, sliding ones still slide.  Where one changes its sign inside a step, the time is located on
 the step's dense output (:mod:`multiarm.integration.event_location`), the step is repeated to end
-there, and a *transition* (:mod:`multiarm.events.transition`) determines the next mode: an impact, if
-something hits, and then which contacts push, slide, stick or open, as the solution of a
+there, and a *transition* (:mod:`multiarm.events.transition`) determines the next mode: an impact,
+if something hits, and then which contacts push, slide, stick or open, as the solution of a
 complementarity problem (:mod:`multiarm.events.complementarity`).
 
 References: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, Wiley 1996;

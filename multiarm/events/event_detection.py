@@ -20,7 +20,8 @@ from multiarm.dynamics.guards import spring_length
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
-from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
+from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
+from multiarm.results.channels import ContactState
 
 
 def touching_constraints(
@@ -68,7 +69,8 @@ def pressed_constraints(modes: Modes, before: Choice, fired: Set[int]) -> set[in
         pushes = length < 0.0
         if abs(length) <= GAP_THRESHOLD:
             started = bool(before.states)
-            pushes = (before.states[u] == OPEN) == (u in fired) if started else rate <= 0.0
+            was_open = started and before.states[u] == ContactState.OPEN
+            pushes = was_open == (u in fired) if started else rate <= 0.0
         if pushes:
             pressed.add(u)
     return pressed

@@ -53,8 +53,11 @@ def driven(tmp_path):
         }
         body = {"shape": {"box": [0.1, 0.1, 0.1]}, "mass": 1.0, "twist": [SPEED, 0, 0, 0, 0, 0]}
         control = {
-            "kind": "harmonic", "amplitude": {"a": AMPLITUDE}, "frequency": FREQUENCY, "hold": False,
-        }  # fmt: skip
+            "kind": "harmonic",
+            "amplitude": {"a": AMPLITUDE},
+            "frequency": FREQUENCY,
+            "hold": False,
+        }
         arm = {"urdf": str(urdf), "tip": "tip", "posture": [0.0]}
         return ma.compile_system(
             scene_of(
