@@ -207,7 +207,7 @@ def force_function(guards, g, struct, force):
     """The function of such a guard, for the forces of the held rows."""
     kind, row, parameter = guards.kind[g], guards.watched[g], guards.parameter[g]
     if kind == DRIVE_GUARD:
-        return -floats1(struct, guards.margins[g])[row]
+        return -floats1(struct, int(guards.margins[g]))[row]
     if kind == PUSH_GUARD:
         return force[row]
     if kind == HOLD_GUARD:
