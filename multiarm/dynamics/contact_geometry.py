@@ -17,7 +17,6 @@ from multiarm.contacts.kernel import (
     LINE_CONTACT,
     NORMAL,
     RELATIVE_WIDTH,
-    depth_in_patch,
     locate_pair,
 )
 from multiarm.contacts.matrices import (
@@ -36,7 +35,9 @@ from multiarm.contacts.table import (
     TIP_RADIUS,
 )
 from multiarm.contacts.unilateral import Constraint
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.guards import depth_on_body, packed_patch
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -52,6 +53,7 @@ from multiarm.geometry.records import (
     Patch,
 )
 from multiarm.geometry.screws import first_largest
+from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -256,8 +258,7 @@ def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
     patch: Patch | None = record.arm.patch
     if patch is None or record.surface_body != SURFACE_ON_ARM:
         return None
-    lower, upper = (np.clip(c, -1e300, 1e300) for c in (patch.lower, patch.upper))
-    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
+    return packed_patch(patch)
 
 
 def patch_margin(data: Data, constraint: Constraint) -> float:
@@ -268,7 +269,14 @@ def patch_margin(data: Data, constraint: Constraint) -> float:
     patch = patch_of(data.model, constraint)
     if patch is None:
         return np.inf
-    return float(depth_in_patch(patch, data.arrays.contacts[constraint.row, AT : AT + 3]))
+    return depth_of_contact(data.struct, patch, len(data.model.arm_names), constraint.row)
+
+
+@kernel
+def depth_of_contact(struct: INTS, patch: NUMBERS, body: INT, row: INT):
+    """:func:`multiarm.dynamics.guards.depth_on_body`, for Python."""
+    model, data, _ = open_system(struct)
+    return depth_on_body(patch, body, row, model, data)
 
 
 def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:

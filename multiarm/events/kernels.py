@@ -21,12 +21,11 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.guards import (
     FIRED,
-    QUIET,
     Guards,
     accept_guards,
-    guard_value,
-    judge_guard,
+    judge_guards,
     open_guards,
+    write_values,
 )
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
@@ -206,49 +205,37 @@ def record_forces(address, size, _t, _b):
 
 
 @kernel
-def write_values(own, data):
-    """Kinematics of all rows, and the values of all guards; ``own`` is the mode's struct."""
-    struct = struct_at(data.modes.full, 0)
-    update_rows(struct)
-    guards, slides, contacts = open_guards(own), open_slides(own), open_data(struct).contacts
-    for g in range(guards.kind.size):
-        guards.value[g] = guard_value(guards, g, slides, data, contacts)
-
-
-@cfunc
-def write_guards(address, size, _a, _b):
-    """Write the values of all guards at the state evaluated last."""
-    data = open_data(struct_at(address, size))
-    write_values(struct_at(data.modes.mode, 0), data)
-    return CALLBACK_FAILED if data.status.failed else OK
+def write_mode_guards(struct: INTS):
+    """Kinematics of all rows, and the values of a mode's guards at the state evaluated last."""
+    data = open_data(struct)
+    rows = struct_at(data.modes.full, 0)
+    update_rows(rows)
+    model, full, _ = open_system(rows)
+    write_values(open_guards(struct_at(data.modes.mode, 0)), struct, data, model, full)
 
 
 @cfunc
 def check_guards(address, size, begin, end):
     """Check all guards at the end of a step; ``FIRED`` when one of them reports an event."""
-    data = open_data(struct_at(address, size))
-    own = struct_at(data.modes.mode, 0)
-    write_values(own, data)
+    struct = struct_at(address, size)
+    write_mode_guards(struct)
+    data = open_data(struct)
     if data.status.failed:
         return OK  # the time loop checks the flag
-    guards, numbers = open_guards(own), open_mode(own).numbers
-    contacts = open_data(struct_at(data.modes.full, 0)).contacts
+    own = struct_at(data.modes.mode, 0)
+    numbers = open_mode(own).numbers
     numbers.begin, numbers.end = begin, end
-    events = 0
-    for g in range(guards.kind.size):
-        guards.result[g] = judge_guard(guards, g, contacts, end - begin)
-        events += 1 if guards.result[g] != QUIET else 0
-    if events > 0 and not numbers.muted:
+    if judge_guards(open_guards(own), end - begin) > 0 and not numbers.muted:
         return FIRED
     numbers.muted = False
-    begin_step(own, contacts)
+    begin_step(own, open_data(struct_at(data.modes.full, 0)).contacts)
     return OK
 
 
 @kernel
 def begin_step(own, contacts):
     """Make the end of a step the beginning of the next one."""
-    accept_guards(open_guards(own), contacts)
+    accept_guards(open_guards(own))
     follow_slip(open_slides(own), open_mode(own).numbers.slow, contacts)
 
 
@@ -258,6 +245,5 @@ def start_guards(struct: INTS):
     data = open_data(struct)
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
-    own = struct_at(data.modes.mode, 0)
-    write_values(own, data)
-    begin_step(own, open_data(struct_at(data.modes.full, 0)).contacts)
+    write_mode_guards(struct)
+    begin_step(struct_at(data.modes.mode, 0), open_data(struct_at(data.modes.full, 0)).contacts)

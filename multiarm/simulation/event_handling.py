@@ -25,16 +25,15 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.event_detection import (
-    GuardValues,
     closed_constraints,
-    first_event,
     off_patch_constraints,
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.kernels import start_guards
+from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
+from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
@@ -136,8 +135,9 @@ class EventHandler:
         """Locate the first event in the last step, and let the loop stop there."""
         numbers, guards, t = self.mode.arrays.numbers, self.mode.guards, run.clock.t
         begin, end = numbers.begin, numbers.end
-        struct = run.data.struct
-        probe = GuardValues(struct, run.stepping.struct, self.mode, begin, end)
+        probe = GuardValues(
+            run.data.struct, run.stepping.struct, write_mode_guards, guards, begin, end
+        )
         theta, changed = first_event(probe, guards.result.copy(), guards.threshold)
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted

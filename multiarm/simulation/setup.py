@@ -38,6 +38,7 @@ from multiarm.scene import RunSpec
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import causes_of_events, method_fault
+from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS
 
@@ -219,10 +220,11 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         step.stage.gap = settings.gap_tolerance
         _first_slope(task, stepping)
         step.stage.gap = -1.0
-    start_monitors(data.struct, begin)
+    start_monitors(data.struct)
     log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)
+    log_start(data, log, begin)
     if settings.adaptive:
         first_length = _first_length(task, stepping)
     step.stage.evaluations = 0  # statistics begin with the first step
