@@ -46,12 +46,12 @@ from multiarm.contacts.kernel import GAP_BIAS
 from multiarm.control.null_space import hold_pose, nearest_accelerations
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import share_load, static_forces
 from multiarm.dynamics.forces.internal_forces import decompose, internal_forces
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError, GraspError
 from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import allocating, cfunc, kernel
@@ -103,8 +103,7 @@ def object_law(data: Data, start: State, control: ObjectControl) -> tuple[np.nda
         of the scene.
     """
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     Wo = data.arrays.Wo.copy()
     _require_hold(Wo, control.kind)
     gains = [*control.stiffness.vector(), *control.damping.vector()]

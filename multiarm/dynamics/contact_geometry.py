@@ -37,6 +37,7 @@ from multiarm.contacts.table import (
 )
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -118,8 +119,7 @@ def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
         When a user-defined surface fails.
     """
     place_state(data, 0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     return points_and_normals(data, slice(None))
 
 
@@ -233,8 +233,7 @@ def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
     joint's rows (with pivoting); rotations are scaled by the joint's size.
     """
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     wrenches = joint_wrenches(data, arm)
     space = null_space(wrenches).basis  # (6, m)
     chosen: list[int] = []

@@ -41,6 +41,7 @@ from multiarm.dynamics.contact_derivatives import (
     unit,
 )
 from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
@@ -162,8 +163,7 @@ def differentiate_holding(data: Data, own: np.ndarray, twist: np.ndarray) -> Non
 
 
 def _differentiate(data: Data, own: np.ndarray, at_rest: bool, twist: np.ndarray) -> None:
-    if write_derivatives(data.struct, own, at_rest, twist) != OK:
-        data.reraise()
+    require_ok(data, write_derivatives(data.struct, own, at_rest, twist))
 
 
 @kernel

@@ -29,14 +29,9 @@ from multiarm.dynamics.contact_geometry import (
     points_and_normals,
     relative_motion,
 )
-from multiarm.dynamics.diagnosis import (
-    ambiguity_text,
-    contradiction_text,
-    failure_text,
-    lost_contact_text,
-    lost_motions,
-)
+from multiarm.dynamics.diagnosis import lost_motions
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.failures import ambiguity_text, contradiction_text, require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
@@ -46,8 +41,6 @@ from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork, loose_rows
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
-from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
@@ -393,19 +386,11 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     """
     state = state.copy()
     place_state(data, t, state)
-    b, layout, status, found = data.arrays, data.model.layout, OK, np.empty(6)
+    b, layout, found = data.arrays, data.model.layout, np.empty(6)
     if data.model.effects.states:
-        status = evaluate_state(data.struct, 0.0, 0.0)
-        if status == OK:
-            b.inner[:] = data.effect_states()
-    if status == OK:
-        status = evaluate_and_check(data.struct, found)
-    if status != OK:
-        try:
-            data.reraise()
-        except SolverError as error:  # from the dense solver, which has no names
-            raise SolverError(lost_contact_text(data) or str(error)) from error
-        raise SolverError(failure_text(data, status))
+        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+        b.inner[:] = data.effect_states()
+    require_ok(data, evaluate_and_check(data.struct, found))
     arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
     qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(data)
     forces = layout.split_contacts(b.force.copy())

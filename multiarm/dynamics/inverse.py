@@ -33,11 +33,11 @@ from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector
-from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.notation import count_of
@@ -133,8 +133,7 @@ def _solve(
     """Torques for a desired motion, at a state that has just been evaluated."""
     b, layout = data.arrays, data.model.layout
     free, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     force = _contact_forces(ev, b.inertia @ desired - h_o, internal_forces, basis)
     qdd, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
     residuals = np.zeros(2)

@@ -17,11 +17,11 @@ from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import constraint_matrix, contact_places
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.evaluation import Evaluation, Residuals, Snapshot, rows_by_owner
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.event_detection import touching_constraints
@@ -79,8 +79,7 @@ def mode_at(data: Data, t: float, state: State) -> Mode:
     if decision.trouble:
         raise SolverError(decision.trouble)
     mode = modes.enter(decision.choice, decision.directions)
-    if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
-        mode.data.reraise()
+    require_ok(mode.data, evaluate_state(mode.data.struct, 0.0, 0.0))
     start_guards(mode.data.struct)
     if np.any(mode.guards.value < -mode.guards.threshold):
         mode.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
@@ -147,17 +146,16 @@ def _columns(full: Data) -> np.ndarray:
 
     Coordinates are scaled by the square root of their inertia, rows to constraint length.
     """
-    update_kinematics(full.struct)
+    require_ok(full, update_kinematics(full.struct))
     return constraint_matrix(full)
 
 
 def _residuals(full: Data, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
     """Residuals of the equations of motion with the forces of all rows."""
     b, work = mode.data.arrays, full.work
-    if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
-        mode.data.reraise()
+    require_ok(mode.data, evaluate_state(mode.data.struct, 0.0, 0.0))
     q_o, qdd, h, h_o = b.q_o.copy(), b.qdd.copy(), b.h.copy(), b.h_o.copy()
-    update_kinematics(full.struct)
+    require_ok(full, update_kinematics(full.struct))
     pushing = forces.copy()
     pushing[mode.arrays.springs] = 0.0  # these are in h and h_o already
     arm = 0.0

@@ -23,6 +23,7 @@ from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.coordinates import load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -44,8 +45,7 @@ def touching_constraints(
     """
     full, bare = modes.full, modes.bare
     place_state(bare, t, state)
-    if update_kinematics(bare.struct) != OK:
-        bare.reraise()
+    require_ok(bare, update_kinematics(bare.struct))
     update_rows(full.struct)
     size, nothing = scene_size(modes.closed), Choice((), ())
     touching = closed_constraints(modes, TOUCHING * size)
