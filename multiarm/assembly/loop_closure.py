@@ -245,7 +245,7 @@ class Linkage:
             J[:, frames] = b.Wo[self.rows]
             L[frames, frames] = np.linalg.cholesky(b.inertia)
         for i, held, (r, c) in zip(self._arms, self._held_rows, self.blocks, strict=True):
-            J[r, c] = work.Y[i, : c.stop - c.start, held]
+            J[r, c] = work.W[i, : c.stop - c.start, held]
             L[c, c] = self._factor(i, c.stop - c.start)
         gaps = b.contacts[self.rows, GAP].copy()
         return Posture(b.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)

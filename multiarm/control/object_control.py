@@ -399,7 +399,7 @@ def add_motion_forces(parameters, at, along, model, data, work, torque):
         r0, r1 = work.rows[i], work.rows[i + 1]
         if stiffness > 0.0:
             hold_pose(i, stiffness, rate, along, model, data, work, data.qdd[d0:d1])
-        add_arm_forces(work.L[i], work.Y[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
+        add_arm_forces(work.M[i], work.W[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
 
 
 @kernel
@@ -410,4 +410,4 @@ def take_contact_forces(data, work, torque):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):
             for a in range(work.rows[i + 1] - r0):
-                torque[d0 + j] -= work.Y[i, j, a] * force[r0 + a]
+                torque[d0 + j] -= work.W[i, j, a] * force[r0 + a]

@@ -198,6 +198,9 @@ class Variables(NamedTuple):
     h_o: Floats1
     h: Floats1
     c: Floats1
+    # generalised forces with those of the contacts; the check of an evaluation writes those on the
+    # object only
+    total_forces: Floats1
     # accelerations, and parts of the same memory, of the object and of the joints; contact forces
     # (N,), positive = pushing
     acceleration: Floats1
@@ -230,7 +233,6 @@ class Variables(NamedTuple):
     margins: Floats1
     events: Floats2
     event_count: Ints1
-    residual: Floats1  # (joints,) scratch
     # scratch of an interpolation: a state, and accelerations
     kept_configuration: Floats1
     kept_velocity: Floats1
@@ -263,7 +265,7 @@ def make_variables(
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
         "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
-        "residual": joints, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
+        "total_forces": layout.nv, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
         "mixed": layout.nv, "signs": arms,
         # between two calls of the time loop; further events are only counted
         "events": (512 if monitors else 0, 3),

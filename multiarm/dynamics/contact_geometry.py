@@ -176,8 +176,8 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
     for i in range(len(data.model.arm_names)):
         d, r = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
-        matrix[d, r] = work.Y[i, :n, : r.stop - r.start]
-        scale[d] = np.sqrt(np.diag(work.L[i])[:n])
+        matrix[d, r] = work.W[i, :n, : r.stop - r.start]
+        scale[d] = np.sqrt(np.diag(work.M[i])[:n])
     matrix /= scale[:, None]
     return matrix / np.linalg.norm(matrix, axis=0)
 

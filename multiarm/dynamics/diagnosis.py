@@ -171,7 +171,7 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
     arrays, layout = data.arrays, data.model.layout
     d = slice(layout.dofs[i], layout.dofs[i + 1])
     r = slice(layout.rows[i], layout.rows[i + 1])
-    rows, W = arrays.Wo[r], data.work.Y[i, : d.stop - d.start, : r.stop - r.start]
+    rows, W = arrays.Wo[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None
     place = joint_origin(data, arm)

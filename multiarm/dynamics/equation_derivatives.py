@@ -148,7 +148,7 @@ def equation_work(
 def differentiate_equations(data: Data, own: np.ndarray) -> None:
     """Write the derivatives of all equations at the solution in the data.
 
-    ``own`` is the struct of :func:`equation_work`.  The matrices in the data must not be factored.
+    ``own`` is the struct of :func:`equation_work`.
     """
     _differentiate(data, own, False, data.arrays.twist)
 
@@ -270,7 +270,7 @@ def columns_of_arm(i, n, links, work):
 @inlined
 def write_matrix_of_arm(i, first, m, n, data, system, work):
     """Write ``K_i`` and ``M_i``."""
-    K, M, W = work.K[i], system.L[i], system.Y[i]
+    K, M, W = work.K[i], system.M[i], system.W[i]
     for a in range(n):
         for b in range(n):
             work.M[i, a, b] = K[a, b] = M[max(a, b), min(a, b)]

@@ -35,6 +35,7 @@ from multiarm.dynamics.failures import ambiguity_text, contradiction_text, requi
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NodeWork
@@ -69,6 +70,22 @@ class Residuals:
     constraint: float
 
 
+def residuals_of(
+    data: Data,
+    acceleration: np.ndarray,
+    generalised_forces: np.ndarray,
+    force: np.ndarray,
+    c: np.ndarray,
+) -> Residuals:
+    """Residuals of accelerations (6 + n,) and contact forces (N,) at the kinematics in the data.
+
+    ``generalised_forces`` (6 + n,) and ``c`` (N,) are the right-hand sides.
+    """
+    largest = np.empty(3)
+    write_residuals(data.struct, acceleration, generalised_forces, force, c, largest)
+    return Residuals(*largest.tolist())
+
+
 # Variables that a snapshot copies: always, and where some arm could not be eliminated as a whole or
 # the dense solver was used.
 _MOTION = ("arms", "body", "contacts", "parts", "Wo")
@@ -78,9 +95,9 @@ _COORDINATES = ("angles", "inertia")
 class Snapshot:
     """Copies of the arrays of a Data after an evaluation, for results that are computed later.
 
-    It has the attributes of the Data, with the matrices before the elimination.  Of a ``regular``
-    one, in which all arms were eliminated as a whole, only motion and contacts are copied; the
-    other arrays are shared with the Data, which other evaluations overwrite.
+    It has the attributes of the Data.  Of a ``regular`` one, in which all arms were eliminated as a
+    whole, only motion and contacts are copied; the other arrays are shared with the Data, which
+    other evaluations overwrite.
     """
 
     def __init__(self, data: Data) -> None:
@@ -89,7 +106,7 @@ class Snapshot:
         self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
         self.work, self.coupled = data.work, data.coupled
         if not self.regular:
-            self.work = _copied(data.work, ("L", "Y"))
+            self.work = _copied(data.work, ("M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 

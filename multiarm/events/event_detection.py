@@ -46,7 +46,7 @@ def touching_constraints(
     full, bare = modes.full, modes.bare
     place_state(bare, t, state)
     require_ok(bare, update_kinematics(bare.struct))
-    update_rows(full.struct)
+    require_ok(full, update_rows(full.struct))
     size, nothing = scene_size(modes.closed), Choice((), ())
     touching = closed_constraints(modes, TOUCHING * size)
     touching |= pressed_constraints(modes, nothing, set())

@@ -35,7 +35,7 @@ class RowDynamics:
     def update(self) -> None:
         """Kinematics of all rows."""
         require_ok(self.bare, update_kinematics(self.bare.struct))
-        update_rows(self.full.struct)
+        require_ok(self.full, update_rows(self.full.struct))
 
     @property
     def rates(self) -> np.ndarray:
@@ -57,7 +57,7 @@ class RowDynamics:
             i = int(np.searchsorted(layout.rows, row, side="right")) - 1
             matrix[k, :6] = full.arrays.Wo[row]
             joints = layout.of_arm(i)
-            matrix[k, joints] = full.work.Y[i, : joints.stop - joints.start, row - layout.rows[i]]
+            matrix[k, joints] = full.work.W[i, : joints.stop - joints.start, row - layout.rows[i]]
         return matrix
 
     def response(self, jacobian: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ class RowDynamics:
             b.time.now += ahead
             b.configuration[:] = retracted(data.model.layout, here, ahead * b.velocity)
         require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
-        update_rows(self.full.struct)
+        require_ok(self.full, update_rows(self.full.struct))
         free = self.jacobian(rows) @ b.acceleration + self.full.arrays.contacts[rows, GAP_BIAS]
         if ahead > 0.0:
             b.time.now, b.configuration[:] = now, here

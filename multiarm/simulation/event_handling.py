@@ -237,7 +237,7 @@ class EventHandler:
         load_chart(step.z, step.base, b)
         b.time.now = run.clock.t
         require_ok(bare, update_kinematics(bare.struct))
-        update_rows(self.modes.full.struct)
+        require_ok(self.modes.full, update_rows(self.modes.full.struct))
 
     def _of_guards(self, pending: Pending) -> tuple[np.ndarray, np.ndarray]:
         """Kinds and constraints of the guards of an event."""

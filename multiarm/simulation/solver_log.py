@@ -91,6 +91,6 @@ def _nearest(data: Data, i: int) -> str:
     work, d = data.work, data.model.layout.dofs[i + 1] - data.model.layout.dofs[i]
     m = data.model.layout.rows[i + 1] - data.model.layout.rows[i]
     inertia = read_inertia(data.arrays.pointers[i], d)
-    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.Y[i, :d, :m])
+    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))
