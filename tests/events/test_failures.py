@@ -10,8 +10,9 @@ import multiarm as ma
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import mode_at
 
+RADIUS = 0.05  # [m]
 WORN_OUT = 0.02  # [m] from the surface, where it fails
-UNILATERAL = {"unilateral_contacts": {"start": "as_written"}}
+UNILATERAL = {"unilateral_contacts": {"start": "as_written", "contacts": ["below"]}}
 
 
 @pytest.mark.parametrize("height", [0.0, 1.0], ids=["touching", "open"])
@@ -24,20 +25,34 @@ def test_a_mode_that_cannot_be_evaluated_is_told_with_the_reason(height):
 
 
 def distance_from_a_worn_ball(p):
-    distance = np.linalg.norm(p) - 0.05
+    distance = distance_from_a_ball(p)
     if distance < WORN_OUT:
         raise ValueError("worn out")
     return distance
 
 
+def distance_from_a_ball(p):
+    return np.linalg.norm(p) - RADIUS
+
+
 def worn_ball_above_a_tip():
-    """The object, a ball whose surface fails where it is near, moves down to the tip of an arm."""
-    contact = {
-        "arm": {"sphere": {"radius": 0.01}},
-        "object": {"surface": {"distance": distance_from_a_worn_ball, "length": 0.05}},
+    """The object, a ball whose surface fails where it is near, moves down to the tip of an arm.
+
+    The tip of another arm stays on top of it, on a surface that does not fail.
+    """
+    surfaces = {"below": distance_from_a_worn_ball, "above": distance_from_a_ball}
+    contacts = {
+        name: [
+            {
+                "arm": {"sphere": {"radius": 0.01}},
+                "object": {"surface": {"distance": distance, "length": RADIUS}},
+            }
+        ]
+        for name, distance in surfaces.items()
     }
-    falling = ball(height=0.2, twist=[0, 0, -1.0, 0, 0, 0])
-    return scene(falling, {"below": arm("z")}, {"below": [contact]}, UNILATERAL, [0, 0, 0])
+    above = arm("z", velocity=[-1.0], base={"xyz": [0, 0, 0.2 + 2.0 * RADIUS + 0.01]})
+    falling = ball(RADIUS, 0.2, twist=[0, 0, -1.0, 0, 0, 0])
+    return scene(falling, {"below": arm("z"), "above": above}, contacts, UNILATERAL, [0, 0, 0])
 
 
 def test_a_surface_that_fails_while_its_contact_is_open_ends_the_run_with_its_error():
@@ -50,5 +65,6 @@ def test_a_surface_that_fails_while_its_contact_is_open_is_told_by_an_evaluation
     system = ma.compile_system(worn_ball_above_a_tip())
     state = system.initial_state()
     state.object_position[2] -= 0.19
+    state.joint_positions["above"][:] = -0.19
     with pytest.raises(ma.MultiarmError, match="worn out"):
         ma.evaluate(system, 0.0, state)
