@@ -70,7 +70,8 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
         rows = data.view(data.model.select(springs.rows))
         own.rows[:] = rows.struct.ctypes.data, rows.struct.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
-        return {}
+        # surfaces of the user may fail in these rows
+        return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}
 
     arrays = Springs(
         rows=np.zeros(2, dtype=np.int64),

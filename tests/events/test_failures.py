@@ -35,7 +35,7 @@ def distance_from_a_ball(p):
     return np.linalg.norm(p) - RADIUS
 
 
-def worn_ball_above_a_tip():
+def worn_ball_above_a_tip(**effects):
     """The object, a ball whose surface fails where it is near, moves down to the tip of an arm.
 
     The tip of another arm stays on top of it, on a surface that does not fail.
@@ -50,13 +50,18 @@ def worn_ball_above_a_tip():
         ]
         for name, distance in surfaces.items()
     }
+    all_effects = {**UNILATERAL, **effects}
     above = arm("z", velocity=[-1.0], base={"xyz": [0, 0, 0.2 + 2.0 * RADIUS + 0.01]})
     falling = ball(RADIUS, 0.2, twist=[0, 0, -1.0, 0, 0, 0])
-    return scene(falling, {"below": arm("z"), "above": above}, contacts, UNILATERAL, [0, 0, 0])
+    return scene(falling, {"below": arm("z"), "above": above}, contacts, all_effects, [0, 0, 0])
 
 
-def test_a_surface_that_fails_while_its_contact_is_open_ends_the_run_with_its_error():
-    trajectory = run(worn_ball_above_a_tip(), duration=0.5)
+SPRING = {"contact_compliance": {"stiffness": 1e4, "contacts": ["below"]}}
+
+
+@pytest.mark.parametrize("effects", [{}, SPRING], ids=["rigid", "compliant"])
+def test_a_surface_that_fails_while_its_contact_is_open_ends_the_run_with_its_error(effects):
+    trajectory = run(worn_ball_above_a_tip(**effects), duration=0.5)
     assert trajectory.status == "failed"
     assert "worn out" in trajectory.message
 
