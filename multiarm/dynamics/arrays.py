@@ -199,6 +199,9 @@ class Variables(NamedTuple):
     h_o: Floats1
     h: Floats1
     c: Floats1
+    # generalised forces with those of the contacts; the check of an evaluation writes those on the
+    # object only
+    total_forces: Floats1
     # accelerations, and parts of the same memory, of the object and of the joints; contact forces
     # (N,), positive = pushing
     acceleration: Floats1
@@ -227,7 +230,6 @@ class Variables(NamedTuple):
     torque_slopes: Floats2
     force_slopes: Floats2
     coordinates: Floats2  # (n, 6) free coordinates of the joints after the last step, without jumps
-    residual: Floats1  # (joints,) scratch
     # scratch of an interpolation: a state, and accelerations
     kept_configuration: Floats1
     kept_velocity: Floats1
@@ -259,7 +261,7 @@ def make_variables(
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
         "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
-        "residual": joints, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
+        "total_forces": layout.nv, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
         "mixed": layout.nv, "signs": arms,
     }  # fmt: skip
     return Variables(

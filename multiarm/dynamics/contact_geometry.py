@@ -37,6 +37,7 @@ from multiarm.contacts.table import (
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guards import depth_on_body, packed_patch
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
@@ -120,8 +121,7 @@ def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
         When a user-defined surface fails.
     """
     place_state(data, 0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     return points_and_normals(data, slice(None))
 
 
@@ -178,8 +178,8 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
     for i in range(len(data.model.arm_names)):
         d, r = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
-        matrix[d, r] = work.Y[i, :n, : r.stop - r.start]
-        scale[d] = np.sqrt(np.diag(work.L[i])[:n])
+        matrix[d, r] = work.W[i, :n, : r.stop - r.start]
+        scale[d] = np.sqrt(np.diag(work.M[i])[:n])
     matrix /= scale[:, None]
     return matrix / np.linalg.norm(matrix, axis=0)
 
@@ -235,8 +235,7 @@ def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
     joint's rows (with pivoting); rotations are scaled by the joint's size.
     """
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     wrenches = joint_wrenches(data, arm)
     space = null_space(wrenches).basis  # (6, m)
     chosen: list[int] = []

@@ -549,9 +549,13 @@ class Data:
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.reraise()
+        if self._base is not None:  # whose rows the time loop evaluates, too
+            self._base.reraise()
 
     def forgive(self) -> None:
         """Ignore the exception of a callback, and clear the flag."""
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.error = None
+        if self._base is not None:
+            self._base.forgive()

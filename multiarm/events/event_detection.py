@@ -16,6 +16,7 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.equations import update_kinematics, update_rows
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guards import spring_length
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -33,9 +34,8 @@ def touching_constraints(
     """
     full, bare = modes.full, modes.bare
     place_state(bare, t, state)
-    if update_kinematics(bare.struct) != OK:
-        bare.reraise()
-    update_rows(full.struct)
+    require_ok(bare, update_kinematics(bare.struct))
+    require_ok(full, update_rows(full.struct))
     size, nothing = scene_size(modes.closed), Choice((), ())
     touching = closed_constraints(modes, TOUCHING * size)
     touching |= pressed_constraints(modes, nothing, set())

@@ -13,12 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_coupled, open_data, open_system
-from multiarm.dynamics.equations import (
-    imbalance,
-    renew_kinematics,
-    update_rows,
-    write_wrenches,
-)
+from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
+from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
     FIRED,
     Guards,
@@ -27,6 +23,7 @@ from multiarm.dynamics.guards import (
     open_guards,
     write_values,
 )
+from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
@@ -96,24 +93,11 @@ def solve_held(address, size, _a, _b):
     mode = open_mode(struct_at(data.modes.mode, 0))
     data.status.ambiguous = 0
     if mode.numbers.stressed:
-        add_prestress(mode, data.Wo, work.Y, data, work)
+        add_contact_forces(work, data.Wo, work.W, mode.prestress, data.h_o, data.h)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.numbers.stressed:
         restore_forces(mode, data)
     return status
-
-
-@kernel
-def add_prestress(mode, on_object, on_arms, data, work):
-    """Add the generalised forces of ``mode.prestress`` to the right-hand sides."""
-    for i in range(work.dofs.size - 1):
-        d0, first = work.dofs[i], work.rows[i]
-        for k in range(first, work.rows[i + 1]):
-            force = mode.prestress[k]
-            for l in range(6):  # noqa: E741
-                data.h_o[l] += on_object[k, l] * force
-            for j in range(work.dofs[i + 1] - d0):
-                data.h[d0 + j] += on_arms[i, j, k - first] * force
 
 
 @kernel
@@ -130,10 +114,9 @@ def solve_sliding(address, size, _a, _b):
     model, data, work = open_system(struct)
     own = struct_at(data.modes.mode, 0)
     mode, slides, reactions = open_mode(own), open_slides(own), open_reactions(own)
-    slow = mode.numbers.slow
-    write_reactions(data, work, mode.Wr, slides, slow, reactions)
+    write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
     if mode.numbers.stressed:
-        add_prestress(mode, mode.Wr, reactions.Yr, data, work)
+        add_contact_forces(work, mode.Wr, reactions.Wr, mode.prestress, data.h_o, data.h)
     data.status.imbalance = 0.0
     coupled = open_coupled(struct)
     coupled.status.arms = 0
@@ -144,10 +127,7 @@ def solve_sliding(address, size, _a, _b):
     else:
         status = solve_reactions(data, work, mode, reactions, False)
         if status == OK and not data.status.imbalance <= IMBALANCE_BOUND:
-            status = renew_kinematics(struct)
-            if status == OK:
-                write_reactions(data, work, mode.Wr, slides, slow, reactions)
-                status = solve_reactions(data, work, mode, reactions, True)
+            status = solve_reactions(data, work, mode, reactions, True)
         if status != OK:
             return status
         data.status.ambiguous = 1 if reactions.status.motions > 0 else 0
@@ -168,7 +148,7 @@ def solve_sliding(address, size, _a, _b):
 @kernel
 def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
-    work.factored[0] = 1
+    work.by_arm[0] = 1
     failed = eliminate_with_reactions(reactions, data.Wo, mode.Wr, data.inertia, couple_all)
     if failed >= 0:
         return failed
@@ -176,7 +156,7 @@ def solve_reactions(data, work, mode, reactions, couple_all):
         reactions, data.Wo, mode.Wr, data.h_o, data.h, data.c, data.q_o,
         data.qdd, data.force,
     )  # fmt: skip
-    data.status.imbalance = imbalance(data, work, mode.Wr)
+    data.status.imbalance = imbalance(data, mode.Wr)
     return OK
 
 

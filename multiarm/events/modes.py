@@ -285,7 +285,14 @@ def _reactions(held: Data) -> ReactionWork:
     layout, work = held.model.layout, held.work
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     return make_reaction_work(*sizes)._replace(
-        dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
+        dofs=work.dofs,
+        rows=work.rows,
+        levers=work.levers,
+        M=work.M,
+        W=work.W,
+        L=work.L,
+        Y=work.Y,
+        y=work.y,
     )
 
 

@@ -17,12 +17,8 @@ from collections.abc import Sequence
 from multiarm.contacts.joint import unwrapped, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
 from multiarm.dynamics.arrays import TIP_WIDTH, open_system
-from multiarm.dynamics.equations import (
-    kinetic_energy,
-    largest,
-    potential_energy,
-    write_wrenches,
-)
+from multiarm.dynamics.contact_forces import write_wrenches
+from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
 from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc

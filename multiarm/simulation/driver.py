@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.coordinates import read_chart
-from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
+from multiarm.dynamics.failures import failure_text, lost_contact_text
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import (

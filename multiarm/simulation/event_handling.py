@@ -17,8 +17,8 @@ from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
-from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.failures import failure_text, require_ok
 from multiarm.dynamics.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -236,9 +236,8 @@ class EventHandler:
         b = bare.arrays
         load_chart(step.z, step.base, b)
         b.time.now = run.clock.t
-        if update_kinematics(bare.struct) != OK:
-            bare.reraise()
-        update_rows(self.modes.full.struct)
+        require_ok(bare, update_kinematics(bare.struct))
+        require_ok(self.modes.full, update_rows(self.modes.full.struct))
 
     def _of_guards(self, pending: Pending) -> tuple[np.ndarray, np.ndarray]:
         """Kinds and constraints of the guards of an event."""

@@ -12,8 +12,8 @@ from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.coordinates import chart_places
-from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -346,7 +346,7 @@ def _place(task: Task, step: Step) -> tuple[State, StartReport]:
         if task.spec.stabilization.kind == "projection":
             begin, report = project_start(data, system.scene, task.state)
     place_state(data, task.begin, begin)
-    _require(update_kinematics(data.struct), data)
+    require_ok(data, update_kinematics(data.struct))
     begin_chart(data.struct, step.base, step.z)
     return begin, report
 
@@ -363,13 +363,7 @@ def _evaluate_start(task: Task, stepping: Stepping) -> None:
 def _first_slope(task: Task, stepping: Stepping) -> None:
     """Evaluate the beginning; a failure there is an error, not a result."""
     step = stepping.step
-    _require(write_slope(stepping.struct, task.begin, step.z, step.slope), task.data)
-
-
-def _require(status: int, data: Data) -> None:
-    if status != OK:
-        data.reraise()
-        raise SolverError(failure_text(data, status))
+    require_ok(task.data, write_slope(stepping.struct, task.begin, step.z, step.slope))
 
 
 def _first_length(task: Task, stepping: Stepping) -> float:
