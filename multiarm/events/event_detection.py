@@ -20,7 +20,6 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guards import spring_length
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
 from multiarm.results.channels import ContactState
 
