@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.layout import Layout
-from multiarm.jit.kernels import copy, inlined, plain
+from multiarm.jit.kernels import inlined, plain
 from multiarm.spatial import difference as rotation_difference
 from multiarm.spatial import retract_into, write_chart_rate
 
@@ -84,11 +84,16 @@ def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray
 
 
 class StateColumns(NamedTuple):
-    """First columns of derivatives by the state; by poses of the frames they begin at zero."""
+    """First columns of derivatives by state and forces; by poses of the frames they begin at zero.
+
+    Forces are torques of the joints, and wrenches on the frames.
+    """
 
     twists: int
     positions: int  # of joints
     rates: int
+    torques: int
+    wrench: int
     end: int
 
 
@@ -96,7 +101,9 @@ class StateColumns(NamedTuple):
 def state_columns(data):
     """The columns for the sizes of these data, see ``Layout.columns``."""
     joints, frames = data.angles.size, data.velocity.size - data.angles.size
-    return StateColumns(frames, 2 * frames, 2 * frames + joints, 2 * data.velocity.size)
+    torques = 2 * data.velocity.size
+    wrench = torques + joints
+    return StateColumns(frames, 2 * frames, 2 * frames + joints, torques, wrench, wrench + frames)
 
 
 class ForceColumns(NamedTuple):
@@ -115,18 +122,21 @@ class ForceColumns(NamedTuple):
 def force_columns(data):
     """The columns for the sizes of these data: those of the state, and what follows them."""
     at = state_columns(data)
-    time = at.end + data.inner.size
-    return ForceColumns(at.twists, at.positions, at.rates, at.end, time, time + 1, time + 7)
+    time = at.torques + data.inner.size
+    return ForceColumns(at.twists, at.positions, at.rates, at.torques, time, time + 1, time + 7)
 
 
 # --- the integrator's chart ----------------------------------------------------------------------
 
 
-class ChartPlaces(NamedTuple):
-    """Where the parts of a chart's vector begin; the frames' positions are first."""
+class Places(NamedTuple):
+    """Where the parts of a chart's vector begin, and the joints of a vector like a velocity.
 
-    joints: int  # joint positions
-    velocity: int
+    A chart's positions are laid out like a velocity; the frames are first in both.
+    """
+
+    joints: int  # joint positions, or what a vector like a velocity has of the joints
+    velocity: int  # numbers of a velocity
     rates: int  # joint velocities
     states: int  # of effects
     works: int
@@ -137,9 +147,7 @@ def chart_places(data):
     """The places for the sizes of these data."""
     velocity, joints = data.velocity.size, data.angles.size
     states = 2 * velocity
-    return ChartPlaces(
-        velocity - joints, velocity, states - joints, states, states + data.inner.size
-    )
+    return Places(velocity - joints, velocity, states - joints, states, states + data.inner.size)
 
 
 @plain
@@ -204,10 +212,3 @@ def write_chart_slope(z, data, slope):
         slope[places.states + k] = data.inner_rate[k]
     for k in range(data.power.size):
         slope[places.works + k] = data.power[k]
-
-
-@inlined
-def copy_works(data, source, z):
-    """Write the works of one chart's vector into another."""
-    first = chart_places(data).works
-    copy(source[first:], z[first:])

@@ -121,7 +121,8 @@ class EffectKernel:
         Numbers, and contiguous arrays of float64 or int64: values at the start of a run.  Every
         :class:`multiarm.dynamics.model.Data` has its own copies.
     works : bool
-        The kernel calls :func:`set_power` at every call.
+        The kernel calls :func:`set_power` at every call, with the power of its forces: derivatives
+        of powers are taken from those of forces.
     states : int
         Number of its states: it reads ``data.inner`` from :func:`first_state` on, and writes their
         rates to ``data.inner_rate``.
@@ -135,6 +136,9 @@ class EffectKernel:
         the kernel calls; it writes their addresses into the arrays.
     calls_user : bool
         Whether these are user functions.
+    knows_state_alone : bool
+        Forces are functions of time and state, and of no term of the kinematics, which differences
+        of them then leave as they are.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
     watched : tuple of (str, int)
@@ -142,9 +146,9 @@ class EffectKernel:
         joint's drive is saturated.  The beginning and the end are events.
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
-        only, those on the object on the time and the object's state only, and the power, if there
-        is one, is that of these forces.  Derivatives of accelerations then cost less in
-        :mod:`multiarm.integration.arm_blocks`, which are wrong where this does not hold.
+        only, those on the object on the time and the object's state only.  Derivatives of
+        accelerations then cost less in :mod:`multiarm.integration.arm_blocks`, which are wrong
+        where this does not hold.
     state_joints : tuple of int
         The joint, among all, to which each state of a local kernel belongs.
     derivative : compiled function, optional
@@ -161,6 +165,7 @@ class EffectKernel:
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
     connect: Callable[[Any, Any], Mapping[str, GuardedCall]] | None = None
     calls_user: bool = False
+    knows_state_alone: bool = False
     unilateral: bool = False
     watched: tuple[tuple[str, int], ...] = ()
     local: bool = False
@@ -207,6 +212,17 @@ class EffectProgram:
     def works(self) -> tuple[str, ...]:
         """Names of the effects that do work, in the order of ``Variables.power``."""
         return tuple(own.name for own in self.kernels if own.works)
+
+    @property
+    def powers(self) -> np.ndarray:
+        """Place of the power of each kernel that is called; -1 without."""
+        places = np.cumsum([0, *(own.works for own in self.kernels)])
+        powers = [
+            int(place) if own.works else -1
+            for own, place in zip(self.kernels, places, strict=False)
+            if own.kernel is not None
+        ]
+        return np.array(powers, dtype=np.int64)
 
     def slot(self, name: str) -> int:
         """Index of an effect in ``Variables.power`` and ``works``."""
@@ -270,11 +286,16 @@ class EffectProgram:
         called = [(own, at) for own, at in zip(self.kernels, self._places(), strict=True)]
         called = [(own, at) for own, at in called if own.kernel is not None]
         rows = [
-            [address_of(own.kernel), at, address_of(own.derivative) if own.derivative else 0]
+            [
+                address_of(own.kernel),
+                at,
+                address_of(own.derivative) if own.derivative else 0,
+                own.knows_state_alone,
+            ]
             for own, at in called
         ]
         ends = [sum(own.phase <= phase for own, _ in called) for phase in range(3)]
-        return np.array(rows, dtype=np.int64).reshape(-1, 3), ends
+        return np.array(rows, dtype=np.int64).reshape(-1, 4), ends
 
     def _places(self) -> list[int]:
         """Index of each kernel's first array in the system's struct."""

