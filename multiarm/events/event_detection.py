@@ -28,11 +28,12 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.events.guards import QUIET, spring_length
 from multiarm.events.kernels import write_guards
-from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
+from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
 from multiarm.integration.dense_output import interpolate
 from multiarm.integration.step import open_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import address_of, call_cfunc
+from multiarm.results.channels import ContactState
 
 
 def touching_constraints(
@@ -80,7 +81,8 @@ def pressed_constraints(modes: Modes, before: Choice, fired: Set[int]) -> set[in
         pushes = length < 0.0
         if abs(length) <= GAP_THRESHOLD:
             started = bool(before.states)
-            pushes = (before.states[u] == OPEN) == (u in fired) if started else rate <= 0.0
+            was_open = started and before.states[u] == ContactState.OPEN
+            pushes = was_open == (u in fired) if started else rate <= 0.0
         if pushes:
             pressed.add(u)
     return pressed

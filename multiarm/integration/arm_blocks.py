@@ -232,7 +232,7 @@ def acts_locally(step):
     if not model.local_effects or (controlled and model.control_reach > CARRYING):
         return False
     # contacts of modes need not be those of arms
-    return data.functions.solve == data.functions.project and not model.dense
+    return not (model.dense or data.modes.active)
 
 
 @kernel

@@ -59,6 +59,10 @@ class Stage(Numbers):
     latest: Float  # later times are replaced by it [s]: a step that ends at a jump stays before it
     evaluations: Int  # that were made and are not in the run's statistics yet
 
+    def begin(self) -> None:
+        """As a run begins: states are evaluated as they are, at their times."""
+        self.gap, self.latest, self.evaluations = -1.0, math.inf, 0
+
 
 class Step(NamedTuple):
     """Arrays of one step for ``D`` numbers of a chart's vector, ``w`` of them works."""
@@ -120,10 +124,11 @@ def make_step(
     """Allocate for a method and a system, its struct, its number of effects' states and works."""
     size = 2 * layout.nv + states + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
-    upright = np.tile([0.0, 0.0, 0.0, 1.0], layout.frames)
+    upright, stage = np.tile([0.0, 0.0, 0.0, 1.0], layout.frames), Stage()
+    stage.begin()
     return Step(
         system=system,
-        stage=Stage(gap=-1.0, latest=math.inf),
+        stage=stage,
         z=np.zeros(size),
         z_new=np.zeros(size),
         z_stage=np.zeros(size),

@@ -39,6 +39,7 @@ from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import gains
+from multiarm.results.channels import ContactState
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance, set_tolerance
 
@@ -252,7 +253,9 @@ class EventHandler:
         closed = {
             u
             for u, constraint in enumerate(constraints)
-            if choice.states[u] != 0 and constraint.kind != DRY_JOINT and not constraint.compliant
+            if choice.states[u] != ContactState.OPEN
+            and constraint.kind != DRY_JOINT
+            and not constraint.compliant
         }
         pressed = pressed_constraints(self.modes, choice, closing)
         closing = {

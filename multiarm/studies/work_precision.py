@@ -176,7 +176,8 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Ru
     A feedback controller, which is ours and is called back, costs the peer nothing.
     """
     clock, grid, start = Clock(limit_s), Grid.of(system.scene.run), system.initial_state()
-    drive = sinusoid(system) or clock.off_the_clock(partial(control_torque, system))
+    control = clock.off_the_clock(lambda t, state: control_torque(system, t, state()))
+    drive = sinusoid(system) or control
     try:
         with np.errstate(all="ignore"):
             course = peer.follow(clock, grid, start, setting.method, setting.value, drive)

@@ -722,6 +722,7 @@ def test_sinusoidal_torques_are_the_scenes(system):
     for t in (0.0, 0.013, 0.4):
         expected = control_torque(system, t, state)
         assert found.at(np.array([t]))[0] == pytest.approx(expected, abs=1e-12)
+        assert found(t) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_tape_plays_row_by_row_and_stays_at_its_end():
@@ -743,7 +744,7 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     peer = make_peers(system, only("MuJoCo"))[0]["MuJoCo"]
     for method in peer.methods:
         ends = []
-        for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
+        for torques in (drive, lambda t, _state: drive(t)):
             *_, last = peer.follow(Clock(), grid, system.initial_state(), method, 0.005, torques)
             ends.append(last.state.position)
         # roundings of torques end Newton's method an iteration earlier or later
