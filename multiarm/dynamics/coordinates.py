@@ -8,7 +8,8 @@ A configuration is F poses of floating frames and n numbers, the joint positions
     q \oplus u = q + \delta_q, \qquad u = (\delta_f, \theta_f, \ldots, \delta_q).
 
 Within a step the orientations are :math:`R_f = \exp(\theta_f) R_{0f}` with those at the beginning
-of the step, the *base* of the chart.  So the state is a plain vector,
+of the step.  The *base* of the chart is a configuration with these orientations and with positions
+of zero: a chart is a displacement from it.  So the state is a plain vector,
 
 .. code-block:: text
 
@@ -48,7 +49,7 @@ def retract(frames, start, step, displacement, configuration):
         Number of floating frames, F.
     start, configuration : ndarray, shape (7 F + n,)
     step : float
-    displacement : ndarray, shape (6 F + n,)
+    displacement : ndarray, shape (6 F + n,), or longer
     """
     for f in range(frames):
         at, by = 7 * f, 6 * f
@@ -152,15 +153,8 @@ def chart_places(data):
 
 @plain
 def read_chart(frames, z, base, configuration):
-    """Write the configuration of a chart's vector; ``base`` (4 F,) are quaternions xyzw."""
-    for f in range(frames):
-        at, by = 7 * f, 6 * f
-        for k in range(3):
-            configuration[at + k] = z[by + k]
-        turn = (z[by + 3], z[by + 4], z[by + 5])
-        retract_into(base[4 * f : 4 * f + 4], turn, configuration[at + 3 : at + 7])
-    for j in range(configuration.size - 7 * frames):
-        configuration[7 * frames + j] = z[6 * frames + j]
+    """Write the configuration of a chart's vector."""
+    retract(frames, base, 1.0, z, configuration)
 
 
 @plain
@@ -181,8 +175,8 @@ def store_chart(data, base, z):
     for f in range(poses.shape[0]):
         for k in range(3):
             z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], 0.0
-        for k in range(4):
-            base[4 * f + k] = poses[f, 3 + k]
+        for k in range(3, 7):
+            base[7 * f + k] = poses[f, k]
     for j in range(data.angles.size):
         z[places.joints + j] = data.angles[j]
     for k in range(data.velocity.size):

@@ -63,6 +63,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import EFFECTS, open_data
+from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
 from multiarm.jit.structs import ints1, make_struct, struct_of, view_at
@@ -101,6 +102,10 @@ def first_state(struct, at):
 def keep_forces(_address, _size, _at, _t):
     """The derivative of an effect whose forces do not depend on the state."""
     return 0
+
+
+class NoArrays(NamedTuple):
+    """The arrays of a kernel that has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +163,7 @@ class EffectKernel:
     name: str
     kernel: Any
     phase: int
-    arrays: Any = ()
+    arrays: Any = field(default_factory=NoArrays)
     works: bool = True
     states: int = 0
     start: Callable[[Any], np.ndarray] | None = None
@@ -172,6 +177,13 @@ class EffectKernel:
     state_joints: tuple[int, ...] = ()
     derivative: Any = None
 
+    def __post_init__(self) -> None:
+        if not hasattr(self.arrays, "_fields"):
+            raise ModelError(
+                f"the kernel of effect {self.name!r}: arrays must be a NamedTuple, got "
+                f"{type(self.arrays).__name__}; give the one that `view_of_effect` opens"
+            )
+
 
 class EffectData(NamedTuple):
     """What one kernel reads and writes: places of its power and states, its numbers and arrays."""
@@ -182,14 +194,12 @@ class EffectData(NamedTuple):
     @property
     def struct(self) -> np.ndarray:
         """Its part of the system's struct."""
-        named = hasattr(self.arrays, "_fields")
-        own = struct_of(self.arrays) if named else make_struct(self.arrays)
-        return np.concatenate([make_struct([self.slots]), own])
+        return np.concatenate([make_struct([self.slots]), struct_of(self.arrays)])
 
 
 def _copied(arrays: Any) -> Any:
-    copies = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
-    return type(arrays)._make(copies) if hasattr(arrays, "_fields") else tuple(copies)
+    parts = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
+    return type(arrays)._make(parts)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ class Textbook:
 
     def step(self, t, h):
         """Stages ``U_i = h k_i`` and the end of the step, with the whole matrix."""
-        m = coefficients(METHODS["rodas5p"])
+        m = coefficients(METHODS["rodas5p"], 0)
         J, f_t = self.jacobian(t), self.time_slope(t)
         matrix, stages = np.eye(self.z.size) / (h * m.gamma) - J, np.zeros((8, self.z.size))
         for i in range(8):
@@ -172,7 +172,7 @@ def test_a_step_is_that_of_the_whole_matrix(spun, h):
 def test_stages_solve_the_whole_system_to_rounding(spun):
     """With the step's own derivatives in the matrix of all unknowns, works included."""
     system, state, textbook = spun
-    h, n, z, m = 0.03, textbook.n, textbook.z, coefficients(METHODS["rodas5p"])
+    h, n, z, m = 0.03, textbook.n, textbook.z, coefficients(METHODS["rodas5p"], 0)
     stepping = step_of_the_package(system, state, h)
     J = np.zeros((z.size, z.size))
     J[:n, n : 2 * n] = np.eye(n)
