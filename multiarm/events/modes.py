@@ -12,9 +12,7 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
-from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
-from multiarm.events.guards import (
+from multiarm.dynamics.guards import (
     CONE_GUARD,
     GAP_GUARD,
     HOLD_GUARD,
@@ -28,6 +26,8 @@ from multiarm.events.guards import (
     SPRING_GUARD,
     Guards,
 )
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -52,7 +52,7 @@ DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 
 
 class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.events.guards`."""
+    """A guard of one constraint, see :mod:`multiarm.dynamics.guards`."""
 
     kind: int
     watched: int
@@ -174,7 +174,6 @@ class Modes:
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
             mode.slides.direction[s] = directions[u]
         mode.guards.armed[:] = 0
-        mode.guards.least[:] = np.inf
         mode.arrays.numbers.muted = mode.arrays.numbers.stressed = False
         set_constraint_forces(self.full, choice)
         return mode

@@ -58,7 +58,7 @@ from multiarm.integration.full_matrix import (
     make_full_matrix,
     solve_full_stage,
 )
-from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at
+from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at, stage_slope
 from multiarm.jit.kernels import cfunc, copy, kernel
 from multiarm.jit.structs import Floats1, struct_at, view
 
@@ -110,7 +110,7 @@ def rosenbrock_step(address, size, t, h):
         copy(work.slope, right)
         if i > 0:
             combine(step, method.A[i], i, h, step.z_stage)
-            status = slope_at(step, t + method.c[i] * h, step.z_stage, right)
+            status = stage_slope(step, t + method.c[i] * h, step.z_stage, right)
             if status != OK:
                 return status
         for j in range(i):

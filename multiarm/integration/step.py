@@ -20,12 +20,23 @@ import numpy as np
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import load_chart, store_chart, write_chart_slope
 from multiarm.dynamics.equations import finite
+from multiarm.dynamics.guards import follow_stage, open_guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, copy, inlined, kernel
-from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Numbers, view
+from multiarm.jit.structs import (
+    Flag,
+    Float,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    Numbers,
+    struct_at,
+    view,
+)
 from multiarm.tableaus import Tableau
 
 
@@ -192,6 +203,16 @@ def evaluate_slope(struct, stage, t, z, base, slope):
 def slope_at(step, t, z, slope):
     """Evaluate the rate of a state in the chart of the step; returns a status."""
     return evaluate_slope(step.system, step.stage, t, z, step.base, slope)
+
+
+@inlined
+def stage_slope(step, t, z, slope):
+    """:func:`slope_at` at a stage, whose forces the guards of a mode watch; returns a status."""
+    status = slope_at(step, t, z, slope)
+    data = open_data(step.system)
+    if status == OK and data.functions.guards != 0:
+        follow_stage(open_guards(struct_at(data.modes.mode, 0)), data.force)
+    return status
 
 
 @kernel
