@@ -131,10 +131,12 @@ def rosenbrock_step(address, size, t, h):
 def differentiate(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
-    status = slope_at(step, t, step.z, work.right)
+    status, projected = OK, step.stage.gap >= 0.0
+    if not projected:
+        status = slope_at(step, t, step.z, work.right)
     if status != OK:
         return status
-    by_arms = step.stage.gap < 0.0 and acts_locally(step) and is_regular(step.system)
+    by_arms = not projected and acts_locally(step) and is_regular(step.system)
     if by_arms and share_weight(step.system, blocks):
         blocks.used[0] = 1
         status = differentiate_arms(step, blocks, t, h)
