@@ -345,9 +345,10 @@ def test_scenes_that_are_not_stiff_never_change_the_method(accuracy, welded_ur5_
 @pytest.mark.slow
 def test_a_trial_that_does_not_pay_is_given_up():
     """Many joints, mild damping, high accuracy: a long step costs more than some short ones, where
-    an effect that states no derivative may act on everybody.
+    two effects that state no derivative may act on everybody.
     """
-    scene = ring_of_arms(8).replace(effects={"joint_damping": 1000.0})
+    effects = {"joint_damping": 1000.0, "drag": {"linear": 1.0}}
+    scene = ring_of_arms(8).replace(effects=effects)
     system = coupled(without_derivatives(ma.compile_system(scene)))
     run = {"duration": 0.5, "output_step": 0.05}
     found = ma.simulate(system, accuracy=1e-6, certificate=False, **run)
