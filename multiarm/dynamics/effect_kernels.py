@@ -146,9 +146,10 @@ class EffectKernel:
         of them then leave as they are.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
-    watched : tuple of (str, int)
+    watched : tuple of (str, int, float)
         An array among ``arrays`` and a joint: this entry is a margin, which is positive while the
-        joint's drive is saturated.  The beginning and the end are events.
+        joint's drive is saturated.  The beginning and the end are events, once it is larger than
+        its roundings, the third number.
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
         only, those on the object on the time and the object's state only.  Derivatives of
@@ -172,7 +173,7 @@ class EffectKernel:
     calls_user: bool = False
     knows_state_alone: bool = False
     unilateral: bool = False
-    watched: tuple[tuple[str, int], ...] = ()
+    watched: tuple[tuple[str, int, float], ...] = ()
     local: bool = False
     state_joints: tuple[int, ...] = ()
     derivative: Any = None
@@ -273,13 +274,13 @@ class EffectProgram:
         return np.array(joints, dtype=np.int64)
 
     @property
-    def watched(self) -> list[tuple[int, int]]:
-        """Margins to monitor: index of the array in the struct, joint."""
+    def watched(self) -> list[tuple[int, int, float]]:
+        """Margins of drives: index of the array in the struct, joint, roundings."""
         places = zip(self.kernels, self._places(), strict=True)
         return [
-            (at + 1 + kernel.arrays._fields.index(name), joint)
+            (at + 1 + kernel.arrays._fields.index(name), joint, roundings)
             for kernel, at in places
-            for name, joint in kernel.watched
+            for name, joint, roundings in kernel.watched
         ]
 
     def make_data(self) -> list[EffectData]:

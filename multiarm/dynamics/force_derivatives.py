@@ -36,6 +36,7 @@ from multiarm.dynamics.equations import (
     passive_forces,
     update_kinematics,
 )
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
@@ -109,8 +110,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     powers, works = model.effects.powers, data.arrays.power.size
     applied = np.zeros((layout.nv + e + works, slopes.shape[1]))
     status = write_applied(data.struct, differences, follows, differs, closed_loop, powers, applied)
-    if status != OK:
-        data.reraise()
+    require_ok(data, status)
     return applied[: layout.nv + e, : 2 * layout.nv + e]
 
 

@@ -25,6 +25,7 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import arm_columns
+from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.equation_derivatives import (
@@ -44,7 +45,6 @@ class Springs(NamedTuple):
     # (2,) address and size of the struct with their rows, and of that of these rows' derivatives
     rows: Ints1
     derivatives: Ints1
-    owners: Ints1  # arms, or the surroundings
     stiffness: Floats1  # [N/m]
     damping: Floats1  # [N s/m]
     active: Ints1  # which act now; the mode of the contacts writes them
@@ -64,13 +64,9 @@ def add_contact_compliance(address, size, at, _t):
     _, rows, work = open_system(own)
     write_spring_forces(springs, rows.contacts)
     power = 0.0
-    for s in range(springs.owners.size):
-        i = springs.owners[s]
-        for k in range(6):
-            data.h_o[k] += rows.Wo[s, k] * force[s]
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
-            data.h[work.dofs[i] + j] += work.Y[i, j, s - work.rows[i]] * force[s]
+    for s in range(force.size):
         power += force[s] * rows.contacts[s, GAP_RATE]
+    add_contact_forces(work, rows.Wo, work.W, force, data.h_o, data.h)
     set_power(struct, at, power)
     return 0
 
@@ -78,7 +74,7 @@ def add_contact_compliance(address, size, at, _t):
 @kernel
 def write_spring_forces(springs, contacts):
     """Write the forces of all springs."""
-    for s in range(springs.owners.size):
+    for s in range(springs.force.size):
         springs.force[s] = 0.0
         if springs.active[s] != 0:
             pressed = springs.stiffness[s] * contacts[s, GAP]
@@ -112,11 +108,9 @@ def differentiate_contact_compliance(address, size, at, _t):
             for c in range(columns.end):
                 column = column_of_forces(by, columns, d0, c)
                 data.force_slopes[first + d0 + j, column] -= equations.dF[i, j, c]
-    for s in range(springs.owners.size):
-        if springs.active[s] != 0:
-            i = springs.owners[s]
-            d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-            add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data)
+        for s in range(work.rows[i], work.rows[i + 1]):
+            if springs.active[s] != 0:
+                add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data)
     return status
 
 
@@ -133,7 +127,7 @@ def column_of_forces(by, columns, d0, c):
 @inlined
 def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data):
     """Add what the change of a spring's force, along its contact, does to object and arm."""
-    columns, W = arm_columns(n, False), work.Y[i, :, s - work.rows[i]]
+    columns, W = arm_columns(n, False), work.W[i, :, s - work.rows[i]]
     for c in range(columns.end):
         of_rate = columns.twist <= c < columns.positions or c >= columns.velocities
         if c < columns.positions:
@@ -160,12 +154,12 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
         own.rows[:] = rows.struct.ctypes.data, rows.struct.size
         own.derivatives[:] = derivatives.ctypes.data, derivatives.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
-        return {}
+        # surfaces of the user may fail in these rows
+        return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}
 
     arrays = Springs(
         rows=np.zeros(2, dtype=np.int64),
         derivatives=np.zeros(2, dtype=np.int64),
-        owners=springs.owners,
         stiffness=springs.stiffness,
         damping=springs.damping,
         active=springs.always,

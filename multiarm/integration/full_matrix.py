@@ -40,7 +40,6 @@ from multiarm.dynamics.equation_derivatives import (
     solve_by_arms,
     write_derivatives,
 )
-from multiarm.dynamics.equations import renew_kinematics
 from multiarm.dynamics.force_derivatives import (
     TIME_CHANGE,
     Differences,
@@ -134,13 +133,8 @@ def is_smooth(step):
 def differentiate_equations_and_forces(step, full, time_slope, h):
     """Write exact derivatives; returns a status, ``SINGULAR`` where there are none."""
     struct, stage, differences = step.system, step.stage, full.differences
-    model, data, work = open_system(struct)
-    status = OK
-    if work.factored[0] != 0:
-        stage.evaluations += 1
-        status = renew_kinematics(struct)
-    if status == OK:
-        status = write_derivatives(struct, full.equations, False, data.twist)
+    model, data, _ = open_system(struct)
+    status = write_derivatives(struct, full.equations, False, data.twist)
     if status == OK:
         add_drift_feedback(struct, full.equations, stage.alpha, stage.beta)
         status = solve_equations(struct, full)
