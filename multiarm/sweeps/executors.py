@@ -9,10 +9,14 @@ A run whose worker dies every time gets a row with status "failed".
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 import warnings
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
+from functools import cache
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +32,7 @@ __all__ = ["connected", "run_here", "run_in_processes", "run_on_cluster"]
 Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
 IDLE = 10.0
-"""[s] after which a process without work ends, also if its caller was killed."""
+"""[s] after which a process without work ends."""
 PATIENCE = 30.0
 """[s] to wait for the scheduler of a cluster, and for its first worker."""
 
@@ -63,7 +67,7 @@ def _until_a_worker_dies(
     def tasks() -> Iterator[Any]:
         for job in jobs:
             under_way[job[0]] = job
-            yield delayed(run)(context, *job)
+            yield delayed(_run_for)(os.getpid(), context, *job)
 
     # joblib takes this process where there is one worker
     parallel = Parallel(
@@ -83,6 +87,24 @@ def _until_a_worker_dies(
             warnings.simplefilter("ignore")  # about runs that are given up
             rows.close()
     return []
+
+
+def _run_for(caller: int, context: Context, number: int, values: dict[str, Any]) -> Row:
+    """Carry out a run in a process of a caller's."""
+    _end_with(caller)
+    return run(context, number, values)
+
+
+@cache
+def _end_with(caller: int) -> None:
+    """End this process soon after its caller has ended, even if the caller was killed."""
+
+    def watch() -> None:
+        while os.getppid() == caller:
+            time.sleep(1.0)  # [s]
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run_on_cluster(context: Context, jobs: Sequence[Job], client: Client) -> Iterator[Row]:
