@@ -55,6 +55,7 @@ from multiarm.dynamics.arrays import (
 )
 from multiarm.dynamics.callbacks import NO_CONTROL, PythonControl, UserCallback, dense_solver
 from multiarm.dynamics.effect_kernels import EffectProgram
+from multiarm.dynamics.guards import Guards, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork, make_work
@@ -113,6 +114,9 @@ class Model:
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
     # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
+    # those that only report: limits, patches, drives; in a run that opens contacts its modes have
+    # further ones
+    guards: Guards = field(default_factory=lambda: make_guards(()))
 
     __dir__ = public_names
 
@@ -307,6 +311,8 @@ class Data:
     arrays : Variables
     work, coupled : NodeWork, CoupledWork
         Workspace of the node algorithm, and of its coupled system.
+    guards : Guards
+        Those that only report.
     effects : list of EffectData
         What every effect kernel reads and writes.
     callbacks : dict of str to GuardedCall
@@ -333,6 +339,7 @@ class Data:
         self.effects = model.effects.make_data()
         self._surfaces = {id(surface): copy(surface) for surface in model.surfaces}
         self._ground = Ground(model.constants.gravity)
+        self.guards = Guards(*(column.copy() for column in model.guards))
         arrays = make_variables(
             model.constants,
             self._pointers(),
@@ -356,7 +363,10 @@ class Data:
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         self._connect_rows()
-        self._connect_user_functions()
+        self._connect_control()
+        for kernel, effect in zip(model.effects.kernels, self.effects, strict=True):
+            if kernel.connect is not None:
+                self.callbacks.update(kernel.connect(self, effect.arrays))
         self.hold(None)
 
     def view(self, model: Model) -> Data:
@@ -377,7 +387,7 @@ class Data:
             other.arrays = arrays._replace(**rows)
             other._connect_rows()
         if model.python_control is not self.model.python_control:
-            other._connect_user_functions()
+            other._connect_control()
         if model.sampling != self.model.sampling:
             other.hold(None)
         return other
@@ -412,15 +422,14 @@ class Data:
 
     def _make_struct(self) -> np.ndarray:
         effects = [effect.struct for effect in self.effects]
-        return system_struct(self.model.constants, self.arrays, self.work, self.coupled, effects)
+        return system_struct(
+            self.model.constants, self.arrays, self.work, self.coupled, self.guards, effects
+        )
 
-    def _connect_user_functions(self) -> None:
+    def _connect_control(self) -> None:
         if self.model.python_control is not None:
             control = self.model.python_control.connect(self.model.layout, self.arrays)
             self._add_callback("control", control)
-        for kernel, effect in zip(self.model.effects.kernels, self.effects, strict=True):
-            if kernel.connect is not None:
-                self.callbacks.update(kernel.connect(self, effect.arrays))
 
     def _add_callback(self, name: str, callback: GuardedCall) -> None:
         self.callbacks[name] = callback
@@ -475,8 +484,7 @@ class Data:
         b.places[:] = self.model.pair_places
         b.coordinates[:] = np.nan
         b.tips[:] = 0.0
-        b.margins[:] = np.nan
-        b.event_count[0] = 0
+        reset_guards(self.guards)
         b.status.rank = b.status.coupled_arms = 0
         b.status.ambiguous = False
         b.status.residual = b.status.imbalance = 0.0
@@ -541,9 +549,13 @@ class Data:
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.reraise()
+        if self._base is not None:  # whose rows the time loop evaluates, too
+            self._base.reraise()
 
     def forgive(self) -> None:
         """Ignore the exception of a callback, and clear the flag."""
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.error = None
+        if self._base is not None:
+            self._base.forgive()

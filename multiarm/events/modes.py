@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
-from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
-from multiarm.events.guards import (
+from multiarm.dynamics.guards import (
     CONE_GUARD,
     GAP_GUARD,
     HOLD_GUARD,
@@ -26,8 +23,12 @@ from multiarm.events.guards import (
     REST_GUARD,
     SLIP_GUARD,
     SPRING_GUARD,
+    Guard,
     Guards,
+    make_guards,
 )
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -39,15 +40,7 @@ from multiarm.events.kernels import (
 )
 from multiarm.events.sliding import Slides
 from multiarm.jit.pointers import address_of
-from multiarm.results.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
-
-# States in addition to those that are recorded (:mod:`multiarm.results.channels`): joints that move
-# against dry friction; contacts whose friction is at its bound, which others keep from slipping.
-FORWARD, BACKWARD, AT_BOUND = 5, 6, 7
-STATE_NAMES = {
-    OPEN: "open", TOUCHING: "touching", SLIDING: "sliding", STICKING: "sticking",
-    RESTING: "resting", FORWARD: "moving", BACKWARD: "moving", AT_BOUND: "sticking",
-}  # fmt: skip
+from multiarm.results.channels import ContactState
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
 # speeds [m/s, rad/s], and forces as a part of the largest one.
@@ -59,25 +52,14 @@ REST = 1e-9
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 
 
-class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.events.guards`."""
-
-    kind: int
-    watched: int
-    parameter: float = 0.0
-    threshold: float = 0.0
-    tangents: tuple[int, int] = (-1, -1)
-    sign: int = 1
-
-
 @dataclass(frozen=True)
 class Choice:
     """The states of all constraints, which identify a mode.
 
     Attributes
     ----------
-    states : tuple of int
-        By constraint, ``OPEN`` to ``AT_BOUND``.
+    states : tuple of ContactState
+        By constraint.
     rows : tuple of int
         Their held rows, increasing.
     pulling : frozenset of int
@@ -87,7 +69,7 @@ class Choice:
         Open constraints off their patch, or below it, see :mod:`multiarm.events.event_detection`.
     """
 
-    states: tuple[int, ...]
+    states: tuple[ContactState, ...]
     rows: tuple[int, ...]
     pulling: frozenset[int] = frozenset()
     off_patch: frozenset[int] = frozenset()
@@ -102,7 +84,7 @@ class Choice:
         return [
             u
             for u, constraint in enumerate(constraints)
-            if self.states[u] in (SLIDING, AT_BOUND)
+            if self.states[u] in (ContactState.SLIDING, ContactState.AT_BOUND)
             and constraint.row in self.rows
             and constraint.tangents
         ]
@@ -155,7 +137,7 @@ class Modes:
         self._nothing = _select(full, [])
         self._made: dict[Choice, Mode] = {}
         everything_open = tuple(
-            FORWARD if constraint.kind == DRY_JOINT else OPEN
+            ContactState.FORWARD if constraint.kind == DRY_JOINT else ContactState.OPEN
             for constraint in self.unilateral.constraints
         )
         self._open = Choice(everything_open, ())
@@ -182,7 +164,6 @@ class Modes:
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
             mode.slides.direction[s] = directions[u]
         mode.guards.armed[:] = 0
-        mode.guards.least[:] = np.inf
         mode.arrays.numbers.muted = mode.arrays.numbers.stressed = False
         set_constraint_forces(self.full, choice)
         return mode
@@ -195,10 +176,11 @@ class Modes:
         tangents = [t for u in sliding for t in constraints[u].tangents]
         sideways = _select(full, tangents) if sliding else self._nothing
         arrays, slides = self._arrays(choice, rows), self._slides(choice, rows, sliding)
-        guards = self._guards(choice, rows, sliding)
+        guards = self._guards(choice, rows, sliding, slides)
         reactions = _reactions(held) if sliding else None
         struct = mode_struct(arrays, slides, guards, reactions)
         structs = ModeStructs(
+            active=True,
             closed=self.closed.struct.ctypes.data,
             full=full.struct.ctypes.data,
             tangents=sideways.struct.ctypes.data,
@@ -222,7 +204,7 @@ class Modes:
             "contact_friction" if "contact_friction" in effects.works else "impacts"
         )
         states = [
-            STICKING if state == AT_BOUND else state
+            state.recorded
             for state, constraint in zip(choice.states, constraints, strict=True)
             if constraint.kind == CONTACT
         ]
@@ -251,50 +233,24 @@ class Modes:
             speed=np.zeros(count),
         )
 
-    def _guards(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> Guards:
+    def _guards(
+        self, choice: Choice, rows: np.ndarray, sliding: list[int], slides: Slides
+    ) -> Guards:
         place = {int(row): k for k, row in enumerate(rows)}
+        ground = len(self.full.model.arm_names)
         guards: list[Guard] = []
-        owners: list[int] = []
-        patches: list[np.ndarray] = []
         for u, constraint in enumerate(self.unilateral.constraints):
             patch = patch_of(self.full.model, constraint)
             of_constraint = _guards(u, constraint, choice, place, sliding, self.slow)
             if constraint.compliant:
-                sign, row, lag = (
-                    1 if choice.states[u] == OPEN else -1, constraint.row, constraint.lag,
-                )  # fmt: skip
-                of_constraint = [Guard(SPRING_GUARD, row, lag, GAP_THRESHOLD, sign=sign)]
+                sign = 1 if choice.states[u] == ContactState.OPEN else -1
+                of_constraint = [
+                    Guard(SPRING_GUARD, constraint.row, constraint.lag, GAP_THRESHOLD, sign=sign)
+                ]
             elif patch is not None:
-                of_constraint = _patch_guards(u, constraint, choice, of_constraint)
-            guards += of_constraint
-            owners += [u] * len(of_constraint)
-            patches += [
-                patch if guard.kind == PATCH_GUARD and patch is not None else np.zeros(18)
-                for guard in of_constraint
-            ]
-        g = len(guards)
-        integers = {
-            name: np.array([getattr(guard, name) for guard in guards], dtype=np.int64)
-            for name in ("kind", "watched", "sign")
-        }
-        numbers = {
-            name: np.array([getattr(guard, name) for guard in guards], dtype=float)
-            for name in ("parameter", "threshold")
-        }
-        tangents = [guard.tangents for guard in guards]
-        return Guards(
-            **integers,
-            **numbers,
-            tangents=np.array(tangents, dtype=np.int64).reshape(-1, 2),
-            constraint=np.array(owners, dtype=np.int64),
-            patch=np.array(patches).reshape(-1, 18),
-            value=np.zeros(g),
-            before=np.zeros(g),
-            rate=np.zeros(g),
-            least=np.full(g, np.inf),
-            armed=np.zeros(g, dtype=np.int64),
-            result=np.zeros(g, dtype=np.int64),
-        )
+                of_constraint = _patch_guards(u, constraint, choice, of_constraint, ground, patch)
+            guards += [guard._replace(constraint=u) for guard in of_constraint]
+        return make_guards(guards, slides.direction)
 
 
 def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
@@ -318,9 +274,9 @@ def set_constraint_forces(full: Data, choice: Choice) -> None:
         if constraint.compliant:
             assert unilateral.compliant is not None, "a compliant contact is a spring"
             active = full.effect(COMPLIANCE).active
-            active[unilateral.compliant.number(constraint.row)] = state != OPEN
-        if constraint.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
-            torque = -constraint.bound if state == FORWARD else constraint.bound
+            active[unilateral.compliant.number(constraint.row)] = state != ContactState.OPEN
+        if constraint.kind == DRY_JOINT and state.moves:
+            torque = -constraint.bound if state == ContactState.FORWARD else constraint.bound
             full.effect(DRY_FRICTION).torque[constraint.joint] = torque
 
 
@@ -329,7 +285,14 @@ def _reactions(held: Data) -> ReactionWork:
     layout, work = held.model.layout, held.work
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     return make_reaction_work(*sizes)._replace(
-        dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
+        dofs=work.dofs,
+        rows=work.rows,
+        levers=work.levers,
+        M=work.M,
+        W=work.W,
+        L=work.L,
+        Y=work.Y,
+        y=work.y,
     )
 
 
@@ -347,37 +310,52 @@ def _guards(
     state = choice.states[u]
     row = place.get(constraint.row, -1)
     if constraint.kind == DRY_JOINT:
-        if state in (FORWARD, BACKWARD):
-            sign = 1.0 if state == FORWARD else -1.0
-            return [Guard(RATE_GUARD, constraint.joint, sign, still)]
+        if state.moves:
+            sign = 1 if state == ContactState.FORWARD else -1
+            return [Guard(RATE_GUARD, constraint.joint, threshold=still, sign=sign)]
         limit = FORCE_THRESHOLD * constraint.bound
         return [Guard(HOLD_GUARD, row, constraint.bound, limit)] if row >= 0 else []
-    if state == OPEN:
+    if state == ContactState.OPEN:
         return [Guard(GAP_GUARD, constraint.row, threshold=GAP_THRESHOLD)]
     if row < 0:
         return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
     side, guards = choice.side(u), []
     if not constraint.bilateral or u in sliding:
-        guards.append(Guard(PUSH_GUARD, row, side, FORCE_THRESHOLD))
-    if state == STICKING:
+        guards.append(Guard(PUSH_GUARD, row, threshold=FORCE_THRESHOLD, sign=int(side)))
+    if state == ContactState.STICKING:
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
             mu = side * constraint.mu
             guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, (tangents[0], tangents[1])))
     resting = constraint.bilateral and u not in sliding
-    if state == AT_BOUND or (resting and not all(t in place for t in constraint.tangents)):
+    if state == ContactState.AT_BOUND or (
+        resting and not all(t in place for t in constraint.tangents)
+    ):
         guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
     elif u in sliding:
-        guards.append(Guard(SLIP_GUARD, sliding.index(u), threshold=still))
+        s, t = sliding.index(u), constraint.tangents
+        guards.append(Guard(SLIP_GUARD, s, threshold=still, tangents=(t[0], t[1])))
     return guards
 
 
 def _patch_guards(
-    u: int, constraint: Constraint, choice: Choice, guards: list[Guard]
+    u: int,
+    constraint: Constraint,
+    choice: Choice,
+    guards: list[Guard],
+    body: int,
+    patch: np.ndarray,
 ) -> list[Guard]:
-    """The guards of a contact that is on its patch, over it, off it or below it."""
+    """The guards of a contact that is on its patch on a body, over it, off it or below it."""
     off = u in choice.off_patch
-    edge = Guard(PATCH_GUARD, constraint.row, threshold=GAP_THRESHOLD, sign=-1 if off else 1)
+    edge = Guard(
+        PATCH_GUARD,
+        constraint.row,
+        threshold=GAP_THRESHOLD,
+        sign=-1 if off else 1,
+        body=body,
+        patch=patch,
+    )
     if off:
         return [edge]
     if u in choice.below_patch:  # a spring without damping: its extension is the gap

@@ -21,6 +21,7 @@ from multiarm.arms.arm import Arm
 from multiarm.contacts.kernel import GAP
 from multiarm.control.laws import harmonic, unpack_harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.joint_damping import JointDamping
@@ -32,7 +33,7 @@ from multiarm.studies.timing import OutOfTime
 PEERS = {
     "MuJoCo": "multiarm.studies.mujoco_peer:MujocoPeer",
     "MuJoCo as shipped": "multiarm.studies.mujoco_peer:MujocoAsShipped",
-    "Pinocchio": "multiarm.studies.pinocchio_peer:PinocchioTree",
+    "Pinocchio": "multiarm.studies.pinocchio_peer:PinocchioPeer",
 }
 """Name -> module, which need not be importable here, and class of the peer."""
 EXPRESSIBLE = ("weld", "ball", "revolute")
@@ -54,10 +55,10 @@ class Sinusoid:
         """No torques at ``n`` joints."""
         return cls(0.0, np.zeros(n), np.zeros(n), np.zeros(n))
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether nothing swings."""
-        return self.rate == 0.0 or not (np.any(self.sine) or np.any(self.cosine))
+    def __call__(self, t: float, _state: object = None) -> np.ndarray:
+        """Torques at a time [s], shape (n,)."""
+        angle = self.rate * t
+        return self.constant + math.sin(angle) * self.sine + math.cos(angle) * self.cosine
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Torques at times [s], shape (times, n)."""
@@ -65,8 +66,8 @@ class Sinusoid:
         return self.constant + self.sine * np.sin(angle) + self.cosine * np.cos(angle)
 
 
-Drive = Sinusoid | Callable[[float, State], np.ndarray]
-"""Torques of the control, of time alone or of time and state."""
+Drive = Callable[[float, Callable[[], State]], np.ndarray]
+"""Torques of the control at a time [s] and a state, which is computed when it is called for."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +294,7 @@ def largest_gap(system: System, state: State) -> float:
     """Largest gap of a contact [m]."""
     with system.borrow() as data:
         data.set_state(0.0, state)
-        update_kinematics(data.struct)
+        require_ok(data, update_kinematics(data.struct))
         return float(np.max(np.abs(data.arrays.contacts[:, GAP]), initial=0.0))
 
 
