@@ -12,6 +12,10 @@ import signal
 import pytest
 from hypothesis import settings
 
+# NumPy reads it when it is imported. Each worker has one processor, and a second thread of the
+# linear algebra costs many times what it saves on matrices of some ten rows.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # The first example of a test may have to compile kernels.
 settings.register_profile("multiarm", deadline=None)
 settings.load_profile("multiarm")

@@ -88,8 +88,10 @@ def test_hinge_counts_full_turns_between_samples_too(output_step):
     spin = -10.0 * tip[:3, 2]
     start.object_twist[:] = np.r_[np.cross(spin, start.object_position - tip[:3, 3]), spin]
     start = project_velocity(system, start)
-    run = ma.simulate(system, 2.0, accuracy=1e-6, output_step=output_step, state=start)
-    fine = ma.simulate(system, 2.0, accuracy=1e-6, output_step=1e-3, state=start)
+    run, fine = (
+        ma.simulate(system, 2.0, accuracy=1e-6, output_step=apart, state=start, certificate=False)
+        for apart in (output_step, 1e-3)
+    )
     turned = np.trapezoid(fine.relative_motion["arm"][:, 0], fine.time)
     assert run.relative_motion_labels == {"arm": ("turn z",)}
     assert run.relative_position["arm"][-1, 0] == pytest.approx(turned, abs=1e-3)
@@ -108,7 +110,7 @@ def test_contact_of_two_surfaces_is_found_again_all_around(sliding):
         at=(0.3, 0, 0),
         twist=(0, 0.5, 0, 0, 0, 0),
     )
-    run = ma.simulate(system, 2.0, accuracy=1e-8, output_step=0.1)
+    run = ma.simulate(system, 2.0, accuracy=1e-8, output_step=0.1, certificate=False)
     assert run.position_drift.max() < 1e-12
     for k in range(len(run)):
         evaluation = ma.evaluate(system, run.time[k], state_at(system, run, k))

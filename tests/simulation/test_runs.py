@@ -486,7 +486,9 @@ def test_arms_that_fall_into_a_singularity_are_reported():
     """A UR5 that drops a weight stretches its elbow sooner or later, or finishes: never NaN."""
     scene = ur5_pair({"kind": "weld"}, {"kind": "weld"})
     heavy = scene.replace(object=scene.object.model_copy(update={"mass": 500.0}))
-    trajectory = ma.simulate(ma.compile_system(heavy), duration=3.0, accuracy=1e-4)
+    trajectory = ma.simulate(
+        ma.compile_system(heavy), duration=3.0, accuracy=1e-4, certificate=False
+    )
     assert trajectory.status in ("completed", "failed")
     if trajectory.status == "failed":
         assert "t = " in trajectory.message

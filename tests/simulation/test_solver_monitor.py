@@ -232,7 +232,9 @@ def dome_on_table():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "settings", [{"accuracy": 1e-6}, {"integrator": "rk4", "step": 1e-3}], ids=["adaptive", "rk4"]
+    "settings",
+    [{"accuracy": 1e-6, "integrator": "dopri5"}, {"integrator": "rk4", "step": 1e-3}],
+    ids=["adaptive", "rk4"],
 )
 def test_constraints_that_contradict_each_other_end_the_run_with_what_to_do(settings):
     trajectory = ma.simulate(dome_on_table(), 0.3, output_step=1e-4, **settings)

@@ -75,15 +75,16 @@ class Case:
     arms: str
     runs: Mapping[str, Mapping[str, Any]]
 
+    def scene(self) -> ma.Scene:
+        if isinstance(self.source, Mapping):
+            return ma.Scene(folder=GOLDEN_SCENES.parent, **self.source)
+        if self.source in HARD_CASES:
+            return HARD_CASES[self.source].scene()
+        return ma.load_scene(SCENES / self.source)
+
     def system(self, arms: str | None = None) -> ma.System:
         """The scene, compiled."""
-        if isinstance(self.source, Mapping):
-            scene = ma.Scene(folder=GOLDEN_SCENES.parent, **self.source)
-        elif self.source in HARD_CASES:
-            scene = HARD_CASES[self.source].scene()
-        else:
-            scene = ma.load_scene(SCENES / self.source)
-        return ma.compile_system(scene, arms=arms or self.arms)
+        return ma.compile_system(self.scene(), arms=arms or self.arms)
 
 
 HARD_RUNS = {
