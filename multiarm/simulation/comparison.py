@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.dynamics.callbacks import NO_CONTROL
+from multiarm.dynamics.control_laws import NO_CONTROL
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
