@@ -149,12 +149,13 @@ class Functions(Numbers):
 
 
 class ModeStructs(Numbers):
-    """Addresses of further structs, of scenes with unilateral contacts."""
+    """Addresses of further structs, for the modes of unilateral contacts."""
 
+    active: Flag  # the rows are those of a mode; else there are none of these structs
     closed: Int  # with all contacts of the joints closed, as controllers assume
     full: Int  # with all rows
     tangents: Int  # with the tangents of the sliding contacts
-    mode: Int  # the mode's own numbers, slides and guards, see multiarm.events
+    mode: Int  # the mode's guards, numbers and slides, see multiarm.events
 
 
 class Variables(NamedTuple):

@@ -128,7 +128,7 @@ def right_hand_sides(address, size, alpha, beta):
 @inlined
 def command_torques(struct, model, data, work):
     """Let the control laws write ``data.torque``."""
-    if data.modes.closed != 0:  # a mode of unilateral contacts
+    if data.modes.active:
         control_of_closed(model, data)
     else:
         load_gravity_torque(data, work)

@@ -71,7 +71,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
         return None
     slopes[:] = 0.0
     differs = follows and not constants.control[:, 2].all()
-    if differs and model.control_derivative is not None and data.arrays.modes.closed == 0:
+    if differs and model.control_derivative is not None and not data.arrays.modes.active:
         by_law = model.control_derivative(data)
         if by_law is not None:
             slopes[:, : by_law.shape[1]], differs = by_law, False

@@ -359,7 +359,10 @@ class Data:
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         self._connect_rows()
-        self._connect_user_functions()
+        self._connect_control()
+        for kernel, effect in zip(model.effects.kernels, self.effects, strict=True):
+            if kernel.connect is not None:
+                self.callbacks.update(kernel.connect(self, effect.arrays))
         self.hold(None)
 
     def view(self, model: Model) -> Data:
@@ -380,7 +383,7 @@ class Data:
             other.arrays = arrays._replace(**rows)
             other._connect_rows()
         if model.python_control is not self.model.python_control:
-            other._connect_user_functions()
+            other._connect_control()
         if model.sampling != self.model.sampling:
             other.hold(None)
         return other
@@ -418,13 +421,10 @@ class Data:
         further += [law.struct for law in self.model.laws]
         return system_struct(self.model.constants, self.arrays, self.work, self.coupled, further)
 
-    def _connect_user_functions(self) -> None:
+    def _connect_control(self) -> None:
         if self.model.python_control is not None:
             control = self.model.python_control.connect(self.model.layout, self.arrays)
             self._add_callback("control", control)
-        for kernel, effect in zip(self.model.effects.kernels, self.effects, strict=True):
-            if kernel.connect is not None:
-                self.callbacks.update(kernel.connect(self, effect.arrays))
 
     def _add_callback(self, name: str, callback: GuardedCall) -> None:
         self.callbacks[name] = callback

@@ -114,8 +114,8 @@ def record_solution(address, size, _a, _b):
     status, arms = data.status, data.pointers.shape[0]
     status.residual = residual_of_all(model, data, work)
     solved = believable(struct, status.residual)
-    # only the node algorithm without friction can be repeated
-    repeatable = not model.dense and data.functions.solve == data.functions.project
+    # modes have solutions of their own
+    repeatable = not (model.dense or data.modes.active)
     if not solved and repeatable and coupled.status.arms < arms:
         if solve_again(struct) != OK:
             status.imbalance = math.nan

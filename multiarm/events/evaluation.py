@@ -26,7 +26,7 @@ from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.event_detection import touching_constraints
 from multiarm.events.kernels import start_guards
-from multiarm.events.modes import STATE_NAMES, Mode, Modes
+from multiarm.events.modes import Mode, Modes
 from multiarm.events.transition import Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
@@ -107,7 +107,7 @@ def evaluate_mode(data: Data, mode: Mode, t: float, state: State) -> Evaluation:
     doing: dict[str, list[str]] = {}
     for constraint, does in zip(unilateral.constraints, mode.choice.states, strict=True):
         if constraint.kind == CONTACT:
-            doing.setdefault(constraint.arm, []).append(STATE_NAMES[does])
+            doing.setdefault(constraint.arm, []).append(does.word)
     of_joints = forces[list(unilateral.model)]
     return replace(
         own,

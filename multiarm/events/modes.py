@@ -12,9 +12,7 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
-from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
-from multiarm.events.guards import (
+from multiarm.dynamics.guards import (
     CONE_GUARD,
     GAP_GUARD,
     HOLD_GUARD,
@@ -28,6 +26,8 @@ from multiarm.events.guards import (
     SPRING_GUARD,
     Guards,
 )
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -39,15 +39,7 @@ from multiarm.events.kernels import (
 )
 from multiarm.events.sliding import Slides
 from multiarm.jit.pointers import address_of
-from multiarm.results.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
-
-# States in addition to those that are recorded (:mod:`multiarm.results.channels`): joints that move
-# against dry friction; contacts whose friction is at its bound, which others keep from slipping.
-FORWARD, BACKWARD, AT_BOUND = 5, 6, 7
-STATE_NAMES = {
-    OPEN: "open", TOUCHING: "touching", SLIDING: "sliding", STICKING: "sticking",
-    RESTING: "resting", FORWARD: "moving", BACKWARD: "moving", AT_BOUND: "sticking",
-}  # fmt: skip
+from multiarm.results.channels import ContactState
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
 # speeds [m/s, rad/s], and forces as a part of the largest one.
@@ -60,7 +52,7 @@ DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 
 
 class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.events.guards`."""
+    """A guard of one constraint, see :mod:`multiarm.dynamics.guards`."""
 
     kind: int
     watched: int
@@ -76,8 +68,8 @@ class Choice:
 
     Attributes
     ----------
-    states : tuple of int
-        By constraint, ``OPEN`` to ``AT_BOUND``.
+    states : tuple of ContactState
+        By constraint.
     rows : tuple of int
         Their held rows, increasing.
     pulling : frozenset of int
@@ -87,7 +79,7 @@ class Choice:
         Open constraints off their patch, or below it, see :mod:`multiarm.events.event_detection`.
     """
 
-    states: tuple[int, ...]
+    states: tuple[ContactState, ...]
     rows: tuple[int, ...]
     pulling: frozenset[int] = frozenset()
     off_patch: frozenset[int] = frozenset()
@@ -102,7 +94,7 @@ class Choice:
         return [
             u
             for u, constraint in enumerate(constraints)
-            if self.states[u] in (SLIDING, AT_BOUND)
+            if self.states[u] in (ContactState.SLIDING, ContactState.AT_BOUND)
             and constraint.row in self.rows
             and constraint.tangents
         ]
@@ -155,7 +147,7 @@ class Modes:
         self._nothing = _select(full, [])
         self._made: dict[Choice, Mode] = {}
         everything_open = tuple(
-            FORWARD if constraint.kind == DRY_JOINT else OPEN
+            ContactState.FORWARD if constraint.kind == DRY_JOINT else ContactState.OPEN
             for constraint in self.unilateral.constraints
         )
         self._open = Choice(everything_open, ())
@@ -182,7 +174,6 @@ class Modes:
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
             mode.slides.direction[s] = directions[u]
         mode.guards.armed[:] = 0
-        mode.guards.least[:] = np.inf
         mode.arrays.numbers.muted = mode.arrays.numbers.stressed = False
         set_constraint_forces(self.full, choice)
         return mode
@@ -199,6 +190,7 @@ class Modes:
         reactions = _reactions(held) if sliding else None
         struct = mode_struct(arrays, slides, guards, reactions)
         structs = ModeStructs(
+            active=True,
             closed=self.closed.struct.ctypes.data,
             full=full.struct.ctypes.data,
             tangents=sideways.struct.ctypes.data,
@@ -222,7 +214,7 @@ class Modes:
             "contact_friction" if "contact_friction" in effects.works else "impacts"
         )
         states = [
-            STICKING if state == AT_BOUND else state
+            state.recorded
             for state, constraint in zip(choice.states, constraints, strict=True)
             if constraint.kind == CONTACT
         ]
@@ -260,10 +252,10 @@ class Modes:
             patch = patch_of(self.full.model, constraint)
             of_constraint = _guards(u, constraint, choice, place, sliding, self.slow)
             if constraint.compliant:
-                sign, row, lag = (
-                    1 if choice.states[u] == OPEN else -1, constraint.row, constraint.lag,
-                )  # fmt: skip
-                of_constraint = [Guard(SPRING_GUARD, row, lag, GAP_THRESHOLD, sign=sign)]
+                sign = 1 if choice.states[u] == ContactState.OPEN else -1
+                of_constraint = [
+                    Guard(SPRING_GUARD, constraint.row, constraint.lag, GAP_THRESHOLD, sign=sign)
+                ]
             elif patch is not None:
                 of_constraint = _patch_guards(u, constraint, choice, of_constraint)
             guards += of_constraint
@@ -318,9 +310,9 @@ def set_constraint_forces(full: Data, choice: Choice) -> None:
         if constraint.compliant:
             assert unilateral.compliant is not None, "a compliant contact is a spring"
             active = full.effect(COMPLIANCE).active
-            active[unilateral.compliant.number(constraint.row)] = state != OPEN
-        if constraint.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
-            torque = -constraint.bound if state == FORWARD else constraint.bound
+            active[unilateral.compliant.number(constraint.row)] = state != ContactState.OPEN
+        if constraint.kind == DRY_JOINT and state.moves:
+            torque = -constraint.bound if state == ContactState.FORWARD else constraint.bound
             full.effect(DRY_FRICTION).torque[constraint.joint] = torque
 
 
@@ -347,25 +339,27 @@ def _guards(
     state = choice.states[u]
     row = place.get(constraint.row, -1)
     if constraint.kind == DRY_JOINT:
-        if state in (FORWARD, BACKWARD):
-            sign = 1.0 if state == FORWARD else -1.0
+        if state.moves:
+            sign = 1.0 if state == ContactState.FORWARD else -1.0
             return [Guard(RATE_GUARD, constraint.joint, sign, still)]
         limit = FORCE_THRESHOLD * constraint.bound
         return [Guard(HOLD_GUARD, row, constraint.bound, limit)] if row >= 0 else []
-    if state == OPEN:
+    if state == ContactState.OPEN:
         return [Guard(GAP_GUARD, constraint.row, threshold=GAP_THRESHOLD)]
     if row < 0:
         return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
     side, guards = choice.side(u), []
     if not constraint.bilateral or u in sliding:
         guards.append(Guard(PUSH_GUARD, row, side, FORCE_THRESHOLD))
-    if state == STICKING:
+    if state == ContactState.STICKING:
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
             mu = side * constraint.mu
             guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, (tangents[0], tangents[1])))
     resting = constraint.bilateral and u not in sliding
-    if state == AT_BOUND or (resting and not all(t in place for t in constraint.tangents)):
+    if state == ContactState.AT_BOUND or (
+        resting and not all(t in place for t in constraint.tangents)
+    ):
         guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
     elif u in sliding:
         guards.append(Guard(SLIP_GUARD, sliding.index(u), threshold=still))

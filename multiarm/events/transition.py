@@ -41,20 +41,12 @@ from multiarm.events.complementarity import (
 )
 from multiarm.events.event_detection import below_patch_constraints
 from multiarm.events.modes import (
-    AT_BOUND,
-    BACKWARD,
-    FORWARD,
-    OPEN,
-    RESTING,
-    SLIDING,
-    STATE_NAMES,
-    STICKING,
-    TOUCHING,
     Choice,
     Modes,
     set_constraint_forces,
 )
 from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
+from multiarm.results.channels import ContactState
 
 # Accelerations below this are rounding errors [m/s^2, rad/s^2].
 NO_ACCELERATION = 1e-10
@@ -65,15 +57,15 @@ NO_SIDES = (
 )
 
 _STATES = {
-    ContactMode.OPEN: OPEN,
-    ContactMode.RESTING: RESTING,
-    ContactMode.CLOSED: TOUCHING,
-    ContactMode.STICKING: STICKING,
-    ContactMode.SLIDING: SLIDING,
-    ContactMode.LIMIT: AT_BOUND,
-    ContactMode.HOLDING: STICKING,
-    ContactMode.AT_LOWER: FORWARD,
-    ContactMode.AT_UPPER: BACKWARD,
+    ContactMode.OPEN: ContactState.OPEN,
+    ContactMode.RESTING: ContactState.RESTING,
+    ContactMode.CLOSED: ContactState.TOUCHING,
+    ContactMode.STICKING: ContactState.STICKING,
+    ContactMode.SLIDING: ContactState.SLIDING,
+    ContactMode.LIMIT: ContactState.AT_BOUND,
+    ContactMode.HOLDING: ContactState.STICKING,
+    ContactMode.AT_LOWER: ContactState.FORWARD,
+    ContactMode.AT_UPPER: ContactState.BACKWARD,
 }
 
 
@@ -267,23 +259,26 @@ class Transition:
     def _contact_modes(self) -> tuple[Choice, dict[int, np.ndarray], dict[int, float], str]:
         """Next mode, directions of slip, forces, and why there are none."""
         constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
-        states = [OPEN] * len(constraints)
+        states = [ContactState.OPEN] * len(constraints)
         involved, slips = [], {}
         for u, constraint in enumerate(constraints):
             still = max(rest, self._at_rest.get(u, 0.0))
             if constraint.kind == DRY_JOINT:
                 if abs(rates[constraint.row]) <= still:
                     involved.append(u)
-                states[u] = FORWARD if rates[constraint.row] > 0.0 else BACKWARD
+                forward = rates[constraint.row] > 0.0
+                states[u] = ContactState.FORWARD if forward else ContactState.BACKWARD
             elif constraint.compliant:
-                states[u] = TOUCHING if u in self._pressed else OPEN
+                states[u] = ContactState.TOUCHING if u in self._pressed else ContactState.OPEN
             elif constraint.bilateral or (u in self._touching and rates[constraint.row] <= rest):
                 involved.append(u)
                 slip = rates[list(constraint.tangents)]
                 speed = float(np.linalg.norm(slip))
                 if constraint.tangents and speed > still:
                     slips[u] = slip / speed
-        moving = tuple(OPEN if u in involved else state for u, state in enumerate(states))
+        moving = tuple(
+            ContactState.OPEN if u in involved else state for u, state in enumerate(states)
+        )
         set_constraint_forces(self._modes.full, Choice(moving, ()))
         if not involved:
             return self._choice(states, (), frozenset()), {}, {}, ""
@@ -296,17 +291,17 @@ class Transition:
         self._residual = max(self._residual, solution.residual)
         directions = dict(slips)
         for k, u in enumerate(involved):
-            states[u] = TOUCHING if u in kept else _STATES[solution.modes[k]]
-            if states[u] in (SLIDING, AT_BOUND) and u not in directions:
+            states[u] = ContactState.TOUCHING if u in kept else _STATES[solution.modes[k]]
+            if states[u] in (ContactState.SLIDING, ContactState.AT_BOUND) and u not in directions:
                 directions[u] = solution.directions[k]
         closed = {at[constraints[u].row] for u in involved if constraints[u].bilateral}
         closed |= set(solution.active_rows)
         for u in involved:
-            if states[u] == AT_BOUND:
+            if states[u] == ContactState.AT_BOUND:
                 slip = np.zeros(len(response))
                 slip[[at[t] for t in constraints[u].tangents]] = directions[u]
                 if can_move(response, slip, sorted(closed)):
-                    states[u] = SLIDING
+                    states[u] = ContactState.SLIDING
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
         active = [
             k
@@ -321,7 +316,9 @@ class Transition:
         choice = self._choice(states, held, pulling)
         return choice, directions, forces, _trouble(solution, normal)
 
-    def _choice(self, states: list[int], held: tuple[int, ...], pulling: frozenset[int]) -> Choice:
+    def _choice(
+        self, states: list[ContactState], held: tuple[int, ...], pulling: frozenset[int]
+    ) -> Choice:
         others = self._off_patch.union(self._touching)
         below = below_patch_constraints(self._modes.full, others)
         return Choice(tuple(states), held, pulling, self._off_patch, below)
@@ -349,7 +346,7 @@ class Transition:
         self,
         involved: list[int],
         at: dict[int, int],
-        states: list[int],
+        states: list[ContactState],
         directions: dict[int, np.ndarray],
         held: list[int],
         solution: Solution,
@@ -361,7 +358,8 @@ class Transition:
         """
         for u in involved:
             constraint = self._constraints[u]
-            if not constraint.bilateral or states[u] not in (OPEN, RESTING):
+            unloaded = states[u] in (ContactState.OPEN, ContactState.RESTING)
+            if not (constraint.bilateral and unloaded):
                 continue
             normal = at[constraint.row]
             if not can_move(response, np.eye(len(response))[normal], held):
@@ -371,13 +369,13 @@ class Transition:
             size = float(np.linalg.norm(slip))
             if u not in directions and size > NO_ACCELERATION:
                 directions[u] = slip / size
-            states[u] = SLIDING if u in directions else TOUCHING
+            states[u] = ContactState.SLIDING if u in directions else ContactState.TOUCHING
 
     def _drop_unloaded(
         self,
         involved: list[int],
         rows: list[int],
-        states: list[int],
+        states: list[ContactState],
         solution: Solution,
         response: np.ndarray,
     ) -> set[int]:
@@ -393,7 +391,7 @@ class Transition:
             for u in involved
             if self._constraints[u].kind != DRY_JOINT
             and not self._constraints[u].bilateral
-            and states[u] != OPEN
+            and states[u] != ContactState.OPEN
             and solution.forces[at[self._constraints[u].row]] <= none
         ]
         if not self._unloaded & set(released):
@@ -404,7 +402,8 @@ class Transition:
         for u in released:
             held = [k for k in solution.active_rows if k not in dropped]
             normal = np.eye(len(response))[at[self._constraints[u].row]]
-            states[u] = OPEN if can_move(response, normal, held) else RESTING
+            opens = can_move(response, normal, held)
+            states[u] = ContactState.OPEN if opens else ContactState.RESTING
         return dropped
 
     def _solve(
@@ -551,29 +550,36 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
 # --- event text -----------------------------------------------------------------------------------
 
 
-def _kind(constraint: Constraint, was: int, now: int, hit: Hit | None, rested: bool) -> str:
+def _kind(
+    constraint: Constraint, was: ContactState, now: ContactState, hit: Hit | None, rested: bool
+) -> str:
     """The kind of event of a constraint; empty for none."""
     if constraint.kind == DRY_JOINT:
-        moved, moves = was in (FORWARD, BACKWARD), now in (FORWARD, BACKWARD)
-        return "" if moved == moves else "joint slips" if moves else "joint sticks"
-    if hit is not None and now == OPEN:
+        return "" if was.moves == now.moves else "joint slips" if now.moves else "joint sticks"
+    if hit is not None and now == ContactState.OPEN:
         return "bounces"
     if rested:
         return "comes to rest"
-    if (was == OPEN) != (now == OPEN):
+    if (was == ContactState.OPEN) != (now == ContactState.OPEN):
         if constraint.kind == LIMIT:
-            return "leaves its limit" if now == OPEN else "reaches its limit"
-        return "lets go" if now == OPEN else "touches"
+            return "leaves its limit" if now == ContactState.OPEN else "reaches its limit"
+        return "lets go" if now == ContactState.OPEN else "touches"
     if hit is not None:
         return "touches"
-    was, now = (STICKING if state == AT_BOUND else state for state in (was, now))
-    if was in (SLIDING, STICKING) and now in (SLIDING, STICKING) and was != now:
-        return "slides" if now == SLIDING else "sticks"
+    was, now = was.recorded, now.recorded
+    if {was, now} == {ContactState.SLIDING, ContactState.STICKING}:
+        return "slides" if now == ContactState.SLIDING else "sticks"
     return ""
 
 
 def _event(
-    modes: Modes, t: float, constraint: Constraint, kind: str, was: int, now: int, hit: Hit | None
+    modes: Modes,
+    t: float,
+    constraint: Constraint,
+    kind: str,
+    was: ContactState,
+    now: ContactState,
+    hit: Hit | None,
 ) -> dict[str, Any]:
     what = (
         constraint.name
@@ -585,8 +591,8 @@ def _event(
         "kind": kind,
         "arm": constraint.arm,
         "contact" if constraint.kind == CONTACT else "joint": what,
-        "before": {"state": STATE_NAMES[was]},
-        "after": {"state": STATE_NAMES[now]},
+        "before": {"state": was.word},
+        "after": {"state": now.word},
         "text": f"{constraint.arm}: {what} {_verb(modes, constraint, kind)}",
     }
     if constraint.kind == CONTACT:

@@ -209,7 +209,7 @@ def acts_locally(step):
     if not model.local_effects or (controlled and model.control_reach > CARRYING):
         return False
     # modes have solutions of their own, and projected stages depend on all arms
-    plain = data.functions.solve == data.functions.project and not model.dense
+    plain = not (model.dense or data.modes.active)
     return plain and step.stage.gap < 0.0
 
 

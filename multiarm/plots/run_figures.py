@@ -28,7 +28,7 @@ from multiarm.plots.style import (
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import CONTACT_STATES, channels_of
+from multiarm.results.channels import ContactState, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
 from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
@@ -296,7 +296,7 @@ def _dress(axes: Axes, names: list[str], left_out: int) -> None:
 
 
 def _add_legend(axes: Axes, used: set[int]) -> None:
-    keys = [Patch(**_style(code), label=CONTACT_STATES[code]) for code in sorted(used)]
+    keys = [Patch(**_style(code), label=ContactState(code).word) for code in sorted(used)]
     if keys:
         axes.legend(
             handles=keys, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(keys),

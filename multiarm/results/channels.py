@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
@@ -23,9 +24,41 @@ Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
 FLOOR = "floor"
 """In place of an arm: contacts of the object with its surroundings."""
-CONTACT_STATES = ("open", "touching", "sliding", "sticking", "resting")
-"""Of a contact, by its code in a channel; resting: it touches, but other contacts carry."""
-OPEN, TOUCHING, SLIDING, STICKING, RESTING = range(len(CONTACT_STATES))
+
+
+class ContactState(IntEnum):
+    """What a contact does, by its code in a channel.
+
+    The last three are not recorded: two are of joints with dry friction.
+    """
+
+    OPEN = 0
+    TOUCHING = 1
+    SLIDING = 2
+    STICKING = 3
+    RESTING = 4  # it touches, but other contacts carry
+    FORWARD = 5  # a joint that moves against its dry friction
+    BACKWARD = 6
+    AT_BOUND = 7  # friction is at its bound, and others keep the contact from slipping
+
+    @property
+    def moves(self) -> bool:
+        """Whether a joint moves against its dry friction."""
+        return self in (ContactState.FORWARD, ContactState.BACKWARD)
+
+    @property
+    def recorded(self) -> ContactState:
+        """The state in channels and events."""
+        return ContactState.STICKING if self is ContactState.AT_BOUND else self
+
+    @property
+    def word(self) -> str:
+        """The state in words."""
+        return "moving" if self.moves else self.recorded.name.lower()
+
+
+RECORDED_STATES = tuple(state for state in ContactState if state <= ContactState.RESTING)
+"""The states of contacts in channels, by their codes."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +262,7 @@ def _contact_channels(
         )
     ]  # fmt: skip
     if with_states:
-        codes = ", ".join(f"{code} {state}" for code, state in enumerate(CONTACT_STATES))
+        codes = ", ".join(f"{state.value} {state.word}" for state in RECORDED_STATES)
         shape, labels = (len(with_states),), tuple(with_states)
         channels.append(Channel(f"{path}/contact_state", shape, "1", "", codes, labels))
     return channels

@@ -51,9 +51,9 @@ STATE_SIGNS = (
     "\N{BLACK SQUARE}",
     "\N{WHITE CIRCLE}",
 )
-"""Of contacts, by the codes of `channels.CONTACT_STATES`."""
+"""Of contacts, by the codes of `channels.ContactState`."""
 STATE_COLOURS = ("#8a94a0", "#3b7dd8", "#d07c1e", "#8a5fc4", "#2f9e67")
-"""Of contacts, by the codes of `channels.CONTACT_STATES`."""
+"""Of contacts, by the codes of `channels.ContactState`."""
 
 
 @dataclass(frozen=True)

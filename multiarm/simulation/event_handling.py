@@ -19,6 +19,7 @@ from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -31,7 +32,6 @@ from multiarm.events.event_detection import (
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
 from multiarm.events.kernels import start_guards
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
@@ -39,6 +39,7 @@ from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import gains
+from multiarm.results.channels import ContactState
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance, set_tolerance
 
@@ -138,7 +139,6 @@ class EventHandler:
         struct = run.data.struct
         probe = GuardValues(struct, run.stepping.struct, self.mode, begin, end)
         theta, changed = first_event(probe, guards.result.copy(), guards.threshold)
-        guards.least[:] = np.inf
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted
             return ""
@@ -252,7 +252,9 @@ class EventHandler:
         closed = {
             u
             for u, constraint in enumerate(constraints)
-            if choice.states[u] != 0 and constraint.kind != DRY_JOINT and not constraint.compliant
+            if choice.states[u] != ContactState.OPEN
+            and constraint.kind != DRY_JOINT
+            and not constraint.compliant
         }
         pressed = pressed_constraints(self.modes, choice, closing)
         closing = {

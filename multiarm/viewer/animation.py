@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multiarm.results.channels import OPEN
+from multiarm.results.channels import ContactState
 from multiarm.results.event_log import Event, Family
 from multiarm.viewer.mesh import Mesh
 
@@ -41,7 +41,7 @@ class ContactTracks:
     point: np.ndarray  # world position [m], shape (K, N, 3)
     normal: np.ndarray  # unit vector into the object, world axes, shape (K, N, 3)
     force: np.ndarray  # along the normal [N], shape (K, N); positive pushes the object
-    # codes of `channels.CONTACT_STATES`, shape (K, N); absent for permanent contacts
+    # codes of `channels.ContactState`, shape (K, N); absent for permanent contacts
     state: np.ndarray | None = None
     names: tuple[str, ...] = ()  # as in events
     # True for a row of friction at another contact's point: an arrow without a mark
@@ -123,7 +123,9 @@ class Animation:
         """Return forces over `force_scale`, shape (K, N), within -1..1; 0 for an open contact."""
         scale = self.force_scale
         lengths = np.clip(contacts.force / scale, -1, 1) if scale else 0 * contacts.force
-        return lengths if contacts.state is None else np.where(contacts.state == OPEN, 0.0, lengths)
+        if contacts.state is None:
+            return lengths
+        return np.where(contacts.state == ContactState.OPEN, 0.0, lengths)
 
     def extent(self) -> np.ndarray:
         """Return points whose hull holds every body and contact at every frame, shape (P, 3)."""

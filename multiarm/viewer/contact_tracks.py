@@ -27,7 +27,7 @@ from multiarm.geometry.records import (
     Surface,
 )
 from multiarm.geometry.smooth_surfaces import ParametricSurface
-from multiarm.results.channels import OPEN, TOUCHING, channels_of
+from multiarm.results.channels import ContactState, channels_of
 from multiarm.results.event_log import Event, family_of, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
 from multiarm.viewer.mesh import Mesh, revolve
@@ -96,7 +96,7 @@ def row_states(
     if not labels:
         return None
     states = trajectory.contact_states[owner][rows]
-    codes = np.full((len(rows), len(records)), TOUCHING)
+    codes = np.full((len(rows), len(records)), ContactState.TOUCHING)
     for k, record in enumerate(records):
         name = record.parent if record.tangent else record.name
         if name in labels:
@@ -183,7 +183,9 @@ def surface_bodies(
             mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
             if mesh is None:
                 continue
-            met = None if states is None else (states[:, on_surface] != OPEN).any(axis=1)
+            met = None
+            if states is not None:
+                met = (states[:, on_surface] != ContactState.OPEN).any(axis=1)
             path = f"surfaces/{name}/{k + 1}_{side}"
             bodies.append(Body(path, mesh, *poses[side], colors[name], SURFACE_OPACITY, met))
     return bodies

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.results.channels import CONTACT_STATES, OPEN, RESTING, SLIDING, STICKING, TOUCHING
+from multiarm.results.channels import ContactState
 from multiarm.results.event_log import FAMILIES, LOST, MADE, STATE_COLOURS, Family
 from multiarm.viewer import commands
 from multiarm.viewer.animation import (
@@ -87,22 +87,24 @@ class Marks:
     def _marks(self, contacts: ContactTracks) -> dict[int, dict[str, Any]]:
         """Return the mark of each state, by its code."""
         dot = self._dot.painted(0.75 * contacts.color)
-        parts = {TOUCHING: [], **{state: [shape] for state, shape in self._states.items()}}
+        parts = {state: [shape] for state, shape in self._states.items()}
+        parts[ContactState.TOUCHING] = []
         marks = {}
         for state, extra in parts.items():
-            mark = merge([dot, *([] if state == RESTING else [self._needle]), *extra])
+            mark = merge([dot, *([] if state == ContactState.RESTING else [self._needle]), *extra])
             marks[state] = seen_through(mark, np.ones(3))
-        open_mark = self._states[RESTING].painted(np.ones(3))
-        marks[OPEN] = commands.mesh_object(open_mark, commands.ghost(contacts.color, FAINT))
+        open_mark = self._states[ContactState.RESTING].painted(np.ones(3))
+        faint = commands.ghost(contacts.color, FAINT)
+        marks[ContactState.OPEN] = commands.mesh_object(open_mark, faint)
         return marks
 
 
 def _state_shapes(dot: float) -> dict[int, Mesh]:
     """Return the shapes around a dot of some radius [m] for each state, in the state's colour."""
     shapes = {
-        SLIDING: ring(2.0 * dot, 3.0 * dot, 0.35 * dot),
-        STICKING: box([4.4 * dot, 4.4 * dot, 0.7 * dot]),
-        RESTING: ring(1.5 * dot, 1.9 * dot, 0.35 * dot),
+        ContactState.SLIDING: ring(2.0 * dot, 3.0 * dot, 0.35 * dot),
+        ContactState.STICKING: box([4.4 * dot, 4.4 * dot, 0.7 * dot]),
+        ContactState.RESTING: ring(1.5 * dot, 1.9 * dot, 0.35 * dot),
     }
     return {
         state: shape.painted(commands.rgb(STATE_COLOURS[state])) for state, shape in shapes.items()
@@ -120,10 +122,10 @@ def _draw_mark(
 ) -> None:
     """Draw one mark for each state that occurs in ``states``, codes of shape (K,)."""
     if states is None:
-        script.put(path, marks[TOUCHING])
+        script.put(path, marks[ContactState.TOUCHING])
         return
     for code in np.unique(states):
-        script.put(f"{path}/{CONTACT_STATES[code]}", marks[int(code)], states == code)
+        script.put(f"{path}/{ContactState(code).word}", marks[int(code)], states == code)
 
 
 def arrow(length: float, head: float, radius: float) -> Mesh:

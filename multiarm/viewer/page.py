@@ -25,7 +25,7 @@ import numpy as np
 from multiarm.errors import ReplayError
 from multiarm.notation import count_of
 from multiarm.reports import pages
-from multiarm.results.channels import CONTACT_STATES
+from multiarm.results.channels import ContactState
 from multiarm.results.event_log import (
     FAMILIES,
     STATE_COLOURS,
@@ -99,7 +99,7 @@ def _states(animation: Animation) -> list[list[str]]:
     codes = {
         int(code) for c in animation.contacts if c.state is not None for code in set(c.state.flat)
     }
-    return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(codes)]
+    return [[ContactState(k).word, STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(codes)]
 
 
 def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from multiarm.notation import number
 from multiarm.plots.panels import DISTINCT
 from multiarm.plots.run_figures import MOST_ROWS, spans
 from multiarm.reports.report import SHOWN_EVENTS, render
-from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
+from multiarm.results.channels import RECORDED_STATES, ContactState, trajectory_channels
 from multiarm.results.event_log import (
     FAMILIES,
     OTHER,
@@ -74,8 +74,10 @@ def eventful(events=(), channels=FULL, sink=None, step=0.01, **outcome):
     sink, block = sink or MemorySink(), samples(step=step)
     late = (block["time"] >= 2.0)[:, None]
     added = {
-        "arms/right/contact_state": np.where(late, OPEN, [[1, 2, 3]]),
-        "environment/contact_state": np.where(block["time"][:, None] >= 3.0, SLIDING, [[3, 4]]),
+        "arms/right/contact_state": np.where(late, ContactState.OPEN, [[1, 2, 3]]),
+        "environment/contact_state": np.where(
+            block["time"][:, None] >= 3.0, ContactState.SLIDING, [[3, 4]]
+        ),
         "environment/contact_force": np.where(late, 70.0, [[20.0, -5.0]]),
         "environment/wrench": np.where(late, 0.0, [[0.0, 0.0, 15.0, 1.0, 0.0, 0.0]]),
         "effects/joint_damping/work": -2.0 * block["time"],
@@ -110,7 +112,7 @@ def test_states_and_floor_have_channels_with_the_names_of_the_contacts():
     assert added["environment/contact_force"].unit == "N"
     assert added["arms/right/contact_state"].labels == tuple(CONTACTS["right"])
     described = added["environment/contact_state"].description
-    assert all(f"{code} {name}" in described for code, name in enumerate(CONTACT_STATES))
+    assert all(f"{state.value} {state.word}" in described for state in RECORDED_STATES)
 
 
 def test_trajectory_has_the_floor_beside_the_arms(tmp_path):
@@ -122,7 +124,7 @@ def test_trajectory_has_the_floor_beside_the_arms(tmp_path):
     assert len(run.contact_states) == 3
     assert run.contact_states["left"].shape == (len(run), 0)
     assert run.contact_states["right"][0].tolist() == [1, 2, 3]
-    assert run.contact_states["floor"][-1].tolist() == [SLIDING, SLIDING]
+    assert run.contact_states["floor"][-1].tolist() == [ContactState.SLIDING, ContactState.SLIDING]
     assert run.contact_forces["floor"][0].tolist() == [20.0, -5.0]
     summary = run.summary()
     assert summary["contact_force_max_N"]["floor"] == 70.0
@@ -329,20 +331,20 @@ def test_strip_has_a_row_for_each_contact_that_has_states():
         (3, 0, 3), (3, 3, 6), (4, 0, 3), (4, 3, 6),
     }  # fmt: skip
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert legend == list(CONTACT_STATES)
+    assert legend == [state.word for state in RECORDED_STATES]
 
 
 def test_bars_of_states_differ_in_shape_too():
     axes = plots.contact_states(eventful()).axes[0]
     handles = axes.get_legend().get_patches()
     looks = {(h.get_facecolor(), h.get_hatch()) for h in handles}
-    assert len(looks) == len(CONTACT_STATES)
+    assert len(looks) == len(RECORDED_STATES)
     heights = {}
     for collection in axes.collections:
         (path, *_) = collection.get_paths()
         look = (round(np.ptp(path.vertices[:, 1]), 3), collection.get_hatch())
         heights.setdefault(tuple(collection.get_edgecolor()[0]), set()).add(look)
-    assert len({min(looks, key=str) for looks in heights.values()}) == len(CONTACT_STATES)
+    assert len({min(looks, key=str) for looks in heights.values()}) == len(RECORDED_STATES)
 
 
 def test_strip_of_very_many_contacts_says_how_many_are_left_out():
@@ -351,7 +353,9 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     channels = trajectory_channels(JOINTS, CONTACTS, states=states, environment=corners)
     sink, block = MemorySink(), samples(step=0.1)
     for name in ("contact_state", "contact_force"):
-        block[f"environment/{name}"] = np.full((len(block["time"]), len(corners)), STICKING)
+        block[f"environment/{name}"] = np.full(
+            (len(block["time"]), len(corners)), ContactState.STICKING
+        )
     block["environment/wrench"] = np.zeros((len(block["time"]), 6))
     sink.open(channels, {"scene": SCENE})
     sink.append(rows_of(channels, block))
@@ -370,7 +374,7 @@ def test_there_is_no_strip_without_states():
 def test_a_state_of_one_sample_in_a_long_run_is_seen():
     run = eventful(step=6.0 / 40_000)
     codes = run.contact_states["floor"].copy()
-    codes[17_001, 0] = OPEN
+    codes[17_001, 0] = ContactState.OPEN
     sink = MemorySink()
     sink.open(FULL, {"scene": SCENE})
     block = {name: run.read(name) for name in run.channels}

@@ -21,7 +21,7 @@ from mechanics import state_at, two_arm_block, ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.results.channels import SLIDING
+from multiarm.results.channels import ContactState
 
 STEP = 5e-4  # [s] between samples
 ACCURACY = 1e-10
@@ -133,7 +133,7 @@ def _product(p, q):
 def test_a_sliding_box_is_carried_and_braked_by_the_floor():
     system = ma.compile_system(sliding())
     run = ma.simulate(system, 0.02, accuracy=1e-8, certificate=False)
-    assert np.all((run.contact_states["floor"] == SLIDING).sum(axis=1) == 4)
+    assert np.all((run.contact_states["floor"] == ContactState.SLIDING).sum(axis=1) == 4)
     weight = 2.0 * GRAVITY
     np.testing.assert_allclose(run.wrenches["floor"][:, 2], weight, rtol=1e-9)
     drag = np.linalg.norm(run.wrenches["floor"][:, :2], axis=1)

@@ -11,14 +11,7 @@ from replay_pages import SCENE, SEEK, opened
 from sample_run import rows_of
 
 import multiarm as ma
-from multiarm.results.channels import (
-    OPEN,
-    RESTING,
-    SLIDING,
-    STICKING,
-    TOUCHING,
-    Channel,
-)
+from multiarm.results.channels import Channel, ContactState
 from multiarm.results.event_log import LOST, MADE, SLIP, family_of
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
@@ -31,6 +24,7 @@ from multiarm.viewer.drawing import draw
 from multiarm.viewer.glyphs import AT_ONCE, DURATION, LEAST, event_tracks
 from multiarm.viewer.page import MOST_ROWS, MOST_TICKS, time_line
 
+RIGHT = ("SLIDING", "STICKING", "RESTING", "TOUCHING", "OPEN", "TOUCHING")
 OPENS, CLOSES = 0.2, 0.3  # [s]: the left contact is away in between
 WHERE = (-0.6, 0.1, 0.9)
 SIZE = """(path) => {
@@ -71,8 +65,8 @@ def with_states(plain, events):
     labels = {arm: plain.channels[f"arms/{arm}/contact_force"].labels for arm in plain.arm_names}
     away = (time >= OPENS) & (time < CLOSES)
     states = {
-        "left": np.where(away, OPEN, TOUCHING)[:, None],
-        "right": np.tile([SLIDING, STICKING, RESTING, TOUCHING, OPEN, TOUCHING], (len(time), 1)),
+        "left": np.where(away, ContactState.OPEN, ContactState.TOUCHING)[:, None],
+        "right": np.tile([ContactState[name] for name in RIGHT], (len(time), 1)),
     }
     added = [
         Channel(f"arms/{arm}/contact_state", (len(labels[arm]),), labels=labels[arm])
@@ -164,7 +158,7 @@ def test_corners_above_a_floor_are_where_the_object_has_them(above_a_floor):
     floor = animation.contacts[-1]
     assert [contacts.arm for contacts in animation.contacts] == ["left", "right", "floor"]
     assert floor.friction == (False, True, True) * 8
-    assert set(floor.state.flat) == {OPEN}
+    assert set(floor.state.flat) == {ContactState.OPEN}
     corners = animation.bodies[0].mesh.bounds()
     R = rotations(above_a_floor.object_quaternion_xyzw[-1:])[0]
     expected = corners @ R.T + above_a_floor.object_position[-1]
@@ -205,10 +199,10 @@ def test_a_contact_with_a_comma_in_its_name_has_no_state_of_another():
     )
     channel = Channel("arms/left/contact_state", (1,), labels=("finger",))
     run = SimpleNamespace(
-        channels={channel.name: channel}, contact_states={"left": np.array([[OPEN]])}
+        channels={channel.name: channel}, contact_states={"left": np.array([[ContactState.OPEN]])}
     )
     states = row_states(run, "left", joint.records(), np.array([0]))
-    assert states.tolist() == [[OPEN, TOUCHING, TOUCHING, TOUCHING]]
+    assert states.tolist() == [[ContactState.OPEN] + 3 * [ContactState.TOUCHING]]
 
 
 # Flashes
