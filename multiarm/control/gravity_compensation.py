@@ -29,10 +29,10 @@ from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.equation_derivatives import differentiate_holding, equation_work
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces, subtract_contact_forces
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.scene.control import GravityCompensationControl
@@ -94,7 +94,7 @@ def holding_derivatives(data: Data) -> np.ndarray | None:
     forces = rates + W_o @ of_twist
     for i, (d0, d1) in enumerate(pairwise(layout.dofs)):
         rows = slice(*layout.rows[i : i + 2])
-        W = data.work.Y[i, : d1 - d0, : rows.stop - rows.start]
+        W = data.work.W[i, : d1 - d0, : rows.stop - rows.start]
         torques[d0:d1] -= W @ forces[rows]
     return torques
 
@@ -119,8 +119,7 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     state = start.copy()
     state.velocity[:] = 0.0
     data.set_state(0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     b.gravity_torque[:] = np.concatenate(
         [
             data.model.arms[arm].gravity_torque(angles, gravity)

@@ -43,9 +43,9 @@ from multiarm.control.squeeze import desired_forces
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import share_load, static_forces, subtract_contact_forces
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, struct_at
@@ -188,7 +188,7 @@ def add_motion_forces(law, feedforward, model, data, work):
                 i, law.free_stiffness, law.free_rate, feedforward, model, data, work,
                 data.qdd[d0:d1],
             )  # fmt: skip
-        add_arm_forces(work.L[i], work.Y[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
+        add_arm_forces(work.M[i], work.W[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
 
 
 @allocating
@@ -236,8 +236,7 @@ def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
     """
     data, start = context.data, context.start
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     W_o = data.arrays.Wo.copy()
     _require_hold(W_o, control.kind)
     desired = desired_forces(data, control, W_o)

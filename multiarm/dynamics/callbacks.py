@@ -199,8 +199,8 @@ def dense_solver(
 
     def solve() -> None:
         inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
-        _require_usable(inertias, (b.h, b.c, b.h_o, work.Y))
-        W_o, W = by_arm(b.Wo, work.Y)
+        _require_usable(inertias, (b.h, b.c, b.h_o, work.W))
+        W_o, W = by_arm(b.Wo, work.W)
         reaction_o, reaction = (None, None) if reactions is None else by_arm(*reactions)
         solution = solve_dense(
             M_o=b.inertia,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,9 @@ from multiarm.dynamics.guards import (
     REST_GUARD,
     SLIP_GUARD,
     SPRING_GUARD,
+    Guard,
     Guards,
+    make_guards,
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
@@ -49,17 +50,6 @@ REST = 1e-9
 
 # Effects whose arrays a mode writes.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
-
-
-class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.dynamics.guards`."""
-
-    kind: int
-    watched: int
-    parameter: float = 0.0
-    threshold: float = 0.0
-    tangents: tuple[int, int] = (-1, -1)
-    sign: int = 1
 
 
 @dataclass(frozen=True)
@@ -186,7 +176,7 @@ class Modes:
         tangents = [t for u in sliding for t in constraints[u].tangents]
         sideways = _select(full, tangents) if sliding else self._nothing
         arrays, slides = self._arrays(choice, rows), self._slides(choice, rows, sliding)
-        guards = self._guards(choice, rows, sliding)
+        guards = self._guards(choice, rows, sliding, slides)
         reactions = _reactions(held) if sliding else None
         struct = mode_struct(arrays, slides, guards, reactions)
         structs = ModeStructs(
@@ -243,11 +233,12 @@ class Modes:
             speed=np.zeros(count),
         )
 
-    def _guards(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> Guards:
+    def _guards(
+        self, choice: Choice, rows: np.ndarray, sliding: list[int], slides: Slides
+    ) -> Guards:
         place = {int(row): k for k, row in enumerate(rows)}
+        ground = len(self.full.model.arm_names)
         guards: list[Guard] = []
-        owners: list[int] = []
-        patches: list[np.ndarray] = []
         for u, constraint in enumerate(self.unilateral.constraints):
             patch = patch_of(self.full.model, constraint)
             of_constraint = _guards(u, constraint, choice, place, sliding, self.slow)
@@ -257,36 +248,9 @@ class Modes:
                     Guard(SPRING_GUARD, constraint.row, constraint.lag, GAP_THRESHOLD, sign=sign)
                 ]
             elif patch is not None:
-                of_constraint = _patch_guards(u, constraint, choice, of_constraint)
-            guards += of_constraint
-            owners += [u] * len(of_constraint)
-            patches += [
-                patch if guard.kind == PATCH_GUARD and patch is not None else np.zeros(18)
-                for guard in of_constraint
-            ]
-        g = len(guards)
-        integers = {
-            name: np.array([getattr(guard, name) for guard in guards], dtype=np.int64)
-            for name in ("kind", "watched", "sign")
-        }
-        numbers = {
-            name: np.array([getattr(guard, name) for guard in guards], dtype=float)
-            for name in ("parameter", "threshold")
-        }
-        tangents = [guard.tangents for guard in guards]
-        return Guards(
-            **integers,
-            **numbers,
-            tangents=np.array(tangents, dtype=np.int64).reshape(-1, 2),
-            constraint=np.array(owners, dtype=np.int64),
-            patch=np.array(patches).reshape(-1, 18),
-            value=np.zeros(g),
-            before=np.zeros(g),
-            rate=np.zeros(g),
-            least=np.full(g, np.inf),
-            armed=np.zeros(g, dtype=np.int64),
-            result=np.zeros(g, dtype=np.int64),
-        )
+                of_constraint = _patch_guards(u, constraint, choice, of_constraint, ground, patch)
+            guards += [guard._replace(constraint=u) for guard in of_constraint]
+        return make_guards(guards, slides.direction)
 
 
 def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
@@ -321,7 +285,14 @@ def _reactions(held: Data) -> ReactionWork:
     layout, work = held.model.layout, held.work
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     return make_reaction_work(*sizes)._replace(
-        dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
+        dofs=work.dofs,
+        rows=work.rows,
+        levers=work.levers,
+        M=work.M,
+        W=work.W,
+        L=work.L,
+        Y=work.Y,
+        y=work.y,
     )
 
 
@@ -340,8 +311,8 @@ def _guards(
     row = place.get(constraint.row, -1)
     if constraint.kind == DRY_JOINT:
         if state.moves:
-            sign = 1.0 if state == ContactState.FORWARD else -1.0
-            return [Guard(RATE_GUARD, constraint.joint, sign, still)]
+            sign = 1 if state == ContactState.FORWARD else -1
+            return [Guard(RATE_GUARD, constraint.joint, threshold=still, sign=sign)]
         limit = FORCE_THRESHOLD * constraint.bound
         return [Guard(HOLD_GUARD, row, constraint.bound, limit)] if row >= 0 else []
     if state == ContactState.OPEN:
@@ -350,7 +321,7 @@ def _guards(
         return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
     side, guards = choice.side(u), []
     if not constraint.bilateral or u in sliding:
-        guards.append(Guard(PUSH_GUARD, row, side, FORCE_THRESHOLD))
+        guards.append(Guard(PUSH_GUARD, row, threshold=FORCE_THRESHOLD, sign=int(side)))
     if state == ContactState.STICKING:
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
@@ -362,16 +333,29 @@ def _guards(
     ):
         guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
     elif u in sliding:
-        guards.append(Guard(SLIP_GUARD, sliding.index(u), threshold=still))
+        s, t = sliding.index(u), constraint.tangents
+        guards.append(Guard(SLIP_GUARD, s, threshold=still, tangents=(t[0], t[1])))
     return guards
 
 
 def _patch_guards(
-    u: int, constraint: Constraint, choice: Choice, guards: list[Guard]
+    u: int,
+    constraint: Constraint,
+    choice: Choice,
+    guards: list[Guard],
+    body: int,
+    patch: np.ndarray,
 ) -> list[Guard]:
-    """The guards of a contact that is on its patch, over it, off it or below it."""
+    """The guards of a contact that is on its patch on a body, over it, off it or below it."""
     off = u in choice.off_patch
-    edge = Guard(PATCH_GUARD, constraint.row, threshold=GAP_THRESHOLD, sign=-1 if off else 1)
+    edge = Guard(
+        PATCH_GUARD,
+        constraint.row,
+        threshold=GAP_THRESHOLD,
+        sign=-1 if off else 1,
+        body=body,
+        patch=patch,
+    )
     if off:
         return [edge]
     if u in choice.below_patch:  # a spring without damping: its extension is the gap

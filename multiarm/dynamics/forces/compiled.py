@@ -107,4 +107,4 @@ def subtract_contact_forces(data, work):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):
             for a in range(work.rows[i + 1] - r0):
-                torque[d0 + j] -= work.Y[i, j, a] * force[r0 + a]
+                torque[d0 + j] -= work.W[i, j, a] * force[r0 + a]
