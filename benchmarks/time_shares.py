@@ -50,7 +50,7 @@ from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.integration.projection import project
-from multiarm.integration.samples import sample_width, write_sample
+from multiarm.integration.samples import write_sample
 from multiarm.integration.step import (
     begin_chart,
     coefficients,
@@ -63,6 +63,7 @@ from multiarm.jit.kernels import kernel
 from multiarm.jit.structs import struct_of
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK
 from multiarm.problems import ring_of_arms
+from multiarm.results.channels import width_of
 from multiarm.results.trajectory import Trajectory
 from multiarm.studies.timing import clocked_run
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS, RK4
@@ -253,7 +254,7 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
     data = system.model.data()
     data.set_state(0.0, moving_state(system, seed=count))
     turns = rounds * BURSTS_PER_ROUND
-    cost = fastest(measure(part_bursts(data, INTEGRATOR), turns))
+    cost = fastest(measure(part_bursts(system, data, INTEGRATOR), turns))
     evaluation = evaluation_parts(cost, cost["evaluation"])
     step = step_cost(system, INTEGRATOR, rounds)
     return {
@@ -281,7 +282,7 @@ OPEN = 1e-9
 """How far the object is moved off its joints before it is projected [m]."""
 
 
-def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
+def part_bursts(system: System, data: Data, integrator: str) -> dict[str, Burst]:
     """The loops over the parts, all at the state in the data."""
     state = data.get_state()
     slopes = make_step(RK4, data.model.layout, data.struct)
@@ -290,7 +291,7 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     pushed[:3] += OPEN
     parts = data.arrays.functions
     call_burst(data, parts.kinematics)(1)
-    sample = np.zeros(sample_width(data))
+    sample = np.zeros(width_of(system.channels))
     closed = projection_tolerance(data)
     evaluate(data, 0.0, state)  # all that samples are made of
 
@@ -312,7 +313,7 @@ def _arithmetic_burst(layout: Layout, integrator: str) -> Burst:
     """Sums over the stages of made-up slopes."""
     tableau = METHODS[integrator]
     no_system = np.zeros(0, dtype=np.int64)
-    method, step = coefficients(tableau), make_step(tableau, layout, no_system)
+    method, step = coefficients(tableau, 0), make_step(tableau, layout, no_system)
     step.k[:] = np.random.default_rng(layout.joints).normal(size=step.k.shape)
     arrays = struct_of(method, step)
 

@@ -66,9 +66,9 @@ class Constants(NamedTuple):
     # multiarm.dynamics.held_control
     sampled: Ints2
     sample_delay: Flag
-    # (k, 3): address of each effect's kernel, index of its first array in the system's struct,
-    # address of its derivative (0: none); in the order of the phases, and the end of each phase,
-    # see multiarm.dynamics.effect_kernels
+    # (k, 4): address of each effect's kernel, index of its first array in the system's struct,
+    # address of its derivative (0: none), whether it knows the state alone; in the order of the
+    # phases, and the end of each phase, see multiarm.dynamics.effect_kernels
     effects: Ints2
     passive_end: Int
     actuator_end: Int
@@ -149,13 +149,14 @@ class Functions(Numbers):
 
 
 class ModeStructs(Numbers):
-    """Addresses of further structs, for the modes of unilateral contacts."""
+    """Addresses of further structs, and the mode, of scenes with unilateral contacts."""
 
     active: Flag  # the rows are those of a mode; else there are none of these structs
     closed: Int  # with all contacts of the joints closed, as controllers assume
     full: Int  # with all rows
     tangents: Int  # with the tangents of the sliding contacts
     mode: Int  # the mode's guards, numbers and slides, see multiarm.events
+    slides: Flag  # some of its contacts slide with friction
 
 
 class Variables(NamedTuple):

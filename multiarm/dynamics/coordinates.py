@@ -8,7 +8,8 @@ A configuration is F poses of floating frames and n numbers, the joint positions
     q \oplus u = q + \delta_q, \qquad u = (\delta_f, \theta_f, \ldots, \delta_q).
 
 Within a step the orientations are :math:`R_f = \exp(\theta_f) R_{0f}` with those at the beginning
-of the step, the *base* of the chart.  So the state is a plain vector,
+of the step.  The *base* of the chart is a configuration with these orientations and with positions
+of zero: a chart is a displacement from it.  So the state is a plain vector,
 
 .. code-block:: text
 
@@ -31,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.layout import Layout
-from multiarm.jit.kernels import copy, inlined, plain
+from multiarm.jit.kernels import inlined, plain
 from multiarm.spatial import difference as rotation_difference
 from multiarm.spatial import retract_into, write_chart_rate
 
@@ -48,7 +49,7 @@ def retract(frames, start, step, displacement, configuration):
         Number of floating frames, F.
     start, configuration : ndarray, shape (7 F + n,)
     step : float
-    displacement : ndarray, shape (6 F + n,)
+    displacement : ndarray, shape (6 F + n,), or longer
     """
     for f in range(frames):
         at, by = 7 * f, 6 * f
@@ -84,11 +85,16 @@ def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray
 
 
 class StateColumns(NamedTuple):
-    """First columns of derivatives by the state; by poses of the frames they begin at zero."""
+    """First columns of derivatives by state and forces; by poses of the frames they begin at zero.
+
+    Forces are torques of the joints, and wrenches on the frames.
+    """
 
     twists: int
     positions: int  # of joints
     rates: int
+    torques: int
+    wrench: int
     end: int
 
 
@@ -96,7 +102,9 @@ class StateColumns(NamedTuple):
 def state_columns(data):
     """The columns for the sizes of these data, see ``Layout.columns``."""
     joints, frames = data.angles.size, data.velocity.size - data.angles.size
-    return StateColumns(frames, 2 * frames, 2 * frames + joints, 2 * data.velocity.size)
+    torques = 2 * data.velocity.size
+    wrench = torques + joints
+    return StateColumns(frames, 2 * frames, 2 * frames + joints, torques, wrench, wrench + frames)
 
 
 class ForceColumns(NamedTuple):
@@ -115,18 +123,21 @@ class ForceColumns(NamedTuple):
 def force_columns(data):
     """The columns for the sizes of these data: those of the state, and what follows them."""
     at = state_columns(data)
-    time = at.end + data.inner.size
-    return ForceColumns(at.twists, at.positions, at.rates, at.end, time, time + 1, time + 7)
+    time = at.torques + data.inner.size
+    return ForceColumns(at.twists, at.positions, at.rates, at.torques, time, time + 1, time + 7)
 
 
 # --- the integrator's chart ----------------------------------------------------------------------
 
 
-class ChartPlaces(NamedTuple):
-    """Where the parts of a chart's vector begin; the frames' positions are first."""
+class Places(NamedTuple):
+    """Where the parts of a chart's vector begin, and the joints of a vector like a velocity.
 
-    joints: int  # joint positions
-    velocity: int
+    A chart's positions are laid out like a velocity; the frames are first in both.
+    """
+
+    joints: int  # joint positions, or what a vector like a velocity has of the joints
+    velocity: int  # numbers of a velocity
     rates: int  # joint velocities
     states: int  # of effects
     works: int
@@ -137,22 +148,13 @@ def chart_places(data):
     """The places for the sizes of these data."""
     velocity, joints = data.velocity.size, data.angles.size
     states = 2 * velocity
-    return ChartPlaces(
-        velocity - joints, velocity, states - joints, states, states + data.inner.size
-    )
+    return Places(velocity - joints, velocity, states - joints, states, states + data.inner.size)
 
 
 @plain
 def read_chart(frames, z, base, configuration):
-    """Write the configuration of a chart's vector; ``base`` (4 F,) are quaternions xyzw."""
-    for f in range(frames):
-        at, by = 7 * f, 6 * f
-        for k in range(3):
-            configuration[at + k] = z[by + k]
-        turn = (z[by + 3], z[by + 4], z[by + 5])
-        retract_into(base[4 * f : 4 * f + 4], turn, configuration[at + 3 : at + 7])
-    for j in range(configuration.size - 7 * frames):
-        configuration[7 * frames + j] = z[6 * frames + j]
+    """Write the configuration of a chart's vector."""
+    retract(frames, base, 1.0, z, configuration)
 
 
 @plain
@@ -173,8 +175,8 @@ def store_chart(data, base, z):
     for f in range(poses.shape[0]):
         for k in range(3):
             z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], 0.0
-        for k in range(4):
-            base[4 * f + k] = poses[f, 3 + k]
+        for k in range(3, 7):
+            base[7 * f + k] = poses[f, k]
     for j in range(data.angles.size):
         z[places.joints + j] = data.angles[j]
     for k in range(data.velocity.size):
@@ -204,10 +206,3 @@ def write_chart_slope(z, data, slope):
         slope[places.states + k] = data.inner_rate[k]
     for k in range(data.power.size):
         slope[places.works + k] = data.power[k]
-
-
-@inlined
-def copy_works(data, source, z):
-    """Write the works of one chart's vector into another."""
-    first = chart_places(data).works
-    copy(source[first:], z[first:])

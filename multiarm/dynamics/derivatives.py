@@ -47,6 +47,7 @@ from multiarm.dynamics.equation_derivatives import (
     differentiate_equations,
     equation_work,
     solve_by_arms,
+    stack_equations,
 )
 from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.force_derivatives import applied_derivatives
@@ -200,27 +201,10 @@ class _Equations:
 
     def _stacked(self) -> tuple[np.ndarray, np.ndarray]:
         """The matrix and the derivatives of all equations."""
-        layout, b, work = self._data.model.layout, self._data.arrays, self._work
-        size, frames, by = layout.nv, layout.of_frames, self._columns
-        whole = size + layout.contacts
-        K, dF = np.zeros((whole, whole)), np.zeros((whole, work.dF_o.shape[1]))
-        K[frames, frames], dF[frames] = b.inertia, work.dF_o
-        K[frames, size:], K[size:, frames] = -b.Wo.T, b.Wo
-        for i in range(len(layout.dofs) - 1):
-            joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
-            d, m = joints.stop - joints.start, rows.stop - rows.start
-            at = np.r_[layout.of_arm(i), size + rows.start : size + rows.stop]
-            K[np.ix_(at, at)] = work.K[i, : d + m, : d + m]
-            positions, velocities, torques = (
-                by[name].start + np.r_[joints]
-                for name in ("joint_positions", "joint_velocities", "torques")
-            )
-            columns = np.r_[by["object_pose"], by["object_twist"], positions, velocities]
-            if self._parameters and i < len(layout.names):
-                first = by["placements"].start + 6 * i
-                columns = np.r_[columns, first : first + 6]
-            columns = np.r_[columns, torques]
-            dF[np.ix_(at, columns)] = work.dF[i, : d + m, : len(columns)]
+        layout = self._data.model.layout
+        size = layout.nv + layout.contacts
+        K, dF = np.zeros((size, size)), np.zeros((size, self._work.dF_o.shape[1]))
+        stack_equations(self._data.struct, self._struct, K, dF)
         return K, dF
 
 

@@ -63,6 +63,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import EFFECTS, open_data
+from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
 from multiarm.jit.structs import ints1, make_struct, struct_of, view_at
@@ -103,6 +104,10 @@ def keep_forces(_address, _size, _at, _t):
     return 0
 
 
+class NoArrays(NamedTuple):
+    """The arrays of a kernel that has none."""
+
+
 @dataclass(frozen=True, eq=False)
 class EffectKernel:
     """One kernel of an effect and its arrays.
@@ -121,7 +126,8 @@ class EffectKernel:
         Numbers, and contiguous arrays of float64 or int64: values at the start of a run.  Every
         :class:`multiarm.dynamics.model.Data` has its own copies.
     works : bool
-        The kernel calls :func:`set_power` at every call.
+        The kernel calls :func:`set_power` at every call, with the power of its forces: derivatives
+        of powers are taken from those of forces.
     states : int
         Number of its states: it reads ``data.inner`` from :func:`first_state` on, and writes their
         rates to ``data.inner_rate``.
@@ -135,6 +141,9 @@ class EffectKernel:
         the kernel calls; it writes their addresses into the arrays.
     calls_user : bool
         Whether these are user functions.
+    knows_state_alone : bool
+        Forces are functions of time and state, and of no term of the kinematics, which differences
+        of them then leave as they are.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
     watched : tuple of (str, int, float)
@@ -143,9 +152,9 @@ class EffectKernel:
         its roundings, the third number.
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
-        only, those on the object on the time and the object's state only, and the power, if there
-        is one, is that of these forces.  Derivatives of accelerations then cost less in
-        :mod:`multiarm.integration.arm_blocks`, which are wrong where this does not hold.
+        only, those on the object on the time and the object's state only.  Derivatives of
+        accelerations then cost less in :mod:`multiarm.integration.arm_blocks`, which are wrong
+        where this does not hold.
     state_joints : tuple of int
         The joint, among all, to which each state of a local kernel belongs.
     derivative : compiled function, optional
@@ -155,18 +164,26 @@ class EffectKernel:
     name: str
     kernel: Any
     phase: int
-    arrays: Any = ()
+    arrays: Any = field(default_factory=NoArrays)
     works: bool = True
     states: int = 0
     start: Callable[[Any], np.ndarray] | None = None
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
     connect: Callable[[Any, Any], Mapping[str, GuardedCall]] | None = None
     calls_user: bool = False
+    knows_state_alone: bool = False
     unilateral: bool = False
     watched: tuple[tuple[str, int, float], ...] = ()
     local: bool = False
     state_joints: tuple[int, ...] = ()
     derivative: Any = None
+
+    def __post_init__(self) -> None:
+        if not hasattr(self.arrays, "_fields"):
+            raise ModelError(
+                f"the kernel of effect {self.name!r}: arrays must be a NamedTuple, got "
+                f"{type(self.arrays).__name__}; give the one that `view_of_effect` opens"
+            )
 
 
 class EffectData(NamedTuple):
@@ -178,14 +195,12 @@ class EffectData(NamedTuple):
     @property
     def struct(self) -> np.ndarray:
         """Its part of the system's struct."""
-        named = hasattr(self.arrays, "_fields")
-        own = struct_of(self.arrays) if named else make_struct(self.arrays)
-        return np.concatenate([make_struct([self.slots]), own])
+        return np.concatenate([make_struct([self.slots]), struct_of(self.arrays)])
 
 
 def _copied(arrays: Any) -> Any:
-    copies = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
-    return type(arrays)._make(copies) if hasattr(arrays, "_fields") else tuple(copies)
+    parts = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
+    return type(arrays)._make(parts)
 
 
 @dataclass(frozen=True)
@@ -208,6 +223,17 @@ class EffectProgram:
     def works(self) -> tuple[str, ...]:
         """Names of the effects that do work, in the order of ``Variables.power``."""
         return tuple(own.name for own in self.kernels if own.works)
+
+    @property
+    def powers(self) -> np.ndarray:
+        """Place of the power of each kernel that is called; -1 without."""
+        places = np.cumsum([0, *(own.works for own in self.kernels)])
+        powers = [
+            int(place) if own.works else -1
+            for own, place in zip(self.kernels, places, strict=False)
+            if own.kernel is not None
+        ]
+        return np.array(powers, dtype=np.int64)
 
     def slot(self, name: str) -> int:
         """Index of an effect in ``Variables.power`` and ``works``."""
@@ -271,11 +297,16 @@ class EffectProgram:
         called = [(own, at) for own, at in zip(self.kernels, self._places(), strict=True)]
         called = [(own, at) for own, at in called if own.kernel is not None]
         rows = [
-            [address_of(own.kernel), at, address_of(own.derivative) if own.derivative else 0]
+            [
+                address_of(own.kernel),
+                at,
+                address_of(own.derivative) if own.derivative else 0,
+                own.knows_state_alone,
+            ]
             for own, at in called
         ]
         ends = [sum(own.phase <= phase for own, _ in called) for phase in range(3)]
-        return np.array(rows, dtype=np.int64).reshape(-1, 3), ends
+        return np.array(rows, dtype=np.int64).reshape(-1, 4), ends
 
     @property
     def end(self) -> int:

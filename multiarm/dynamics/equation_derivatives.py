@@ -8,6 +8,10 @@ F_o` of :mod:`multiarm.dynamics.derivatives`,
     \partial \begin{bmatrix} F_i \\ F_{\varphi i} \end{bmatrix}, \qquad \partial F_o .
 
 Each arm has columns of its own, so that the cost is linear in the arms.
+
+*Feedback on the drift* adds :math:`2\alpha\dot\varphi + \beta^2\varphi` to :math:`F_\varphi`: the
+derivatives of the gaps' rates by the state, and of the gaps by the pose and the joints, which are
+those of their rates by the velocities, :math:`W_o^T, W^T`.
 """
 
 from __future__ import annotations
@@ -31,6 +35,7 @@ from multiarm.arms.derivatives import (
     write_motions,
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
+from multiarm.contacts.table import JOINT, KIND, TANGENT, WEIGHT
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_derivatives import (
     SCRATCH_ROWS,
@@ -45,7 +50,17 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
-from multiarm.jit.kernels import INTS, NUMBERS, TABLE, TRUTH, clear, copy, inlined, kernel
+from multiarm.jit.kernels import (
+    INTS,
+    NUMBERS,
+    TABLE,
+    TRUTH,
+    allocating,
+    clear,
+    copy,
+    inlined,
+    kernel,
+)
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
 from multiarm.jit.vectors import add_cross, cross, put, sub, times, vec
 
@@ -129,16 +144,19 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
 
 
 def equation_work(
-    data: Data, columns: int, placements: int = -1
+    data: Data, columns: int, placements: int = -1, massless: bool = False
 ) -> tuple[EquationWork, np.ndarray]:
     """The arrays for derivatives with a number of columns, and the struct ``own`` of the kernels.
 
-    The data keep them.  ``placements`` is the first of their columns, -1 without.
+    The data keep them.  ``placements`` is the first of their columns, -1 without; ``massless`` are
+    those for :func:`write_load_derivatives`.
     """
-    key = ("equation work", columns, placements)
+    key = ("equation work", columns, placements, massless)
     if key not in data.cache:
         structures = [arm.structure() for arm in data.model.arms.values()]
         links = arm_links(structures, data.model.constants.gravity)
+        if massless:
+            links = links._replace(bodies=np.zeros_like(links.bodies), gravity=np.zeros(3))
         work = _make_work(data, columns, placements)
         data.cache[key] = links, work, struct_of(links, work)
     _, work, struct = data.cache[key]
@@ -185,6 +203,26 @@ def write_derivatives(struct: INTS, own: INTS, at_rest: TRUTH, twist: NUMBERS):
         for k in range(6):
             work.body[MOTION + LINEAR_RATE + k] = data.q_o[k]
         write_object_equation(data, work)
+    for i in range(system.dofs.size - 1):
+        differentiate_arm(i, model, data, system, links, work)
+    return CALLBACK_FAILED if data.status.failed else OK
+
+
+@kernel
+def write_load_derivatives(struct, own):
+    """Write the derivatives of what contacts with forces ``data.static_force`` do to the bodies.
+
+    ``own`` has massless links.  The rows of joints in ``dF``, and ``dF_o``, are those of
+    ``-W force`` and ``-W_o force``; ``rates`` those of the gap rates.  Returns a status.
+    """
+    model, data, system = open_system(struct)
+    links, work = _open_links(own), open_equations(own)
+    write_body(data, data.twist, work)
+    copy(data.v, work.v)
+    clear(work.qdd)
+    copy(data.static_force, work.force)
+    for l in range(6):  # noqa: E741
+        clear(work.dF_o[l])
     for i in range(system.dofs.size - 1):
         differentiate_arm(i, model, data, system, links, work)
     return CALLBACK_FAILED if data.status.failed else OK
@@ -282,6 +320,93 @@ def write_matrix_of_arm(i, first, m, n, data, system, work):
 
 
 @kernel
+def add_drift_feedback(struct, own, alpha, beta):
+    """Add the derivatives of the feedback on the drift to those of ``F_phi``.
+
+    After :func:`write_derivatives`; ``alpha, beta`` [1/s] are the gains.
+    """
+    model, data, system = open_system(struct)
+    links, work = _open_links(own), open_equations(own)
+    for i in range(system.dofs.size - 1):
+        n, first = system.dofs[i + 1] - system.dofs[i], system.rows[i]
+        columns, W = columns_of_arm(i, n, links, work), system.W[i]
+        for k in range(first, system.rows[i + 1]):
+            dF, by_gap = work.dF[i, n + k - first], beta * beta * gap_weight(model, k)
+            for c in range(columns.twist):
+                rate = data.Wo[k, c]
+                dF[c] += by_gap * rate + 2.0 * alpha * work.rates[k, c]
+                dF[columns.twist + c] += 2.0 * alpha * rate
+            for j in range(n):
+                rate, position = W[j, k - first], columns.positions + j
+                dF[position] += by_gap * rate + 2.0 * alpha * work.rates[k, position]
+                dF[columns.velocities + j] += 2.0 * alpha * rate
+
+
+@inlined
+def gap_weight(model, row):
+    """1 for a row with a gap, 0 for one with a rate only."""
+    kind = model.codes[row, KIND]
+    if kind == JOINT:
+        return model.geometry[row, WEIGHT]
+    return 0.0 if kind == TANGENT else 1.0
+
+
+# --- solution -------------------------------------------------------------------------------------
+
+
+@kernel
+def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
+    """Add the matrix of all equations to ``K``, and their derivatives to ``dF``.
+
+    Their rows are those of the object, of the joints and of the contacts, 6 + n + N.
+    """
+    _, data, system = open_system(struct)
+    links, work = _open_links(own), open_equations(own)
+    places, columns_of_state = chart_places(data), state_columns(data)
+    for l in range(places.joints):  # noqa: E741
+        for c in range(dF.shape[1]):
+            dF[l, c] += work.dF_o[l, c]
+        for c in range(places.joints):
+            K[l, c] += data.inertia[l, c]
+    for i in range(system.dofs.size - 1):
+        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+        first, last = system.rows[i], system.rows[i + 1]
+        columns = columns_of_arm(i, n, links, work)
+        joints, contacts = places.joints + d0, places.velocity + first - n
+        for a in range(n + last - first):
+            row = a + (joints if a < n else contacts)
+            subtract_own(-1.0, work.dF[i, a], i, d0, n, columns, columns_of_state, work, dF[row])
+            for b in range(n + last - first):
+                K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
+        for k in range(first, last):
+            for l in range(places.joints):  # noqa: E741
+                K[l, places.velocity + k] -= data.Wo[k, l]
+                K[places.velocity + k, l] += data.Wo[k, l]
+
+
+@allocating
+def solve_at_once(struct, own, matrix):
+    """Solve for ``dy`` where some arm cannot be solved on its own; returns a status.
+
+    ``matrix`` (6 + n + N, columns) is written.  The result is ``SINGULAR`` where constraints are
+    dependent.
+    """
+    size = matrix.shape[0]
+    K, pivots = np.zeros((size, size)), np.zeros(size, dtype=np.int64)
+    for i in range(size):
+        clear(matrix[i])
+    stack_equations(struct, own, K, matrix)
+    if not factor_lu(K, size, pivots) > 0.0:
+        return SINGULAR
+    for i in range(size):
+        row = matrix[i]
+        for c in range(row.size):
+            row[c] = -row[c]
+    solve_rows(K, size, pivots, matrix)
+    return OK
+
+
+@kernel
 def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     """Solve for ``dy``, each arm on its own and then the object; returns a status.
 
@@ -339,7 +464,7 @@ def subtract_own(weight, values, i, d0, n, columns, columns_of_state, work, row)
     for c in range(columns.positions):
         row[c] -= weight * values[c]
     positions, velocities = columns_of_state.positions + d0, columns_of_state.rates + d0
-    torques = columns_of_state.end + d0
+    torques = columns_of_state.torques + d0
     for k in range(n):
         row[positions + k] -= weight * values[columns.positions + k]
         row[velocities + k] -= weight * values[columns.velocities + k]

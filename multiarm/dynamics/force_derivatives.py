@@ -15,14 +15,18 @@ worth,
 
 An actuator is displaced along the derivatives of the torques that come to it.  Where forces are
 *local*, those on an arm by its own state and those on the object by the object's, joint number j of
-all arms is displaced at once.
+all arms is displaced at once.  Functions of users know the state alone: for them no kinematics are
+computed.
+
+*Powers* are those of the forces, :math:`f\cdot v`, so that their derivatives follow by the product
+rule.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.arrays import OPEN_LOOP, open_system
+from multiarm.dynamics.arrays import HELD, OPEN_LOOP, open_data, open_system
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
 from multiarm.dynamics.coordinates import chart_places, force_columns, retract
 from multiarm.dynamics.equations import (
@@ -38,11 +42,13 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.jit.kernels import INTS, TABLE, TRUTH, allocating, clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import Float, Int, Numbers
+from multiarm.jit.structs import Flag, Float, Int, Numbers
 
 # Displacement of a difference of order one [m, rad], of velocities and of states of effects
 # relative to the largest one or to 1: roundings are 1e-9 of the forces.
 CHANGE = 1e-7
+# Change of the time, relative to the step or to 1 s.
+TIME_CHANGE = 1e-5
 # Row of all control laws, among those of effects.
 CONTROL = -1
 
@@ -50,11 +56,35 @@ CONTROL = -1
 class Differences(Numbers):
     """How forces are differentiated that have no derivatives of their own."""
 
-    local: Int  # each arm by its own state, the object by its own
+    local: Flag  # each arm by its own state, the object by its own
     laws: Int  # control laws, the first ones
     order: Int  # 1 or 4
+    held: Flag  # the torques of the control, between two samples
     time_change: Float  # [s]; 0: without the column of the time
     evaluations: Int  # kinematics that were computed
+
+
+@inlined
+def begin_differences(model, data, differences, h):
+    """Set what differences in a step of length ``h`` need."""
+    differences.held = torques_are_held(model, data)
+    differences.time_change = TIME_CHANGE * min(h, 1.0)  # [s]
+    differences.evaluations = 0
+
+
+@inlined
+def torques_are_held(model, data):
+    """Whether the control is sampled, and this is not the time of a sample."""
+    return model.sampled.shape[0] > 0 and data.sampling.due == HELD
+
+
+@inlined
+def follow_the_state(model, differences):
+    """Whether the torques of the laws follow the state, and whether some law has no derivative."""
+    differs = False
+    for k in range(differences.laws):
+        differs = differs or model.control[k, 2] == 0
+    return model.control_reach > OPEN_LOOP and not differences.held, differs
 
 
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
@@ -77,46 +107,100 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
         if by_law is not None:
             slopes[:, : by_law.shape[1]], differs = by_law, False
     differences = Differences(laws=len(constants.control), order=4)
-    applied = np.zeros((layout.nv + e, slopes.shape[1]))
-    status = differentiate_forces(data.struct, differences, follows, differs, closed_loop, applied)
+    powers, works = model.effects.powers, data.arrays.power.size
+    applied = np.zeros((layout.nv + e + works, slopes.shape[1]))
+    status = write_applied(data.struct, differences, follows, differs, closed_loop, powers, applied)
     require_ok(data, status)
-    return applied[:, : 2 * layout.nv + e]
+    return applied[: layout.nv + e, : 2 * layout.nv + e]
 
 
 @kernel
-def differentiate_forces(
+def write_applied(
     struct: INTS,
     differences: Differences,
     follows: TRUTH,
     differs: TRUTH,
     closed_loop: TRUTH,
+    powers: INTS,
     applied: TABLE,
 ):
     """Write what :func:`applied_derivatives` describes; returns a status.
 
-    ``data.torque_slopes`` has what laws contribute that have no compiled derivative.  The torques
-    follow the state where ``follows``, all by differences where ``differs``.  At the end the data
-    are as they were.
+    At the end the data are as they were.
+    """
+    status = differentiate_forces(
+        struct, differences, follows, differs, closed_loop, powers, applied
+    )
+    if status == OK:
+        status = update_kinematics(struct)
+    if status != OK:
+        return status
+    return call_cfunc(open_data(struct).functions.forces, struct, 0.0, 0.0)
+
+
+@kernel
+def differentiate_forces(struct, differences, follows, differs, closed_loop, powers, applied):
+    """Add the derivatives of what control and effects do to ``applied``; returns a status.
+
+    Its rows are generalised forces, rates of effects' states, and powers of each effect and of all;
+    ``powers`` are the places of the effects' powers, -1 without.  ``data.torque_slopes`` has what
+    laws contribute that have no compiled derivative.  The torques follow the state where
+    ``follows``, all by differences where ``differs``, and are held without ``closed_loop``.
     """
     model, data, _ = open_system(struct)
-    status, first = OK, chart_places(data).joints
+    controlled, status = model.control.shape[0] > 0, OK
     for k in range(model.applied_end + 1):
-        if k == model.passive_end and model.control.shape[0] > 0:
+        if k == model.passive_end and controlled:
             status = differentiate_control(struct, differences, follows, differs)
-        if k == model.actuator_end and closed_loop and model.control.shape[0] > 0:
-            for j in range(data.torque.size):
-                for c in range(applied.shape[1]):
-                    applied[first + j, c] += data.torque_slopes[j, c]
-        acts = k < model.passive_end or model.control.shape[0] > 0 or k >= model.actuator_end
+        if k == model.actuator_end and controlled and closed_loop:
+            add_torque_slopes(data, applied)
+        acts = controlled or not actuates(model, k)
         if status == OK and k < model.applied_end and acts:
             status = differentiate_effect(struct, differences, k)
-            for i in range(applied.shape[0]):
-                for c in range(applied.shape[1]):
-                    applied[i, c] += data.force_slopes[i, c]
+            add_force_slopes(data, powers[k], applied)
         if status != OK:
-            return status
-    status = update_kinematics(struct)
-    return call_cfunc(data.functions.forces, struct, 0.0, 0.0) if status == OK else status
+            break
+    return status
+
+
+@inlined
+def actuates(model, k):
+    """Whether an effect changes the torques of the control."""
+    return model.passive_end <= k < model.actuator_end
+
+
+@inlined
+def add_torque_slopes(data, applied):
+    """Add the derivatives of the torques that act on the joints, and of their power."""
+    first, rates = chart_places(data).joints, force_columns(data).rates
+    power = applied[applied.shape[0] - 1]
+    for j in range(data.torque.size):
+        slopes, row = data.torque_slopes[j], applied[first + j]
+        for c in range(slopes.size):
+            row[c] += slopes[c]
+            power[c] += slopes[c] * data.v[j]
+        power[rates + j] += data.torque[j]
+
+
+@inlined
+def add_force_slopes(data, power, applied):
+    """Add the derivatives of one effect; ``power`` is the place of its power, -1 without."""
+    nv, columns = data.velocity.size, force_columns(data)
+    first = chart_places(data).joints
+    for i in range(data.force_slopes.shape[0]):
+        slopes, row = data.force_slopes[i], applied[i]
+        for c in range(slopes.size):
+            row[c] += slopes[c]
+    if power < 0:
+        return
+    for place in (data.force_slopes.shape[0] + power, applied.shape[0] - 1):
+        row = applied[place]
+        for i in range(nv):
+            slopes = data.force_slopes[i]
+            for c in range(slopes.size):
+                row[c] += slopes[c] * data.velocity[i]
+            rate = columns.twists + i if i < first else columns.rates + i - first
+            row[rate] += data.generalised_forces[i]
 
 
 @kernel
@@ -127,24 +211,30 @@ def differentiate_control(struct, differences, follows, differs):
     else as the laws state them.  Returns a status.
     """
     model, data, work = open_system(struct)
+    columns, status = force_columns(data), OK
     clear_slopes(model, data, work, differences.local, data.force_slopes, chart_places(data).joints)
-    status, laws = OK, differences.laws
     if follows and not differs:
-        for k in range(laws):
+        for k in range(differences.laws):
             law = model.control[k]
             if law[2] != 0:
                 call_cfunc(law[2], struct, float(law[1]), data.time.now)
-    by_state = follows and differs
-    if by_state or differences.time_change > 0.0:
-        status = add_differences(struct, differences, CONTROL, by_state)
-    first, time = chart_places(data).joints, force_columns(data).time
-    for j in range(data.torque.size):
-        for c in range(
-            0 if by_state else time, data.torque_slopes.shape[1] if by_state else time + 1
-        ):
-            data.torque_slopes[j, c] += data.force_slopes[first + j, c]
+    if follows and differs:
+        status = add_differences(struct, differences, CONTROL, True)
+        take_torque_slopes(data, 0, columns.end)
+    elif differences.time_change > 0.0 and not differences.held:
+        status = add_differences(struct, differences, CONTROL, False)
+        take_torque_slopes(data, columns.time, columns.time + 1)
     act(struct, differences, CONTROL, model, data, work)
     return status
+
+
+@inlined
+def take_torque_slopes(data, begin, end):
+    """Add columns of the differences of torques to the derivatives of the torques."""
+    first = chart_places(data).joints
+    for j in range(data.torque.size):
+        for c in range(begin, end):
+            data.torque_slopes[j, c] += data.force_slopes[first + j, c]
 
 
 @kernel
@@ -157,12 +247,11 @@ def differentiate_effect(struct, differences, k):
     model, data, work = open_system(struct)
     status, effect, first = OK, model.effects[k], chart_places(data).joints
     clear_slopes(model, data, work, differences.local, data.force_slopes, first)
-    actuates = model.passive_end <= k < model.actuator_end
     if effect[2] != 0:
         call_cfunc(effect[2], struct, float(effect[1]), data.time.now)
-    if effect[2] == 0 or (differences.time_change > 0.0 and not actuates):
+    if effect[2] == 0 or (differences.time_change > 0.0 and not actuates(model, k)):
         status = add_differences(struct, differences, k, effect[2] == 0)
-    if actuates and effect[2] == 0:
+    if actuates(model, k) and effect[2] == 0:
         for j in range(data.torque.size):
             copy(data.force_slopes[first + j], data.torque_slopes[j])
             clear(data.force_slopes[first + j])
@@ -176,7 +265,7 @@ def clear_slopes(model, data, work, local, table, first):
 
     Where forces are local, into those columns of each row only that are read: the cost is linear.
     """
-    if local == 0:
+    if not local:
         clear_table(table)
         return
     at = force_columns(data)
@@ -237,18 +326,19 @@ def add_differences(struct, differences, k, by_state):
     at, places = force_columns(data), chart_places(data)
     configuration, velocity = data.configuration.copy(), data.velocity.copy()
     inner, torque, now = data.inner.copy(), data.torque.copy(), data.time.now
-    actuates = k != CONTROL and model.passive_end <= k < model.actuator_end
+    of_torques = k != CONTROL and actuates(model, k)
+    needs_kinematics = not knows_state_alone(model, data, k)
     direction, displacement = np.zeros(at.end), np.zeros(velocity.size)
     columns = np.zeros(velocity.size + inner.size, dtype=np.int64)
     base = np.zeros(columns.size)
     act(struct, differences, k, model, data, work)
-    read_forces(data, actuates or k == CONTROL, places.joints, base)
+    read_forces(data, of_torques or k == CONTROL, places.joints, base)
     value, status, moved = np.zeros(columns.size), OK, False
     for column in range(at.end):
         of_time, of_state = column == at.time, column < at.time
         if of_time and differences.time_change == 0.0:
             continue
-        if not of_time and not (by_state and (of_state or actuates)):
+        if not of_time and not (by_state and (of_state or of_torques)):
             continue
         if not choose_columns(model, work, differences, at, column, columns, direction):
             continue
@@ -273,16 +363,16 @@ def add_differences(struct, differences, k, by_state):
                 offset = OFFSETS[point] * change
                 weight = difference_weight(OFFSETS[point])
             if column < at.states:
-                moved = True
+                moved = needs_kinematics
                 retract(
                     data.poses.shape[0], configuration, offset, displacement, data.configuration
                 )
                 for l in range(velocity.size):  # noqa: E741
                     rate = at.twists + l if l < places.joints else at.rates + l - places.joints
                     data.velocity[l] = velocity[l] + offset * direction[rate]
-                if differences.local != 0 and column < at.positions:
+                if needs_kinematics and differences.local and column < at.positions:
                     object_terms(model, data)
-                else:
+                elif needs_kinematics:
                     differences.evaluations += 1
                     status = update_kinematics(struct)
             elif column < at.time:
@@ -292,13 +382,13 @@ def add_differences(struct, differences, k, by_state):
             for j in range(torque.size):
                 row = columns[places.joints + j]
                 data.torque[j] = torque[j]
-                if actuates and row >= 0:
+                if of_torques and row >= 0:
                     data.torque[j] += offset * data.torque_slopes[j, row]
             if status == OK:
                 act(struct, differences, k, model, data, work)
             if data.status.failed:
                 status = CALLBACK_FAILED
-            read_forces(data, actuates or k == CONTROL, places.joints, value)
+            read_forces(data, of_torques or k == CONTROL, places.joints, value)
             for i in range(columns.size):
                 if columns[i] >= 0:
                     data.force_slopes[i, columns[i]] += weight * (value[i] - base[i])
@@ -315,6 +405,12 @@ def add_differences(struct, differences, k, by_state):
         differences.evaluations += 1
         status = update_kinematics(struct)
     return status
+
+
+@inlined
+def knows_state_alone(model, data, k):
+    """Whether an effect, or the control, is a function ``f(t, state)`` of a user."""
+    return data.functions.control != 0 if k == CONTROL else model.effects[k, 3] != 0
 
 
 @inlined
@@ -339,7 +435,7 @@ def choose_columns(model, work, differences, at, column, columns, direction):
     clear(direction)
     joints = columns.size - (at.time - at.states) - at.twists
     of_joint = at.positions <= column < at.states
-    if differences.local == 0 or not of_joint:
+    if not (differences.local and of_joint):
         direction[column] = 1.0
         for i in range(columns.size):
             columns[i] = column

@@ -148,7 +148,15 @@ def forces_kernel(
         own.function[0] = call.address
         return {f"effects/{name}": call}
 
-    return EffectKernel(name, add_loads, APPLIED, arrays, connect=connect, calls_user=True)
+    return EffectKernel(
+        name,
+        add_loads,
+        APPLIED,
+        arrays,
+        connect=connect,
+        calls_user=True,
+        knows_state_alone=True,
+    )
 
 
 def joint_numbers(

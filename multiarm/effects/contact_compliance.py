@@ -10,6 +10,9 @@ power is :math:`\lambda\dot\varphi`.  The forces are unique for any number of co
 A unilateral contact pushes while :math:`\varphi < 0` and the force is positive; the start and the
 end of pushing are events, at which steps end, so that no step contains the kink.  The model: K.L.
 Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
+
+*Its derivative* has a part from the directions, that of :math:`W_o\lambda, W\lambda` at fixed
+:math:`\lambda`, and one from :math:`\delta\lambda = -(k\,\delta\varphi + d\,\delta\dot\varphi)`.
 """
 
 from __future__ import annotations
@@ -21,18 +24,27 @@ import numpy as np
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.contact_forces import add_contact_forces
+from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
+from multiarm.dynamics.equation_derivatives import (
+    equation_work,
+    open_equations,
+    write_load_derivatives,
+)
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
-from multiarm.jit.kernels import cfunc
+from multiarm.jit.kernels import cfunc, copy, inlined, kernel
 from multiarm.jit.structs import Floats1, Ints1, struct_at
 
 
 class Springs(NamedTuple):
     """Compliant contacts, s of them."""
 
-    rows: Ints1  # (2,) address and size of the struct with their rows
+    # (2,) address and size of the struct with their rows, and of that of these rows' derivatives
+    rows: Ints1
+    derivatives: Ints1
     stiffness: Floats1  # [N/m]
     damping: Floats1  # [N s/m]
     active: Ints1  # which act now; the mode of the contacts writes them
@@ -50,17 +62,87 @@ def add_contact_compliance(address, size, at, _t):
     own, force = struct_at(springs.rows[0], springs.rows[1]), springs.force
     update_rows(own)
     _, rows, work = open_system(own)
+    write_spring_forces(springs, rows.contacts)
     power = 0.0
     for s in range(force.size):
-        rate = rows.contacts[s, GAP_RATE]
-        force[s] = 0.0
-        if springs.active[s] != 0:
-            gap = rows.contacts[s, GAP]
-            force[s] = -(springs.stiffness[s] * gap + springs.damping[s] * rate)
-        power += force[s] * rate
+        power += force[s] * rows.contacts[s, GAP_RATE]
     add_contact_forces(work, rows.Wo, work.W, force, data.h_o, data.h)
     set_power(struct, at, power)
     return 0
+
+
+@kernel
+def write_spring_forces(springs, contacts):
+    """Write the forces of all springs."""
+    for s in range(springs.force.size):
+        springs.force[s] = 0.0
+        if springs.active[s] != 0:
+            pressed = springs.stiffness[s] * contacts[s, GAP]
+            springs.force[s] = -(pressed + springs.damping[s] * contacts[s, GAP_RATE])
+
+
+@cfunc
+def differentiate_contact_compliance(address, size, at, _t):
+    """Add the derivatives of the forces: of their directions, and of their sizes."""
+    struct = struct_at(address, size)
+    data, springs = open_data(struct), open_springs(struct, at)
+    own = struct_at(springs.rows[0], springs.rows[1])
+    derivatives = struct_at(springs.derivatives[0], springs.derivatives[1])
+    update_rows(own)
+    _, rows, work = open_system(own)
+    write_spring_forces(springs, rows.contacts)
+    copy(springs.force, rows.static_force)
+    status = write_load_derivatives(own, derivatives)
+    equations, first, by = (
+        open_equations(derivatives),
+        chart_places(data).joints,
+        force_columns(data),
+    )
+    for l in range(first):  # noqa: E741
+        for c in range(by.states):
+            data.force_slopes[l, c] -= equations.dF_o[l, c]
+    for i in range(work.dofs.size - 1):
+        d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        columns = arm_columns(n, False)
+        for j in range(n):
+            for c in range(columns.end):
+                column = column_of_forces(by, columns, d0, c)
+                data.force_slopes[first + d0 + j, column] -= equations.dF[i, j, c]
+        for s in range(work.rows[i], work.rows[i + 1]):
+            if springs.active[s] != 0:
+                add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data)
+    return status
+
+
+@inlined
+def column_of_forces(by, columns, d0, c):
+    """Place among all columns of one of an arm."""
+    if c < columns.positions:
+        return c
+    if c < columns.velocities:
+        return by.positions + d0 + c - columns.positions
+    return by.rates + d0 + c - columns.velocities
+
+
+@inlined
+def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data):
+    """Add what the change of a spring's force, along its contact, does to object and arm."""
+    columns, W = arm_columns(n, False), work.W[i, :, s - work.rows[i]]
+    for c in range(columns.end):
+        of_rate = columns.twist <= c < columns.positions or c >= columns.velocities
+        if c < columns.positions:
+            rate = rows.Wo[s, c % first]
+        else:
+            rate = W[(c - columns.positions) % n]
+        # of the gap's rate by a velocity as of the gap by a displacement
+        change = springs.damping[s] * rate
+        if not of_rate:
+            change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
+        column = column_of_forces(by, columns, d0, c)
+        for l in range(first):  # noqa: E741
+            data.force_slopes[l, column] -= rows.Wo[s, l] * change
+        for j in range(n):
+            data.force_slopes[first + d0 + j, column] -= W[j] * change
 
 
 def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
@@ -68,13 +150,16 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
 
     def connect(data: Data, own: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
+        _, derivatives = equation_work(rows, state_columns(data.arrays).torques, massless=True)
         own.rows[:] = rows.struct.ctypes.data, rows.struct.size
+        own.derivatives[:] = derivatives.ctypes.data, derivatives.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
         # surfaces of the user may fail in these rows
         return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}
 
     arrays = Springs(
         rows=np.zeros(2, dtype=np.int64),
+        derivatives=np.zeros(2, dtype=np.int64),
         stiffness=springs.stiffness,
         damping=springs.damping,
         active=springs.always,
@@ -87,4 +172,5 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
         arrays,
         connect=connect,
         unilateral=True,
+        derivative=differentiate_contact_compliance,
     )

@@ -185,6 +185,7 @@ class Modes:
             full=full.struct.ctypes.data,
             tangents=sideways.struct.ctypes.data,
             mode=struct.ctypes.data,
+            slides=bool(sliding),
         )
         held.replace_arrays(modes=structs, shown=full.arrays.shown)
         functions = held.arrays.functions

@@ -14,9 +14,6 @@ effects, which are as these state them (:mod:`multiarm.dynamics.force_derivative
 and effects are *local*, an arm's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this arm
 and of the object only, and :math:`h_o` on the object's.
 
-*Drift feedback* adds :math:`2\alpha\dot\varphi + \beta^2\varphi` to :math:`F_\varphi`: the
-derivatives of the gaps' rates, and, of the gaps, those of their rates by the velocities.
-
 *Gravity compensation* couples the arms by six numbers s: the contact forces of least norm that
 carry the weight w are :math:`W_{oi}^T s`.  With s among the unknowns, an arm's torques
 :math:`\tau_i = \tau^g_i(q_i) - W_i W_{oi}^T s` are local too, and there is one more equation,
@@ -56,43 +53,39 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import (
     CARRYING,
-    HELD,
-    OPEN_LOOP,
     open_coupled,
     open_data,
     open_system,
 )
 from multiarm.dynamics.contact_derivatives import arm_columns
-from multiarm.dynamics.coordinates import chart_places, force_columns
+from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
-    equation_work,
+    add_drift_feedback,
     open_equations,
     write_derivatives,
 )
 from multiarm.dynamics.force_derivatives import (
     Differences,
+    actuates,
+    begin_differences,
     clear_slopes,
     clear_table,
     differentiate_control,
     differentiate_effect,
+    follow_the_state,
+    torques_are_held,
 )
 from multiarm.dynamics.forces.compiled import write_wrench_products
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.step import Step
-from multiarm.jit.kernels import clear, inlined, kernel
+from multiarm.jit.kernels import clear, inlined, kernel, plain
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, Ints2
 
-# Change of the time in differences, relative to the step or to 1 s.
-TIME_CHANGE = 1e-5
-# Columns of the object in ``ArmBlocks.by_object``, and after the arm's own ones in
-# ``ArmBlocks.derivatives``: pose, twist, time; there the shared unknowns follow.
-POSE, TWIST, TIME, SHARED = 0, 6, 12, 13
 # Contacts that carry wrenches in some direction by so much less than in others leave s to rounding.
 CARRIED = 1e-10
 
@@ -100,17 +93,18 @@ CARRIED = 1e-10
 class ArmBlocks(NamedTuple):
     """Arrays for ``n`` arms; ``d`` joints, ``m`` contacts and ``e`` effects' states of the largest.
 
-    An arm has ``P = 2 d + e`` columns of its own: positions, velocities, states.  Its
-    ``R = d + m + e + w`` rows are those of its joints, right after them those of its contacts, from
-    row ``d + m`` on the rates of its states, and from ``d + m + e`` on its ``w`` powers.
+    An arm has ``P = 2 d + e`` columns of its own.  Its ``R = d + m + e + w`` rows are those of its
+    joints, right after them those of its contacts, from row ``d + m`` on the rates of its states,
+    and from ``d + m + e`` on its ``w`` powers.
     """
 
     d: Int
     m: Int
     e: Int
     works: Int  # powers: of the effects that do work, last of control and effects
-    shared: Int  # unknowns that all arms share: 6 of the object's acceleration, 6 more of s
-    share: Floats1  # (6,) s, fixed in the derivatives of F
+    frames: Int  # velocities of the object, o
+    shared: Int  # unknowns that all arms share: accelerations of the object, as many more of s
+    share: Floats1  # (o,) s, fixed in the derivatives of F
     used: Ints1  # (1,) whether the derivatives of the last step are here
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
@@ -118,12 +112,12 @@ class ArmBlocks(NamedTuple):
     # struct of multiarm.dynamics.equation_derivatives, for all arms; its K has the factors of each
     equations: Ints1
     differences: Differences
-    # for u shared unknowns: A, A_o, U, before the solution those of F, (n, R, P + 13 + u); B_i
-    # (n, u, P); B_o, then the powers of the forces on the object (u + w, 13)
+    # for u shared unknowns: A, A_o, U, before the solution those of F, (n, R, P + 2 o + 1 + u); B_i
+    # (n, u, P); B_o, then the powers of the forces on the object (u + w, 2 o + 1)
     derivatives: Floats3
     on_object: Floats3
     by_object: Floats2
-    Wo: Floats2  # (N, 6) at the beginning of the step
+    Wo: Floats2  # (N, o) at the beginning of the step
     # factors: of S (u, u), of E (n, d + e, d + e), of the system for alpha (u, u); pivots of each
     # arm's equations
     K_pivots: Ints2
@@ -135,15 +129,52 @@ class ArmBlocks(NamedTuple):
     D: Floats3  # (n, u, d + e)
     node: Floats2
     node_pivots: Ints1
-    # of a stage: derivatives of the shared unknowns (u,), rates of the object (12,), unknowns of
+    # of a stage: derivatives of the shared unknowns (u,), rates of the object (2 o,), unknowns of
     # each arm (n, d + e)
     alpha: Floats1
     rates: Floats1
     unknowns: Floats2
 
 
-def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
-    """Allocate the blocks of a system; see :func:`acts_locally` for when they are used."""
+class BlockColumns(NamedTuple):
+    """First columns of ``ArmBlocks.derivatives``; the arm's positions begin at zero.
+
+    Those of the object's pose, its twist and the time are all that ``ArmBlocks.by_object`` has.
+    """
+
+    rates: int
+    states: int
+    pose: int
+    twist: int
+    time: int
+    accelerations: int  # of the object; here the shared unknowns begin
+    share: int
+    end: int
+
+
+@plain
+def block_columns(blocks):
+    """The columns for the sizes of these blocks."""
+    pose = 2 * blocks.d + blocks.e
+    time = pose + 2 * blocks.frames
+    shared = time + 1
+    return BlockColumns(
+        blocks.d,
+        2 * blocks.d,
+        pose,
+        pose + blocks.frames,
+        time,
+        shared,
+        shared + blocks.frames,
+        shared + blocks.shared,
+    )
+
+
+def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
+    """Allocate the blocks of a system; see :func:`acts_locally` for when they are used.
+
+    ``equations`` is the struct of the derivatives of its equations.
+    """
     layout, effects = data.model.layout, data.model.effects
     n, d = len(layout.dofs) - 1, int(np.max(np.diff(layout.dofs)))
     m, works = int(np.max(np.diff(layout.rows))), step.z.size - step.tolerance.size
@@ -156,35 +187,28 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
     states = np.full((n, e), -1, dtype=np.int64)
     for row, own in zip(states, owned, strict=True):
         row[: len(own)] = own
-    places = np.cumsum([0, *(own.works for own in effects.kernels)])
-    powers = [
-        int(place) if own.works else -1
-        for own, place in zip(effects.kernels, places, strict=False)
-        if own.kernel is not None
-    ]
-    own_columns, rows = 2 * d + e, d + m + e + works
+    own_columns, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants
     carries = len(constants.control) > 0 and constants.control_reach == CARRYING
-    u, equations = 12 if carries else 6, np.zeros(0, dtype=np.int64)
-    if constants.local_effects:
-        _, equations = equation_work(data, 2 * layout.nv)
+    u, of_object = (2 if carries else 1) * frames, 2 * frames + 1
     return ArmBlocks(
         d=d,
         m=m,
         e=e,
         works=works,
+        frames=frames,
         shared=u,
-        share=np.zeros(6),
+        share=np.zeros(frames),
         used=np.zeros(1, dtype=np.int64),
         counts=np.array([len(own) for own in owned], dtype=np.int64),
         states=states,
-        powers=np.array(powers, dtype=np.int64),
+        powers=effects.powers,
         equations=equations,
         differences=Differences(local=1, laws=len(constants.control) - carries, order=1),
-        derivatives=np.zeros((n, rows, own_columns + SHARED + u)),
+        derivatives=np.zeros((n, rows, own_columns + of_object + u)),
         on_object=np.zeros((n, u, own_columns)),
-        by_object=np.zeros((u + works, SHARED)),
-        Wo=np.zeros((layout.contacts, 6)),
+        by_object=np.zeros((u + works, of_object)),
+        Wo=np.zeros((layout.contacts, frames)),
         K_pivots=np.zeros((n, d + m), dtype=np.int64),
         S=np.zeros((u, u)),
         S_pivots=np.zeros(u, dtype=np.int64),
@@ -195,7 +219,7 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
         node=np.zeros((u, u)),
         node_pivots=np.zeros(u, dtype=np.int64),
         alpha=np.zeros(u),
-        rates=np.zeros(12),
+        rates=np.zeros(2 * frames),
         unknowns=np.zeros((n, d + e)),
     )
 
@@ -204,13 +228,11 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
 def acts_locally(step):
     """Whether control and effects are local now, in a scene that the node algorithm solves."""
     model, data, _ = open_system(step.system)
-    held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
-    controlled = model.control.shape[0] > 0 and not held
+    controlled = model.control.shape[0] > 0 and not torques_are_held(model, data)
     if not model.local_effects or (controlled and model.control_reach > CARRYING):
         return False
-    # modes have solutions of their own, and projected stages depend on all arms
-    plain = not (model.dense or data.modes.active)
-    return plain and step.stage.gap < 0.0
+    # contacts of modes need not be those of arms
+    return not (model.dense or data.modes.active)
 
 
 @kernel
@@ -237,8 +259,9 @@ def differentiate_arms(step, blocks, t, h):
     status = write_derivatives(step.system, blocks.equations, False, data.twist)
     if status != OK:
         return status
+    add_drift_feedback(step.system, blocks.equations, step.stage.alpha, step.stage.beta)
     add_equations(step, blocks)
-    if blocks.shared > 6:
+    if blocks.shared > blocks.frames:
         status = differentiate_carrying(step.system, blocks)
         if status != OK:
             return status
@@ -251,48 +274,34 @@ def differentiate_arms(step, blocks, t, h):
 
 @kernel
 def add_equations(step, blocks):
-    """Add the derivatives of the arms and their contacts, with feedback on the drift."""
-    model, data, work = open_system(step.system)
-    equations, stage = open_equations(blocks.equations), step.stage
-    own = 2 * blocks.d + blocks.e
-    for l in range(6):  # noqa: E741
-        for c in range(TIME):
+    """Add the derivatives of the arms and their contacts."""
+    _, data, work = open_system(step.system)
+    equations, at = open_equations(blocks.equations), block_columns(blocks)
+    of_state = state_columns(data)
+    for l in range(blocks.frames):  # noqa: E741
+        for c in range(of_state.positions):
             blocks.by_object[l, c] += equations.dF_o[l, c]
     for i in range(blocks.counts.size):
         d0, r0, A, dF = work.dofs[i], work.rows[i], blocks.derivatives[i], equations.dF[i]
         n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
-        at = arm_columns(n, False)
-        for c in range(at.end):
-            column = column_of_block(blocks, at, own, c)
+        columns = arm_columns(n, False)
+        for c in range(columns.end):
+            column = column_of_block(at, columns, c)
             for k in range(n + m):
                 A[k, column] += dF[k, c]
-            velocity = velocity_of(at, c)
-            for k in range(m):
-                rates = equations.rates[r0 + k]
-                A[n + k, column] += 2.0 * stage.alpha * rates[c]
-                if velocity >= 0 and model.codes[r0 + k, KIND] != TANGENT:
-                    A[n + k, column] += stage.beta * stage.beta * rates[velocity]
-        for l in range(6):  # noqa: E741
+        for l in range(blocks.frames):  # noqa: E741
             for j in range(n):
-                blocks.on_object[i, l, j] += equations.dF_o[l, 12 + d0 + j]
+                blocks.on_object[i, l, j] += equations.dF_o[l, of_state.positions + d0 + j]
             for k in range(m):
-                blocks.Wo[r0 + k, l] = A[n + k, own + SHARED + l] = data.Wo[r0 + k, l]
+                blocks.Wo[r0 + k, l] = A[n + k, at.accelerations + l] = data.Wo[r0 + k, l]
 
 
 @inlined
-def column_of_block(blocks, at, own, c):
+def column_of_block(at, columns, c):
     """Place in an arm's block of a column of its equations."""
-    if c < at.positions:
-        return own + c
-    return c - at.positions if c < at.velocities else blocks.d + c - at.velocities
-
-
-@inlined
-def velocity_of(at, c):
-    """Column of the velocity along a displacement; -1 for that of a velocity."""
-    if c < at.twist:
-        return at.twist + c
-    return at.velocities + c - at.positions if at.positions <= c < at.velocities else -1
+    if c < columns.positions:
+        return at.pose + c
+    return c - columns.positions if c < columns.velocities else at.rates + c - columns.velocities
 
 
 @kernel
@@ -305,7 +314,7 @@ def differentiate_carrying(struct, blocks):
     equations, columns = open_equations(blocks.equations), force_columns(data)
     for k in range(data.static_force.size):
         data.static_force[k] = 0.0
-        for l in range(6):  # noqa: E741
+        for l in range(blocks.frames):  # noqa: E741
             data.static_force[k] += data.Wo[k, l] * blocks.share[l]
     status = write_derivatives(struct, blocks.equations, True, blocks.share)
     if status != OK:
@@ -324,23 +333,23 @@ def differentiate_carrying(struct, blocks):
                 for k in range(m):
                     slope -= W[j, k] * equations.rates[r0 + k, c]
                 data.torque_slopes[d0 + j, column] += slope
-            for l in range(6):  # noqa: E741
+            for l in range(blocks.frames):  # noqa: E741
                 change = 0.0
                 for k in range(m):
                     change += data.Wo[r0 + k, l] * equations.rates[r0 + k, c]
                 if of_object:
-                    blocks.by_object[6 + l, c] += change
+                    blocks.by_object[blocks.frames + l, c] += change
                 else:
-                    change -= equations.dF_o[l, 12 + d0 + c - at.positions]
-                    blocks.on_object[i, 6 + l, c - at.positions] += change
+                    change -= equations.dF_o[l, columns.positions + d0 + c - at.positions]
+                    blocks.on_object[i, blocks.frames + l, c - at.positions] += change
         for j in range(n):
-            for l in range(6):  # noqa: E741
+            for l in range(blocks.frames):  # noqa: E741
                 for k in range(m):
                     change = W[j, k] * data.Wo[r0 + k, l]
                     data.torque_slopes[d0 + j, columns.share + l] -= change
-    for l in range(6):  # noqa: E741
-        for c in range(6):
-            blocks.by_object[6 + l, c] -= equations.dF_o[l, c]
+    for l in range(blocks.frames):  # noqa: E741
+        for c in range(blocks.frames):
+            blocks.by_object[blocks.frames + l, c] -= equations.dF_o[l, c]
     return OK
 
 
@@ -355,18 +364,16 @@ def add_forces(step, blocks, h):
     """
     struct, differences = step.system, blocks.differences
     model, data, work = open_system(struct)
-    held = model.sampled.shape[0] > 0 and data.sampling.due == HELD
     controlled = model.control.shape[0] > 0
-    differences.time_change = TIME_CHANGE * min(h, 1.0)  # [s]
-    differences.evaluations = 0
+    begin_differences(model, data, differences, h)
     total, status = blocks.works - 1, OK
     for k in range(model.applied_end + 1):
         if k == model.passive_end and controlled:
-            status = differentiate_laws(struct, blocks, held)
+            status = differentiate_laws(struct, differences)
         if status == OK and k == model.actuator_end and controlled:
             gather(blocks, data, work, total, True)
-        actuates = model.passive_end <= k < model.actuator_end
-        if status == OK and k < model.applied_end and (controlled or not actuates):
+        acts = controlled or not actuates(model, k)
+        if status == OK and k < model.applied_end and acts:
             status = differentiate_effect(struct, differences, k)
             gather(blocks, data, work, blocks.powers[k], False)
         if status != OK:
@@ -376,19 +383,12 @@ def add_forces(step, blocks, h):
 
 
 @inlined
-def differentiate_laws(struct, blocks, held):
+def differentiate_laws(struct, differences):
     """Add the derivatives of the torques of the control, and compute these; returns a status."""
     model, data, _ = open_system(struct)
-    differences, time_change = blocks.differences, blocks.differences.time_change
-    laws = differences.laws
-    follows, differs = model.control_reach > OPEN_LOOP and not held, False
-    for k in range(laws):
-        differs = differs or model.control[k, 2] == 0
-    if held:
-        differences.time_change = 0.0
+    follows, differs = follow_the_state(model, differences)
     status = differentiate_control(struct, differences, follows, differs)
-    differences.time_change = time_change
-    for k in range(laws, model.control.shape[0]):
+    for k in range(differences.laws, model.control.shape[0]):
         call_cfunc(model.control[k, 0], struct, float(model.control[k, 1]), data.time.now)
     return status
 
@@ -399,26 +399,30 @@ def gather(blocks, data, work, power, of_drives):
 
     ``power`` is the place of the power of these, whose derivatives follow; -1: it does not count.
     """
-    total = blocks.works - 1
-    at, places, own = force_columns(data), chart_places(data), 2 * blocks.d + blocks.e
+    total, frames = blocks.works - 1, blocks.frames
+    of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     slopes = data.torque_slopes if of_drives else data.force_slopes
     force, first = (data.torque, 0) if of_drives else (data.h, places.joints)
     for i in range(blocks.counts.size):
         A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
         joints, states = d1 - d0, blocks.counts[i]
-        for c in range(2 * joints + states + TIME + 1 + blocks.shared - 6):
+        for c in range(2 * joints + states + 2 * frames + 1 + blocks.shared - frames):
             if c < joints:
-                source, column = at.positions + d0 + c, c
+                source, column = of_forces.positions + d0 + c, c
             elif c < 2 * joints:
-                source, column = at.rates + d0 + c - joints, blocks.d + c - joints
+                k = c - joints
+                source, column = of_forces.rates + d0 + k, at.rates + k
             elif c < 2 * joints + states:
                 k = c - 2 * joints
-                source, column = at.states + blocks.states[i, k], 2 * blocks.d + k
+                source, column = of_forces.states + blocks.states[i, k], at.states + k
+            elif c < 2 * joints + states + 2 * frames:
+                source = c - 2 * joints - states
+                column = at.pose + source
             else:
-                k = c - 2 * joints - states
-                column = own + k if k <= TIME else own + SHARED + 6 + k - TIME - 1
-                source = k if k < TIME else at.time + k - TIME
+                k = c - 2 * joints - states - 2 * frames
+                source = of_forces.time + k
+                column = at.time if k == 0 else at.share + k - 1
             power_slope = 0.0
             for j in range(joints):
                 slope = slopes[first + d0 + j, source]
@@ -432,10 +436,10 @@ def gather(blocks, data, work, power, of_drives):
                 A[powers + total, column] += power_slope
             if 0 <= power < total:
                 A[powers + power, column] += power_slope
-    for c in range(0 if of_drives else TIME + 1):
-        source = c if c < TIME else at.time
-        power_slope = data.h_o[c - TWIST] if TWIST <= c < TIME else 0.0
-        for l in range(6):  # noqa: E741
+    for c in range(0 if of_drives else 2 * frames + 1):
+        source = c if c < 2 * frames else of_forces.time
+        power_slope = data.h_o[c - frames] if frames <= c < 2 * frames else 0.0
+        for l in range(frames):  # noqa: E741
             slope = slopes[l, source]
             blocks.by_object[l, c] -= slope
             power_slope += slope * data.twist[l]
@@ -448,17 +452,17 @@ def gather(blocks, data, work, power, of_drives):
 @kernel
 def share_weight(struct, blocks):
     """Write s of the state in the data; returns whether the contacts carry any wrench."""
-    if blocks.shared == 6:
+    if blocks.shared == blocks.frames:
         return True
     data = open_data(struct)
     A, s, scale = blocks.node, blocks.share, blocks.alpha
     write_wrench_products(data.Wo, A, scale)
-    for l in range(6):  # noqa: E741
+    for l in range(s.size):  # noqa: E741
         s[l] = scale[l] * data.weight[l]
-    if not factor_lu(A, 6, blocks.node_pivots) > CARRIED:
+    if not factor_lu(A, s.size, blocks.node_pivots) > CARRIED:
         return False
-    solve_lu(A, 6, blocks.node_pivots, s)
-    for l in range(6):  # noqa: E741
+    solve_lu(A, s.size, blocks.node_pivots, s)
+    for l in range(s.size):  # noqa: E741
         s[l] *= scale[l]
     return True
 
@@ -473,12 +477,13 @@ def factor_arms(blocks, data, work):
     Returns whether they can be used.
     """
     usable, S, K = True, blocks.S, open_equations(blocks.equations).K
+    frames = blocks.frames
     for l in range(blocks.shared):  # noqa: E741
         clear(S[l])
-        for c in range(6):
-            S[l, c] = data.inertia[l, c] if l < 6 else 0.0
-            for k in range(data.Wo.shape[0] if l >= 6 else 0):
-                S[l, 6 + c] += data.Wo[k, l - 6] * data.Wo[k, c]
+        for c in range(frames):
+            S[l, c] = data.inertia[l, c] if l < frames else 0.0
+            for k in range(data.Wo.shape[0] if l >= frames else 0):
+                S[l, frames + c] += data.Wo[k, l - frames] * data.Wo[k, c]
     for i in range(blocks.counts.size):
         size = work.dofs[i + 1] - work.dofs[i] + work.rows[i + 1] - work.rows[i]
         usable = usable and factor_lu(K[i], size, blocks.K_pivots[i]) > 0.0
@@ -488,10 +493,10 @@ def factor_arms(blocks, data, work):
 @kernel
 def solve_arms(blocks, work):
     """From the derivatives of F to those of the accelerations; returns whether it succeeded."""
-    own = 2 * blocks.d + blocks.e
-    first, S, u, K = own + SHARED, blocks.S, blocks.shared, open_equations(blocks.equations).K
+    S, u, K = blocks.S, blocks.shared, open_equations(blocks.equations).K
+    at, of_object = block_columns(blocks), blocks.by_object.shape[1]
     for l in range(u):  # noqa: E741
-        for c in range(SHARED):
+        for c in range(of_object):
             blocks.by_object[l, c] = -blocks.by_object[l, c]
     for i in range(blocks.counts.size):
         r0, n, A = work.rows[i], work.dofs[i + 1] - work.dofs[i], blocks.derivatives[i]
@@ -503,16 +508,16 @@ def solve_arms(blocks, work):
         solve_rows(K[i], n + m, blocks.K_pivots[i], A)
         for l in range(u):  # noqa: E741
             row = B[l]
-            for c in range(own):
+            for c in range(at.pose):
                 row[c] = -row[c]
-            for k in range(m if l < 6 else 0):
+            for k in range(m if l < blocks.frames else 0):
                 weight, forces = blocks.Wo[r0 + k, l], A[n + k]
-                for c in range(own):
+                for c in range(at.pose):
                     row[c] += weight * forces[c]
-                for c in range(SHARED):
-                    blocks.by_object[l, c] += weight * forces[own + c]
+                for c in range(of_object):
+                    blocks.by_object[l, c] += weight * forces[at.pose + c]
                 for c in range(u):
-                    S[l, c] -= weight * forces[first + c]
+                    S[l, c] -= weight * forces[at.accelerations + c]
     if not factor_lu(S, u, blocks.S_pivots) > 0.0:
         return False
     for i in range(blocks.counts.size):
@@ -525,21 +530,22 @@ def solve_arms(blocks, work):
 def write_time_slope(blocks, struct, slope):
     """Write the derivative of the whole slope with respect to time."""
     _, data, work = open_system(struct)
-    places, time = chart_places(data), 2 * blocks.d + blocks.e + TIME
+    places, at = chart_places(data), block_columns(blocks)
+    time = at.time - at.pose
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     clear(slope)
-    for l in range(6):  # noqa: E741
-        slope[places.velocity + l] = blocks.by_object[l, TIME]
+    for l in range(blocks.frames):  # noqa: E741
+        slope[places.velocity + l] = blocks.by_object[l, time]
     for k in range(blocks.works):
-        slope[places.works + k] = blocks.by_object[blocks.shared + k, TIME]
+        slope[places.works + k] = blocks.by_object[blocks.shared + k, time]
     for i in range(blocks.counts.size):
         A, first = blocks.derivatives[i], places.rates + work.dofs[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
-            s = A[j, time]
+            s = A[j, at.time]
             for l in range(blocks.shared):  # noqa: E741
-                s += A[j, time + 1 + l] * blocks.by_object[l, TIME]
+                s += A[j, at.accelerations + l] * blocks.by_object[l, time]
             slope[first + j] = s
         for k in range(blocks.counts[i]):
-            slope[places.states + blocks.states[i, k]] = A[rates + k, time]
+            slope[places.states + blocks.states[i, k]] = A[rates + k, at.time]
         for k in range(blocks.works):
-            slope[places.works + k] += A[powers + k, time]
+            slope[places.works + k] += A[powers + k, at.time]

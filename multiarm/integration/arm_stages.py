@@ -33,19 +33,19 @@ from __future__ import annotations
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
-from multiarm.integration.arm_blocks import POSE, SHARED, TWIST
+from multiarm.integration.arm_blocks import block_columns
 from multiarm.jit.kernels import clear, inlined, kernel
 
 
 @kernel
-def factor_stages(gamma, blocks, struct, omega, h):
+def factor_stages(gamma, blocks, struct, velocity, h):
     """Factors of the stages' systems; returns whether they can be used."""
     _, _, work = open_system(struct)
-    d, own, node, usable = blocks.d, 2 * blocks.d + blocks.e, blocks.node, True
+    d, at, node, usable = blocks.d, block_columns(blocks), blocks.node, True
     u = blocks.shared
     for l in range(u):  # noqa: E741
         clear(node[l])
-        along_object(gamma, h, omega, blocks.by_object[l], 0, node[l])
+        along_object(gamma, h, velocity, blocks.by_object[l], blocks.frames, node[l])
         for c in range(u):
             node[l, c] = (1.0 if l == c else 0.0) - node[l, c]
     for i in range(blocks.counts.size):
@@ -61,9 +61,9 @@ def factor_stages(gamma, blocks, struct, omega, h):
         for r in range(size):
             row = A[r if r < n else d + blocks.m + r - n]
             clear(V[r])
-            along_object(gamma, h, omega, row, own + POSE, V[r])
+            along_object(gamma, h, velocity, row[at.pose :], blocks.frames, V[r])
             for l in range(u):  # noqa: E741
-                V[r, l] = h * (V[r, l] + row[own + SHARED + l])
+                V[r, l] = h * (V[r, l] + row[at.accelerations + l])
             for c in range(n):
                 E[r, c] = -h * (row[d + c] + h * gamma * row[c])
             for c in range(n, size):
@@ -83,15 +83,23 @@ def factor_stages(gamma, blocks, struct, omega, h):
 
 
 @inlined
-def along_object(gamma, h, omega, row, first, out):
+def along_object(gamma, h, velocity, row, frames, out):
     """``h gamma (h R_o^T row_x + row_v)``: a row along the rates that a unit of alpha gives.
 
-    ``row`` has the derivatives by pose and twist from ``first`` on.
+    ``row`` has the derivatives by pose and twist, ``frames`` numbers each.
     """
-    turn(1.0 / gamma, -0.5 * h, omega, row[first + 3 : first + 6], out[3:6])
-    for l in range(3):  # noqa: E741
-        out[l] = h * gamma * (h * gamma * row[first + l] + row[first + TWIST + l])
-        out[3 + l] = h * gamma * (h * out[3 + l] + row[first + TWIST + 3 + l])
+    for l in range(frames):  # noqa: E741
+        out[l] = gamma * row[l]
+    turn_frames(frames, 1.0 / gamma, -0.5 * h, velocity, row, out)
+    for l in range(frames):  # noqa: E741
+        out[l] = h * gamma * (h * out[l] + row[frames + l])
+
+
+@inlined
+def turn_frames(size, a, half, velocity, row, out):
+    """Rotation vectors of ``out = R row`` by :func:`turn`, for frames with ``size`` velocities."""
+    for spin in range(3, size, 6):
+        turn(a, half, velocity[spin : spin + 3], row[spin : spin + 3], out[spin : spin + 3])
 
 
 @kernel
@@ -107,16 +115,16 @@ def turn(a, half, omega, vector, out):
 
 
 @kernel
-def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
+def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
     """Solve a stage's system for the right-hand side ``right``."""
     _, data, work = open_system(struct)
-    places, d, own = chart_places(data), blocks.d, 2 * blocks.d + blocks.e
-    alpha, k_o = blocks.alpha, blocks.rates
+    places, d, at = chart_places(data), blocks.d, block_columns(blocks)
+    alpha, k_o, frames = blocks.alpha, blocks.rates, blocks.frames
     clear(alpha)
-    write_object_rates(gamma, h, omega, places, right, alpha, k_o)
+    write_object_rates(gamma, h, velocity, places, right, alpha, k_o)
     for l in range(blocks.shared):  # noqa: E741
         s = 0.0
-        for c in range(12):
+        for c in range(k_o.size):
             s += blocks.by_object[l, c] * k_o[c]
         alpha[l] = s
     for i in range(blocks.counts.size):
@@ -126,8 +134,8 @@ def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
         for r in range(size):
             row = A[r if r < joints else d + blocks.m + r - joints]
             s = 0.0
-            for c in range(12):
-                s += row[own + c] * k_o[c]
+            for c in range(k_o.size):
+                s += row[at.pose + c] * k_o[c]
             for c in range(joints):
                 s += gamma * row[c] * right[places.joints + d0 + c]
             k_i[r] = right[unknown_place(blocks, i, places, d0, joints, r)] + h * s
@@ -140,9 +148,9 @@ def solve_arm_stage(gamma, blocks, struct, omega, h, right, out):
                 s += D[l, c] * k_i[c]
             alpha[l] += s
     solve_lu(blocks.node, blocks.shared, blocks.node_pivots, alpha)
-    write_object_rates(gamma, h, omega, places, right, alpha, k_o)
-    for l in range(6):  # noqa: E741
-        out[l], out[places.velocity + l] = k_o[l], k_o[6 + l]
+    write_object_rates(gamma, h, velocity, places, right, alpha, k_o)
+    for l in range(frames):  # noqa: E741
+        out[l], out[places.velocity + l] = k_o[l], k_o[frames + l]
     for i in range(blocks.counts.size):
         d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         for r in range(joints + blocks.counts[i]):
@@ -163,36 +171,37 @@ def unknown_place(blocks, i, places, d0, joints, r):
 
 
 @inlined
-def write_object_rates(gamma, h, omega, places, right, alpha, rates):
+def write_object_rates(gamma, h, velocity, places, right, alpha, rates):
     """Rates of the object's pose and twist for the derivative ``alpha`` of its acceleration."""
-    for l in range(6):  # noqa: E741
-        rates[6 + l] = gamma * (right[places.velocity + l] + h * alpha[l])
-        rates[l] = right[l] + h * rates[6 + l]
-    for l in range(3):  # noqa: E741
-        rates[l] *= gamma
-    turn(1.0 / gamma, 0.5 * h, omega, rates[3:6], rates[3:6])
+    frames = places.joints
+    for l in range(frames):  # noqa: E741
+        rates[frames + l] = gamma * (right[places.velocity + l] + h * alpha[l])
+        rates[l] = right[l] + h * rates[frames + l]
+    turn_frames(frames, 1.0 / gamma, 0.5 * h, velocity, rates, rates)
+    for l in range(frames):  # noqa: E741
+        if l % 6 < 3:
+            rates[l] *= gamma
 
 
 @inlined
 def add_powers(gamma, blocks, work, places, h, right, out):
     """Rates of the works along the rates of the state, which are known."""
-    d, count = blocks.d, blocks.works
-    first = blocks.d + blocks.m + blocks.e
-    for k in range(count):
+    at, first = block_columns(blocks), blocks.d + blocks.m + blocks.e
+    for k in range(blocks.works):
         total, row = 0.0, blocks.by_object[blocks.shared + k]
-        for c in range(12):
+        for c in range(blocks.rates.size):
             total += row[c] * blocks.rates[c]
         for i in range(blocks.counts.size):
             d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-            row, own = blocks.derivatives[i, first + k], 2 * d + blocks.e
-            for c in range(12):
-                total += row[own + c] * blocks.rates[c]
-            for l in range(6, blocks.shared):  # noqa: E741
-                total += row[own + SHARED + l] * blocks.alpha[l]
+            row = blocks.derivatives[i, first + k]
+            for c in range(blocks.rates.size):
+                total += row[at.pose + c] * blocks.rates[c]
+            for l in range(blocks.frames, blocks.shared):  # noqa: E741
+                total += row[at.accelerations + l] * blocks.alpha[l]
             for j in range(joints):
                 total += row[j] * out[places.joints + d0 + j]
-                total += row[d + j] * out[places.rates + d0 + j]
+                total += row[at.rates + j] * out[places.rates + d0 + j]
             for j in range(blocks.counts[i]):
-                total += row[2 * d + j] * out[places.states + blocks.states[i, j]]
+                total += row[at.states + j] * out[places.states + blocks.states[i, j]]
         work_at = places.works + k
         out[work_at] = gamma * (right[work_at] + h * total)

@@ -14,25 +14,20 @@ they have died out.
 
 *The matrix.*  The state is ``[positions, velocities, inner states, works]``; inner states are those
 of effects, and are treated like velocities that move no position.  Only accelerations, inner rates
-and powers need differences; the positions' rates are known.  At the beginning of a step, where the
-chart's rotation vector is zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and so
-with ``R = (1/gamma - hB)^{-1}``, which is written down,
+and powers need derivatives; the positions' rates are known.  At the beginning of a step, where the
+chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and
+so :math:`R = (1/\gamma - hB)^{-1}` is written down.
 
-.. math::
-    k_p = R\,(r_p + h k_v), \qquad
-    \Big(\frac1\gamma - h J_v - h^2 J_p R\Big) k_v = r_v + h J_p R\, r_p, \qquad
-    k_w = \gamma\,\big(r_w + h (J_{wp} k_p + J_{wv} k_v)\big):
+Where control and effects are local, gravity compensation besides, the system falls apart into arms,
+at a cost that is linear in them (:mod:`multiarm.integration.arm_blocks`).  Elsewhere it is one
+matrix (:mod:`multiarm.integration.full_matrix`): with the square of the number of arms grows the
+cost of its derivatives, with the cube that of its factors; for few arms both are small.
 
-one matrix as large as there are velocities, half as large as the state, without inner states.
-
-*The derivatives* are exact, arm by arm, where control and effects are local, gravity compensation
-besides (:mod:`multiarm.integration.arm_blocks`): no further evaluation, and a cost linear in the
-arms.  A law or effect that states no derivative adds 2 n + 1 evaluations of the kinematics, for n
-joints of the largest arm.  Elsewhere they are differences of whole evaluations, central in the
-positions, on which everything depends in the most curved way, and forward in the velocities, of
-which accelerations are quadratic functions: 3 (6 + n) evaluations for n joints of all arms, two
-more when something depends on time.  The cost of a step then grows with the square of the number of
-arms, that of the matrix with its cube; for few arms both are small.
+*The derivatives* are exact with either, and take no further evaluation of the equations of motion.
+A law or effect that states no derivative is differentiated by differences, which compute its forces
+and the kinematics that these need: n of the longest arm twice where it is local, twelve and twice n
+of all arms elsewhere, and none for a function of a user, which knows the state alone.  Whole
+evaluations are differentiated only where constraints depend on each other or contacts slide.
 """
 
 from __future__ import annotations
@@ -41,12 +36,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.factors import factor_lu, solve_lu
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.arm_blocks import (
-    TIME_CHANGE,
     ArmBlocks,
     acts_locally,
     differentiate_arms,
@@ -55,50 +50,39 @@ from multiarm.integration.arm_blocks import (
     share_weight,
     write_time_slope,
 )
-from multiarm.integration.arm_stages import factor_stages, solve_arm_stage, turn
-from multiarm.integration.projection import greatest
+from multiarm.integration.arm_stages import factor_stages, solve_arm_stage
+from multiarm.integration.full_matrix import (
+    FullMatrix,
+    differentiate_full,
+    factor_full,
+    make_full_matrix,
+    solve_full_stage,
+)
 from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at, stage_slope
-from multiarm.jit.kernels import cfunc, clear, copy, kernel
-from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
+from multiarm.jit.kernels import cfunc, copy, kernel
+from multiarm.jit.structs import Floats1, struct_at, view
 
 
 class RosenbrockWork(NamedTuple):
-    """A step's arrays for ``D = N + M + w`` entries of the chart's vector.
-
-    They are N positions, ``M = N + e`` velocities and states of effects, and ``w`` works.
-    """
+    """A step's arrays for ``D`` entries of the chart's vector."""
 
     slope: Floats1  # (D,), the first slope
-    other: Floats1  # (D,), scratch
+    right: Floats1  # (D,), right-hand side of a stage
     time_slope: Floats1  # (D,), derivative with respect to time
-    # derivatives of the accelerations, inner rates and, last, of the powers
-    by_position: Floats2  # (M + w, N)
-    by_velocity: Floats2  # (M + w, M)
-    turned: Floats2  # (M, N), J_p R
-    # factors of the linear system
-    matrix: Floats2  # (M, M)
-    pivots: Ints1  # (M,)
 
 
-def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks]:
+def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks, FullMatrix]:
     """Allocate the arrays of a Rosenbrock method's steps."""
-    size, n = step.z.size, data.model.layout.nv
-    m = step.tolerance.size - n
-    work = RosenbrockWork(
-        slope=np.zeros(size),
-        other=np.zeros(size),
-        time_slope=np.zeros(size),
-        by_position=np.zeros((size - n, n)),
-        by_velocity=np.zeros((size - n, m)),
-        turned=np.zeros((m, n)),
-        matrix=np.zeros((m, m)),
-        pivots=np.zeros(m, dtype=np.int64),
-    )
-    return work, make_arm_blocks(data, step)
+    work = RosenbrockWork(*(np.zeros(step.z.size) for _ in RosenbrockWork._fields))
+    _, equations = equation_work(data, state_columns(data.arrays).end)
+    blocks = make_arm_blocks(data, step, equations)
+    return work, blocks, make_full_matrix(data, step, equations)
 
 
 _view_work = view(RosenbrockWork, METHOD_WORK)
-_view_blocks = view(ArmBlocks, METHOD_WORK + len(RosenbrockWork._fields))
+_BLOCKS = METHOD_WORK + len(RosenbrockWork._fields)
+_view_blocks = view(ArmBlocks, _BLOCKS)
+_view_full = view(FullMatrix, _BLOCKS + len(ArmBlocks._fields))
 
 
 @cfunc
@@ -109,148 +93,53 @@ def rosenbrock_step(address, size, t, h):
     """
     struct = struct_at(address, size)
     method, step = open_step(struct)
-    work, blocks = _view_work(struct), _view_blocks(struct)
+    work, blocks, full = _view_work(struct), _view_blocks(struct), _view_full(struct)
     copy(step.k[0], work.slope)
-    status = differentiate(step, work, blocks, t, h)
+    status = differentiate(step, work, blocks, full, t, h)
     if status != OK:
         return status
-    n = work.by_position.shape[1]
-    omega, gamma = step.z[n + 3 : n + 6], method.gamma
+    places = chart_places(open_data(step.system))
+    velocity, gamma, right = step.z[places.velocity : places.states], method.gamma, work.right
     if blocks.used[0] != 0:
-        usable = factor_stages(gamma, blocks, step.system, omega, h)
+        usable = factor_stages(gamma, blocks, step.system, velocity, h)
     else:
-        usable = factor(method, step, work, h)
+        usable = factor_full(gamma, full, step.system, velocity, h)
     if not usable:
         return NOT_FINITE
     for i in range(method.stages):
-        copy(work.slope, work.other)
+        copy(work.slope, right)
         if i > 0:
             combine(step, method.A[i], i, h, step.z_stage)
-            status = stage_slope(step, t + method.c[i] * h, step.z_stage, work.other)
+            status = stage_slope(step, t + method.c[i] * h, step.z_stage, right)
             if status != OK:
                 return status
         for j in range(i):
             weight = method.C[i, j]
-            for l in range(work.other.size):  # noqa: E741
-                work.other[l] += weight * step.k[j, l]
-        for l in range(work.other.size):  # noqa: E741
-            work.other[l] += h * method.d[i] * work.time_slope[l]
+            for l in range(right.size):  # noqa: E741
+                right[l] += weight * step.k[j, l]
+        for l in range(right.size):  # noqa: E741
+            right[l] += h * method.d[i] * work.time_slope[l]
         if blocks.used[0] != 0:
-            solve_arm_stage(gamma, blocks, step.system, omega, h, work.other, step.k[i])
+            solve_arm_stage(gamma, blocks, step.system, velocity, h, right, step.k[i])
         else:
-            solve_stage(method, step, work, h, work.other, step.k[i])
+            solve_full_stage(gamma, full, step.system, velocity, h, right, step.k[i])
     combine(step, method.b, method.stages, h, step.z_new)
     return OK
 
 
 @kernel
-def differentiate(step, work, blocks, t, h):
+def differentiate(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
-    if acts_locally(step):
-        status = slope_at(step, t, step.z, work.other)
-        if status != OK:
-            return status
-        if is_regular(step.system) and share_weight(step.system, blocks):
-            blocks.used[0] = 1
-            status = differentiate_arms(step, blocks, t, h)
-            write_time_slope(blocks, step.system, work.time_slope)
-            return status
-    return differentiate_whole(step, work, t, h)
-
-
-@kernel
-def differentiate_whole(step, work, t, h):
-    """Derivatives from differences of whole evaluations; returns a status."""
-    # changes of a position [m, rad]; of a velocity and of a state of effects, relative to the
-    # largest one or to 1
-    position_change, relative_change = 2e-6, 1e-6
-    z, n, other, below = step.z_stage, work.by_position.shape[1], work.other, work.time_slope
-    m, rows = work.matrix.shape[0], work.by_position.shape[0]
-    fast = max(1.0, greatest(step.z[n : 2 * n]))
-    strong = max(1.0, greatest(step.z[2 * n : n + m]))
-    copy(step.z, z)
-    for j in range(n):
-        z[j] = step.z[j] - position_change
-        status = slope_at(step, t, z, below)
-        if status != OK:
-            return status
-        z[j] = step.z[j] + position_change
-        status = slope_at(step, t, z, other)
-        if status != OK:
-            return status
-        z[j] = step.z[j]
-        for i in range(rows):
-            work.by_position[i, j] = (other[n + i] - below[n + i]) / (2.0 * position_change)
-    for j in range(m):
-        change = relative_change * (fast if j < n else strong)
-        z[n + j] = step.z[n + j] + change
-        status = slope_at(step, t, z, other)
-        if status != OK:
-            return status
-        z[n + j] = step.z[n + j]
-        for i in range(rows):
-            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / change
-    return differentiate_by_time(step, work, t, h)
-
-
-@kernel
-def differentiate_by_time(step, work, t, h):
-    """``f_t`` from two later times, inside the step: its beginning may be a kink."""
-    model, _, _ = open_system(step.system)
-    rate, other = work.time_slope, work.other
-    clear(rate)
-    if model.control.shape[0] == 0 and model.effects.shape[0] == 0:
-        return OK
-    change = TIME_CHANGE * min(h, 1.0)  # [s]
-    status = slope_at(step, t + 2.0 * change, step.z, other)
+    status, projected = OK, step.stage.gap >= 0.0
+    if not projected:
+        status = slope_at(step, t, step.z, work.right)
     if status != OK:
         return status
-    copy(other, rate)
-    status = slope_at(step, t + change, step.z, other)
-    if status != OK:
+    by_arms = not projected and acts_locally(step) and is_regular(step.system)
+    if by_arms and share_weight(step.system, blocks):
+        blocks.used[0] = 1
+        status = differentiate_arms(step, blocks, t, h)
+        write_time_slope(blocks, step.system, work.time_slope)
         return status
-    for i in range(rate.size):
-        rate[i] = (4.0 * other[i] - rate[i] - 3.0 * work.slope[i]) / (2.0 * change)
-    return OK
-
-
-@kernel
-def factor(method, step, work, h):
-    """Factors of the linear system; returns whether they can be used."""
-    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / method.gamma
-    for i in range(m):
-        row = work.turned[i]
-        for j in range(n):
-            row[j] = work.by_position[i, j] / a
-        turn(a, -0.5 * h, step.z[n + 3 : n + 6], work.by_position[i, 3:6], row[3:6])
-        for j in range(m):
-            work.matrix[i, j] = -h * work.by_velocity[i, j]
-        for j in range(n):
-            work.matrix[i, j] -= h * h * row[j]
-        work.matrix[i, i] += a
-    return factor_lu(work.matrix, m, work.pivots) > 0.0
-
-
-@kernel
-def solve_stage(method, step, work, h, right, out):
-    """Solve the stage's system for the right-hand side ``right``, which is overwritten."""
-    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / method.gamma
-    velocity = out[n : n + m]
-    for i in range(m):
-        s = right[n + i]
-        for j in range(n):
-            s += h * work.turned[i, j] * right[j]
-        velocity[i] = s
-    solve_lu(work.matrix, m, work.pivots, velocity)
-    for i in range(n):
-        right[i] += h * velocity[i]
-        out[i] = right[i] / a
-    turn(a, 0.5 * h, step.z[n + 3 : n + 6], right[3:6], out[3:6])
-    for i in range(m, work.by_position.shape[0]):
-        s = right[n + i]
-        for j in range(n):
-            s += h * work.by_position[i, j] * out[j]
-        for j in range(m):
-            s += h * work.by_velocity[i, j] * velocity[j]
-        out[n + i] = s / a
+    return differentiate_full(step, full, work.slope, work.time_slope, t, h)

@@ -1,10 +1,4 @@
-"""A sample as one row of numbers: its width, its columns, and the kernel that writes it.
-
-The columns are time, object position, quaternion (xyzw), joint positions, object twist, joint
-velocities, control torques, contact forces, free relative rates and coordinates of the joints,
-wrenches on the object, tips, kinetic and potential energy, work of each effect and of all together,
-largest gap and largest gap rate; rank of the constraints, arms in the coupled system, relative
-residual.
+"""A sample as one row of numbers: its columns, and the kernel that writes it in their order.
 
 A quaternion of a tip has the sign with which it continues that of the sample before; the first has
 ``w >= 0``.
@@ -19,7 +13,6 @@ from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
 from multiarm.dynamics.arrays import TIP_WIDTH, open_system
 from multiarm.dynamics.contact_forces import write_wrenches
 from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
-from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec
@@ -27,18 +20,9 @@ from multiarm.results.channels import Channel, Columns, in_sequence
 from multiarm.spatial import quaternion_of
 
 
-def sample_width(data: Data) -> int:
-    """Numbers a sample: see :func:`write_sample`."""
-    n, free, arrays = data.model.layout.joints, len(data.model.constants.free), data.arrays
-    of_arms = arrays.shown.size + 2 * free + arrays.wrenches.size + arrays.tips.size
-    return (
-        1 + arrays.configuration.size + arrays.velocity.size + n + of_arms + 7 + arrays.power.size
-    )
-
-
 @kernel
 def write_sample(struct, t, works, row):
-    """Write an evaluated state as a row with the columns above."""
+    """Write an evaluated state as a row with the columns of :func:`sample_columns`."""
     model, data, work = open_system(struct)
     m, at = data.shown.size, 1
     row[0] = t

@@ -85,7 +85,7 @@ class Step(NamedTuple):
     z_new: Floats1
     z_stage: Floats1
     z_next: Floats1
-    # base of the chart (4 F,): of this step, of the next one, of the last one
+    # base of the chart (7 F + n,): of this step, of the next one, of the last one
     base: Floats1
     base_next: Floats1
     base_old: Floats1
@@ -100,7 +100,7 @@ class Step(NamedTuple):
 
 
 @cache
-def coefficients(tableau: Tableau, step: int = 0) -> Coefficients:
+def coefficients(tableau: Tableau, step: int) -> Coefficients:
     """A method in the kernels' form (all have the same types: nothing recompiles).
 
     ``step`` is the address of the kernel that makes a step.  Runs share the arrays, which nothing
@@ -135,7 +135,8 @@ def make_step(
     """Allocate for a method and a system, its struct, its number of effects' states and works."""
     size = 2 * layout.nv + states + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
-    upright, stage = np.tile([0.0, 0.0, 0.0, 1.0], layout.frames), Stage()
+    base, stage = np.zeros(layout.nq), Stage()
+    layout.poses(base)[:, 6] = 1.0  # upright
     stage.begin()
     return Step(
         system=system,
@@ -144,9 +145,9 @@ def make_step(
         z_new=np.zeros(size),
         z_stage=np.zeros(size),
         z_next=np.zeros(size),
-        base=upright,
-        base_next=upright.copy(),
-        base_old=upright.copy(),
+        base=base,
+        base_next=base.copy(),
+        base_old=base.copy(),
         k=np.zeros((slopes, size)),
         slope=np.zeros(size),
         slope_next=np.zeros(size),

@@ -89,6 +89,8 @@ class Clock(Numbers):
     steps: Int
     rejected: Int
     evaluations: Int
+    sample_evaluations: Int  # of them, what samples took
+    step_cost: Int  # evaluations of the last step, without attempts that were rejected
     projections: Int
     sample: Int  # the next one
     block_first: Int  # first sample of the block

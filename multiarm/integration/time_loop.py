@@ -21,7 +21,6 @@ from multiarm.contacts.kernel import GAP
 from multiarm.dynamics.arrays import open_data, open_reports, open_system
 from multiarm.dynamics.coordinates import (
     chart_places,
-    copy_works,
     load_chart,
     store_chart,
     write_chart_slope,
@@ -86,7 +85,9 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
     clock, settings, struct = view_clock(clock), view_settings(settings), step.system
     limit = clock.evaluations + budget
     while True:
+        before = clock.evaluations
         status = emit_samples(struct, method, step, clock, settings, block)
+        clock.sample_evaluations += clock.evaluations - before
         if status != OK:
             return status
         if clock.t >= clock.end:
@@ -103,11 +104,13 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             return clock.cause
         choose_stage_projection(step, clock, settings)
         stay_before_breakpoint(step, clock, settings, end)
+        before = clock.evaluations
         status, error = try_step(arrays, clock, settings, h)
         if status == OK and error <= 1.0:
             status = complete_step(method, step, clock, settings, h, end)
             if status == OK:
                 count_evaluations(step, clock)
+                clock.step_cost = clock.evaluations - before
                 accept_step(struct, method, clock, settings, h, end, error)
                 if clock.solver_changes > 0:
                     clock.solver_changes = 0
@@ -325,7 +328,8 @@ def complete_step(method, step, clock, settings, h, end):
     write_chart_slope(step.z_stage, data, step.slope_next)
     due = sample_time(clock, settings, clock.sample) if clock.sample < clock.samples else math.inf
     store_chart(data, step.base_next, step.z_next)
-    copy_works(data, step.z_new, step.z_next)
+    works = chart_places(data).works
+    copy(step.z_new[works:], step.z_next[works:])
     if due < end - 1e-9 * h or clock.reports > 0:
         status = prepare_dense(method, step, t, h)
         if status != OK:

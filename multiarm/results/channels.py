@@ -96,6 +96,11 @@ class Channel:
         return self.labels or tuple(str(column + 1) for column in range(self.width))
 
 
+def width_of(channels: Iterable[Channel]) -> int:
+    """Numbers of a sample."""
+    return sum(channel.width for channel in channels)
+
+
 def in_sequence(channels: Iterable[Channel]) -> Columns:
     """Columns of rows in which the channels follow each other."""
     columns, end = {}, 0

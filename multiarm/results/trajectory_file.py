@@ -44,6 +44,7 @@ from multiarm.results.channels import (
     arm_names,
     recordable,
     trajectory_channels,
+    width_of,
     wrench_and_tip_channels,
     wrench_channel,
 )
@@ -214,7 +215,7 @@ class TrajectoryWriter:
     def __init__(self, path: Path, channels: Sequence[Channel], metadata: dict[str, Any]):
         self.path, self._fault = path, ""
         self.samples, self._checkpointed = 0, 0
-        self._chunk_bytes = 8 * CHUNK_SAMPLES * sum(channel.width for channel in channels)
+        self._chunk_bytes = 8 * CHUNK_SAMPLES * width_of(channels)
         # descriptions and index of a dataset take up to 16 KiB
         self._spare_bytes = 16384 * (4 + len(channels))
         # there is one writer at a time; with the same name the next one removes what a kill left

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.coordinates import read_chart
+from multiarm.dynamics.coordinates import chart_places, read_chart
 from multiarm.dynamics.failures import failure_text, lost_contact_text
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
@@ -103,7 +103,7 @@ class Switch:
 
     def __init__(self) -> None:
         self._explicit: str | None = None  # the method that a trial replaces
-        self._explicit_pace = 0.0  # [s] an evaluation
+        self._pace = 0.0  # of this method [s an evaluation]
         self._until = self._spent = 0
         self._since = 0.0
 
@@ -111,8 +111,7 @@ class Switch:
         """Continue with the method for stiff scenes, on trial."""
         clock, tableau = run.clock, run.stepping.tableau
         self._explicit = tableau.name
-        # besides the stages, an explicit step takes three: two for projection, one at its end
-        self._explicit_pace = clock.h_before / (len(tableau.b) + 2)
+        self._pace = clock.h_before / clock.step_cost
         self._change(run, FOR_STIFF_SCENES, "the scene is stiff")
 
     def end_trial(self, run: Run) -> None:
@@ -125,7 +124,7 @@ class Switch:
     def _is_faster(self, run: Run) -> bool:
         """Whether the method on trial advances further with an evaluation."""
         advanced = run.clock.t - self._since
-        return advanced > self._explicit_pace * (_step_evaluations(run) - self._spent)
+        return advanced > self._pace * (_step_evaluations(run) - self._spent)
 
     def _change(self, run: Run, name: str, why: str) -> None:
         """Change the method of a run, at its state."""
@@ -142,15 +141,15 @@ class Switch:
 
 def _step_evaluations(run: Run) -> int:
     """Evaluations without those of the samples, which take the same with any method."""
-    clock, projected = run.clock, run.settings.gap_tolerance >= 0.0
-    return clock.evaluations - clock.sample * (3 if projected else 1)
+    return run.clock.evaluations - run.clock.sample_evaluations
 
 
 def state_of(run: Run, layout: Layout) -> State:
     """The state at the beginning of the next step."""
     step, configuration = run.stepping.step, np.empty(layout.nq)
+    places = chart_places(run.data.arrays)
     read_chart(layout.frames, step.z, step.base, configuration)
-    return State(configuration, step.z[layout.nv : 2 * layout.nv].copy(), layout)
+    return State(configuration, step.z[places.velocity : places.states].copy(), layout)
 
 
 def where_of(run: Run) -> str:

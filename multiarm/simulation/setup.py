@@ -20,7 +20,6 @@ from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import Fault, SceneError, SolverError
 from multiarm.integration.methods import Stepping, stepping_of
-from multiarm.integration.samples import sample_width
 from multiarm.integration.step import Step, begin_chart, write_slope
 from multiarm.integration.step_control import (
     FEEDBACK,
@@ -32,6 +31,7 @@ from multiarm.integration.step_control import (
     make_clock,
 )
 from multiarm.integration.time_loop import start_monitors
+from multiarm.results.channels import width_of
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
@@ -229,7 +229,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         first_length = _first_length(task, stepping)
     step.stage.evaluations = 0  # statistics begin with the first step
     samples, final_sample = _samples(task)
-    width = sample_width(data)
+    width = width_of(task.system.channels)
     clock = make_clock(
         begin,
         task.end,

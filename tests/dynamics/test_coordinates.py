@@ -85,7 +85,8 @@ def test_columns_of_the_state_have_every_displacement_and_velocity_once(layout):
     both = np.concatenate([layout.displacement_columns, layout.velocity_columns])
     assert np.array_equal(np.sort(both), np.arange(2 * layout.nv))
     of_kernels = state_columns(random_data(layout, np.random.default_rng(3)))
-    assert list(of_kernels) == [*[columns[name].start for name in STATE[1:]], 2 * layout.nv]
+    forces = [2 * layout.nv, 2 * layout.nv + layout.joints, 3 * layout.nv]
+    assert list(of_kernels) == [*[columns[name].start for name in STATE[1:]], *forces]
 
 
 @layouts
@@ -93,7 +94,7 @@ def test_a_chart_begins_at_the_state_and_leads_back_to_it(layout):
     rng = np.random.default_rng(4)
     data, other = random_data(layout, rng), random_data(layout, rng)
     z = rng.normal(size=chart_places(data).works + data.power.size)
-    works, base = z[chart_places(data).works :].copy(), np.zeros(4 * layout.frames)
+    works, base = z[chart_places(data).works :].copy(), np.zeros(layout.nq)
     store_chart.py_func(data, base, z)
     load_chart.py_func(z, base, other)
     assert np.allclose(other.configuration, data.configuration, atol=ROUNDING)
@@ -109,7 +110,8 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     data = random_data(layout, rng)
     places = chart_places(data)
     z = 0.4 * rng.normal(size=places.works + data.power.size)
-    base = Rotation.random(layout.frames, random_state=rng).as_quat().ravel()
+    base = np.zeros(layout.nq)
+    layout.poses(base)[:, 3:] = Rotation.random(layout.frames, random_state=rng).as_quat()
     load_chart.py_func(z, base, data)
     slope = np.zeros_like(z)
     write_chart_slope.py_func(z, data, slope)

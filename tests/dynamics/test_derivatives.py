@@ -29,7 +29,7 @@ from pinocchio_forest import constrained_forest
 from repository import SCENES
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
-from steps import without_derivatives
+from steps import data_at, without_derivatives
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
@@ -214,6 +214,22 @@ def test_effects_have_the_derivatives_of_differences(name, rng):
         ma.compile_system(ur5_pair({"kind": "weld"}, BALL, control=control)), state
     )
     assert np.abs(found[: len(free), : free.shape[1]] - free).max() > 0.1
+
+
+def test_springs_of_contacts_have_the_derivatives_of_differences(rng):
+    """Of the forces' directions and sizes, on a plane, a cylinder and in a ball joint."""
+    springs = {"contact_compliance": {"stiffness": 2e4, "damping": 300.0}}
+    curved = {"kind": "point_on_cylinder", "radius": 0.2}
+    for joint in ({"kind": "weld"}, curved):
+        system = ma.compile_system(ur5_pair(joint, BALL, effects=springs))
+        state = random_state(system, rng, turn=0.2, speed=0.5)
+        found, expected = (
+            applied_derivatives(data_at(own, state), True)
+            for own in (system, without_derivatives(system))
+        )
+        largest = np.abs(expected).max()  # roundings of these forces, where some are zero
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * largest)
+        assert largest > 1e4
 
 
 def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):

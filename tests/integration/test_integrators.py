@@ -25,7 +25,7 @@ from multiarm.scene import StabilizationSpec
 from multiarm.scene.run import STABILIZATIONS
 from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
-COEFFICIENTS = {name: coefficients(tableau) for name, tableau in METHODS.items()}
+COEFFICIENTS = {name: coefficients(tableau, 0) for name, tableau in METHODS.items()}
 RUNGE_KUTTA = [name for name, m in METHODS.items() if m.kind == EXPLICIT]
 
 

@@ -12,7 +12,7 @@ import pytest
 from mechanics import chain_urdf, first_difference, random_state, scene_of, ur5_pair
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from steps import coupled, derivatives_of, step_of_the_package
+from steps import coupled, derivatives_of, step_of_the_package, without_derivatives
 
 import multiarm as ma
 from multiarm.integration.step import coefficients
@@ -92,7 +92,7 @@ class Textbook:
 
     def step(self, t, h):
         """Stages ``U_i = h k_i`` and the end of the step, with the whole matrix."""
-        m = coefficients(METHODS["rodas5p"])
+        m = coefficients(METHODS["rodas5p"], 0)
         J, f_t = self.jacobian(t), self.time_slope(t)
         matrix, stages = np.eye(self.z.size) / (h * m.gamma) - J, np.zeros((8, self.z.size))
         for i in range(8):
@@ -172,7 +172,7 @@ def test_a_step_is_that_of_the_whole_matrix(spun, h):
 def test_stages_solve_the_whole_system_to_rounding(spun):
     """With the step's own derivatives in the matrix of all unknowns, works included."""
     system, state, textbook = spun
-    h, n, z, m = 0.03, textbook.n, textbook.z, coefficients(METHODS["rodas5p"])
+    h, n, z, m = 0.03, textbook.n, textbook.z, coefficients(METHODS["rodas5p"], 0)
     stepping = step_of_the_package(system, state, h)
     J = np.zeros((z.size, z.size))
     J[:n, n : 2 * n] = np.eye(n)
@@ -345,10 +345,12 @@ def test_scenes_that_are_not_stiff_never_change_the_method(accuracy, welded_ur5_
 @pytest.mark.slow
 def test_a_trial_that_does_not_pay_is_given_up():
     """Many joints, mild damping, high accuracy: a long step costs more than some short ones, where
-    it is differentiated as a whole.
+    two effects that state no derivative may act on everybody.
     """
-    scene = ring_of_arms(8).replace(effects={"joint_damping": 1000.0})
-    system, run = coupled(ma.compile_system(scene)), {"duration": 0.5, "output_step": 0.05}
+    effects = {"joint_damping": 1000.0, "drag": {"linear": 1.0}}
+    scene = ring_of_arms(8).replace(effects=effects)
+    system = coupled(without_derivatives(ma.compile_system(scene)))
+    run = {"duration": 0.5, "output_step": 0.05}
     found = ma.simulate(system, accuracy=1e-6, certificate=False, **run)
     told = [event["text"] for event in method_events(found)]
     assert told == [

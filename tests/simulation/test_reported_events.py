@@ -91,7 +91,7 @@ def test_times_of_limits_have_the_order_of_the_method(driven):
     assert errors[0] / errors[2] > 0.5 * 16.0**2
 
 
-@pytest.mark.parametrize("how", [{"accuracy": 1e-6}, {"integrator": "rk4", "step": 0.1}])
+@pytest.mark.parametrize("how", [{"accuracy": 1e-6}, {"integrator": "rk4", "step": 0.05}])
 def test_a_drive_reports_every_saturation_even_within_one_step(driven, how):
     """The command alone decides, so that its times are exact whatever the method."""
     limit = 0.97 * AMPLITUDE  # for a twelfth of the half period: 20 ms

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
+from multiarm.simulation.comparison import rotation_apart, state_of
 from multiarm.studies import reference as references
 from multiarm.studies import work_precision as studies
 from multiarm.studies.mujoco_peer import TorqueTape
@@ -613,6 +614,21 @@ def test_pinocchio_converges_to_the_reference(trial):
     order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
     assert order == pytest.approx(4.0, abs=0.2)
     assert [item.evaluations for item in coarse] == [160, 320]
+
+
+@pytest.mark.slow
+def test_pinocchios_coordinates_of_a_moving_state_lead_back_to_it(trial):
+    own, _, peers = trial
+    run, peer = ma.simulate(own), peers["Pinocchio"]
+    state = state_of(own.model.layout, run, len(run) - 1)
+    again = peer.state(peer.coordinates(state))
+    assert np.max(np.abs(state.object_twist)) > 1e-2
+    closed = 1e-9  # [m, m/s] what projection leaves of gaps, of which the object's pose follows
+    turned = rotation_apart(again.position[None, 3:7], state.position[None, 3:7])
+    assert np.max(np.abs(again.object_position - state.object_position)) < closed
+    assert np.max(turned) < closed
+    assert np.array_equal(again.position[7:], state.position[7:])
+    assert np.max(np.abs(again.velocity - state.velocity)) < closed
 
 
 @pytest.mark.slow

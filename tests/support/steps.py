@@ -6,11 +6,14 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
-from mechanics import data_of
+from mechanics import data_of, first_difference
 
+import multiarm as ma
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.model import with_effects
 from multiarm.dynamics.status import OK
+from multiarm.events.evaluation import mode_at
+from multiarm.integration.step import Stage, evaluate_slope
 from multiarm.jit.pointers import function_at
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Task, prepare, run_spec
@@ -38,7 +41,7 @@ def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
     choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
     changes = {"duration": h, "stabilization": "none", "output_step": h}
     spec = run_spec(system.scene.run, changes, choice, None)
-    data = data_of(system)
+    data = data_at(system, state)
     run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
     stepping = run.stepping
     step, struct = stepping.step, stepping.struct
@@ -49,11 +52,57 @@ def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
     return stepping
 
 
+def data_at(system, state):
+    """Data, evaluated at a state; with unilateral contacts those of its mode."""
+    if system.model.unilateral is not None:
+        return mode_at(data_of(system), 0.0, state).data
+    ma.evaluate(system, 0.0, state)
+    return data_of(system)
+
+
+class Slope:
+    """The rate of a step's state by evaluations of the whole system, at any state and time."""
+
+    def __init__(self, system, state, alpha=0.0, beta=0.0):
+        self.data = data_at(system, state)
+        inner, works = self.data.effect_states(), np.zeros(self.data.arrays.power.size)
+        position = [state.object_position, np.zeros(3), state.position[7:]]
+        self.z = np.concatenate([*position, state.velocity, inner, works])
+        self.base = np.zeros(system.model.layout.nq)
+        self.base[3:7] = state.object_quaternion_xyzw
+        self.stage = Stage(alpha=alpha, beta=beta, gap=-1.0, latest=np.inf)
+
+    def __call__(self, t, z):
+        slope = np.zeros(z.size)
+        assert evaluate_slope(self.data.struct, self.stage, t, z, self.base, slope) == OK
+        return slope
+
+    def jacobian(self, size):
+        """Derivatives by the first ``size`` entries of the state, by differences of order 8."""
+        along = lambda e: lambda s: self(0.0, self.z + s * e)  # noqa: E731
+        return np.column_stack(
+            [first_difference(along(e), 1e-3) for e in np.eye(self.z.size)[:size]]
+        )
+
+
+# What differences leave, relative to the largest entry of a column: of order 8 with displacements
+# of 1e-3, roundings of 1e-15 / 1e-3 of accelerations that are up to 1e3 times as large as their
+# derivatives; the steps' own, forward ones with displacements of 1e-7; these where they are
+# differences of accelerations in which the terms of the weight cancel.
+ORDER_8, FORWARD, CANCELLING = 2e-9, 2e-5, 1e-4
+
+
+def assert_derivatives(found, J, bound):
+    """Column by column, relative to the largest entry or to 1."""
+    scale = np.maximum(np.max(np.abs(J), axis=0), 1.0)
+    assert np.max(np.abs(found - J) / scale) < bound
+
+
 def derivatives_of(system, stepping):
     """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
-    work, blocks = stepping.work
+    _, blocks, full = stepping.work
     if not blocks.used[0]:
-        return work.by_position, work.by_velocity
+        return full.by_position, full.by_velocity
     layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
     n, size = 6 + layout.joints, stepping.step.tolerance.size
     d, m, e = blocks.d, blocks.m, blocks.e

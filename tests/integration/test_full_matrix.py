@@ -1,0 +1,101 @@
+"""Claims about the derivatives of a step in the matrix of a whole system: they are those of whole
+evaluations, and cost no evaluation, wherever constraints are independent and no contact slides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mechanics import (
+    UR5_POSTURE,
+    chain_urdf,
+    first_difference,
+    over_floor,
+    random_state,
+    scene_of,
+    ur5_pair,
+)
+from steps import FORWARD, ORDER_8, Slope, assert_derivatives, derivatives_of, step_of_the_package
+from user_classes import empty_registries
+
+import multiarm as ma
+from multiarm.problems import HARD_CASES
+
+WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
+SPRINGS = {"contact_compliance": {"stiffness": 2e5, "damping": 2e3}}
+END = {"arm": {"shoulder_lift_joint": [-3.0, UR5_POSTURE[1]]}}
+FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
+
+
+def python_control(t, state):
+    """Springs between the arms, with a force that changes with the time."""
+    q, v = state.joint_positions, state.joint_velocities
+    pull = 30.0 * (q["right"] - q["left"]) - 4.0 * v["left"] + 5.0 * np.sin(3.0 * t)
+    return {"left": pull, "right": -pull - 3.0 * state.object_twist}
+
+
+class Tether(ma.Effect):
+    """A spring from the object to the left arm's joints, as a user writes it."""
+
+    name = "tether"
+
+    def forces(self, t, state):
+        pull = 40.0 * state.object_position - 3.0 * state.object_twist[3:]
+        return ma.Loads([*-pull, 0, 0, t], {"left": 7.0 * state.joint_velocities["right"]})
+
+
+@pytest.fixture(autouse=True)
+def user_classes(monkeypatch):
+    empty_registries(monkeypatch)
+    ma.register_effect(Tether)
+
+
+def hanging_box(tmp):
+    """An arm of five joints welded to a box: it cannot be solved on its own."""
+    file = tmp / "chain.urdf"
+    file.write_text(chain_urdf("xuZyw"))
+    arm = {"urdf": str(file), "tip": "tip", "posture": [0.3, 0.1, -0.4, 0.5, -0.05]}
+    return ma.compile_system(scene_of({"arm": arm}, [{"arm": "arm", **WELD}]))
+
+
+SCENES = {
+    "controller in Python": lambda tmp: ma.compile_system(ur5_pair(WELD, BALL)).with_control(
+        python_control
+    ),
+    "effect in Python": lambda tmp: ma.compile_system(ur5_pair(WELD, BALL, effects={"tether": {}})),
+    "dense solver": lambda tmp: ma.compile_system(
+        ur5_pair(WELD, BALL, effects={"joint_damping": 2.0})
+    ).with_solver("dense"),
+    "compliant contacts": lambda tmp: ma.compile_system(ur5_pair(WELD, BALL, effects=SPRINGS)),
+    "deficient arm": hanging_box,
+    "on the floor": lambda tmp: over_floor(0.0, points=FEET),
+    "at the end of a joint": lambda tmp: over_floor(0.1, END),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_derivatives_in_the_full_matrix_are_those_of_whole_evaluations(name, tmp_path, rng):
+    """By all of the state and by the time, with feedback on the drift, at no further evaluation."""
+    system, alpha, beta = SCENES[name](tmp_path), 30.0, 50.0
+    state = system.initial_state()
+    if system.model.unilateral is None:
+        state = random_state(system, rng, turn=0.05, speed=1.0)
+    exact = Slope(system, state, alpha, beta)
+    stepping = step_of_the_package(system, state, 1e-3, alpha, beta)
+    assert not stepping.work[1].used[0]
+    n = 6 + system.model.layout.joints
+    J = exact.jacobian(stepping.step.tolerance.size)[n:]
+    by_time = first_difference(lambda s: exact(s, exact.z), 1e-3)
+    bound = FORWARD if name.endswith("Python") else 10.0 * ORDER_8
+    assert_derivatives(np.hstack(derivatives_of(system, stepping)), J, bound)
+    atol = 1e-5 * np.max(np.abs(by_time)) + 1e-3
+    np.testing.assert_allclose(stepping.work[0].time_slope, by_time, rtol=0, atol=atol)
+    assert stepping.step.stage.evaluations == 1 + 7
+
+
+@pytest.mark.parametrize("name", ["bricard", "duplicated_rows"])
+def test_dependent_constraints_are_differentiated_by_whole_evaluations(name):
+    system = ma.compile_system(HARD_CASES[name].scene())
+    n = 6 + system.model.layout.joints
+    stepping = step_of_the_package(system, system.initial_state(), 1e-3)
+    assert stepping.step.stage.evaluations >= 3 * n + 1 + 7
