@@ -30,8 +30,9 @@ from multiarm.control.program import (
     needs_gravity_torque,
 )
 from multiarm.dynamics.arrays import COUPLED, Constants
-from multiarm.dynamics.callbacks import NO_CONTROL, ControlFunction
+from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, locate_pairs
+from multiarm.dynamics.control_laws import NO_CONTROL, law_table
 from multiarm.dynamics.equations import (
     kinematics,
     right_hand_sides,
@@ -461,8 +462,8 @@ def draft_model(
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=_gravity(scene),
         control=NO_CONTROL,
-        parameters=np.zeros(0),
         sampled=NO_CONTROL,
+        sample_delay=False,
         effects=np.zeros((0, 3), dtype=np.int64),
         passive_end=0,
         actuator_end=0,
@@ -513,19 +514,19 @@ def finished_model(
     )
     breakpoints, sampling, span, derivative = draft.breakpoints, None, None, None
     if law is not None:
-        constants = constants._replace(
-            control=law.addresses, parameters=law.parameters, control_reach=law.reach
-        )
+        laws = law_table(law.laws, draft.effects.end)
+        constants = constants._replace(control=laws, control_reach=law.reach)
         breakpoints = np.union1d(breakpoints, law.breakpoints)
         sampling, span = law.sampling, law.span
         derivative = law.derivative if sampling is None else None
     if law is not None and sampling is not None:
-        constants = with_held_control(constants, law.addresses, sampling.delay)
+        constants = with_held_control(constants, constants.control, sampling.delay)
     model = replace(
         draft,
         frames=frames,
         constants=constants,
         breakpoints=breakpoints,
+        laws=() if law is None else law.laws,
         sampling=sampling,
         control_span=span,
         control_derivative=derivative,

@@ -14,7 +14,7 @@ import numpy as np
 from multiarm.assembly.loop_closure import CLOSED, Linkage, close_gaps, projection_tolerance
 from multiarm.assembly.start import joint_names
 from multiarm.contacts.kernel import GAP
-from multiarm.control.object_control import pose_of, route
+from multiarm.control.object_path import pose_of, route
 from multiarm.control.program import JointPath
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok

@@ -10,9 +10,10 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "ControlContext": "control.program",
-    "ControlProgram": "control.program",
-    "open_system": "dynamics.arrays",
+    **dict.fromkeys(("ControlContext", "ControlProgram"), "control.program"),
+    **dict.fromkeys(("ControlLaw", "view_of_law"), "dynamics.control_laws"),
+    **dict.fromkeys(("open_data", "open_system"), "dynamics.arrays"),
+    "force_columns": "dynamics.coordinates",
 }
 
 __all__ = [*_HOMES]

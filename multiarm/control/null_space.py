@@ -93,15 +93,15 @@ def nearest_accelerations(inertia, W, preferred, target, result):
 
 
 @allocating
-def hold_pose(i, stiffness, rate, along, model, data, work, preferred):
+def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
     """Change the preferred accelerations (n,) of arm ``i`` to those that hold its pose.
 
     Parameters
     ----------
     stiffness, rate : float
         ``k`` [1/s^2] and ``delta`` [1/s].
-    along : bool
-        Feedforward of the object's acceleration in ``data.q_o`` and of all velocity terms; else
+    feedforward : bool
+        Of the object's acceleration in ``data.q_o`` and of all velocity terms; else
         the accelerations are those of the springs and dampers alone.
     """
     n = work.dofs[i + 1] - work.dofs[i]
@@ -115,7 +115,7 @@ def hold_pose(i, stiffness, rate, along, model, data, work, preferred):
     alpha = add_scaled(scale(-stiffness, turn), -rate, turn_rate)
     m = rotate(rotation(link, 0), vec(frame, ON_LINK + 9))
     p = add(vec(link, ORIGIN_AT), m)
-    if along:
+    if feedforward:
         j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
         a_o, alpha_o = vec(data.q_o, 0), vec(data.q_o, 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)

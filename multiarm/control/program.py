@@ -1,19 +1,4 @@
-"""Control programs: compiled laws with their numbers, and the system for which they are built.
-
-Kinds of control of packages build them from the names in :mod:`multiarm.control`.  A law is a
-``@cfunc`` of :mod:`multiarm.jit.kernels` with the arguments ``(address, size, place, t)``, which
-adds its torques to ``data.torque`` and returns 0:
-
-.. code-block:: python
-
-    @cfunc
-    def spring(address, size, place, t):
-        model, data, work = open_system(struct_at(address, size))
-        numbers, at, n = model.parameters, int(place), data.torque.size
-        for j in range(n):
-            data.torque[j] -= numbers[at + j] * data.angles[j]
-        return 0
-"""
+"""Control programs: the laws of a control, and the system for which they are built."""
 
 from __future__ import annotations
 
@@ -26,11 +11,10 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.dynamics.arrays import COUPLED
 from multiarm.dynamics.callbacks import PythonControl
+from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan, Data
 from multiarm.dynamics.state import State
-from multiarm.jit.kernels import Kernel
-from multiarm.jit.pointers import address_of
 from multiarm.scene import Scene, gain_vector
 
 
@@ -65,6 +49,16 @@ class ControlContext:
         """The arms by name, in the order of the stacked vectors."""
         return self.data.model.arms
 
+    @property
+    def joint_names(self) -> list[str]:
+        """``arm/joint`` of every joint, in the order of the stacked vectors."""
+        return [f"{name}/{joint}" for name, arm in self.arms.items() for joint in arm.joint_names]
+
+    @property
+    def start_angles(self) -> np.ndarray:
+        """Joint positions at the start, shape (n,) [rad, m]."""
+        return self.start.layout.joint_positions(self.start.position)
+
     def stacked(self, values: Any) -> np.ndarray:
         """One number for every joint of all arms, from a scene's gain, table or list."""
         return np.concatenate(
@@ -78,10 +72,8 @@ class ControlProgram:
 
     Attributes
     ----------
-    laws : tuple of Kernel
+    laws : tuple of ControlLaw
         Compiled laws, called one after the other; each adds its torques.
-    parameters : ndarray
-        Their numbers, ``model.parameters`` from ``place`` on.
     breakpoints : ndarray
         Times at which the torques are not smooth, so that steps end there [s].
     span : ControlSpan, optional
@@ -98,33 +90,17 @@ class ControlProgram:
     derivative : callable, optional
         ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
         twist, joint positions and joint velocities, shape (n, 12 + 2 n), right after an evaluation
-        of the data; None where they do not exist.  Absent: they are differences, which
-        take longer.  Laws with a derivative in ``derivatives`` are left out.
-    derivatives : tuple of Kernel or None
-        For each law, or for none: a ``@cfunc`` of the same arguments that adds the derivatives of
-        its torques to ``data.torque_slopes``, by the columns of
-        :func:`multiarm.dynamics.coordinates.force_columns`, without those by the time.
+        of the data; None where they do not exist.  Laws with a derivative of their own are left
+        out.  Absent: they are differences, which take longer.
     """
 
-    laws: tuple[Kernel, ...] = ()
-    parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    laws: tuple[ControlLaw, ...] = ()
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
     span: ControlSpan | None = None
     python: PythonControl | None = None
     sampling: Sampling | None = None
     reach: int = COUPLED
     derivative: Callable[[Data], np.ndarray | None] | None = None
-    derivatives: tuple[Kernel | None, ...] = ()
-
-    @property
-    def addresses(self) -> np.ndarray:
-        """``Constants.control``: addresses of the laws, whose numbers begin at 0."""
-        derivatives = self.derivatives or (None,) * len(self.laws)
-        rows = [
-            (address_of(law), 0, address_of(derivative) if derivative else 0)
-            for law, derivative in zip(self.laws, derivatives, strict=True)
-        ]
-        return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
 
 def needs_gravity_torque(scene: Scene) -> bool:

@@ -9,29 +9,142 @@ a constant (``hold``), a line (``linear``) or a piece of the cubic spline
 bisection.  Outside the table, values are those of the first and the last row, at rest, or zero.
 
 * *torque*: :math:`\tau = y(t)`.
-* *position*: :math:`\tau = K\,(y(t) - q) + D\,(\dot y(t) - \dot q)`.
+* *position*: :math:`\tau = K_p\,(y(t) - q) + K_d\,(\dot y(t) - \dot q)`, as joint PD.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
+from multiarm.control.gravity_compensation import carrying_laws, holding_derivatives
+from multiarm.control.joint_pd import add_spring, differentiate_springs
+from multiarm.control.program import ControlContext, ControlProgram
+from multiarm.control.tables import read_table
+from multiarm.dynamics.arrays import CARRYING, LOCAL, OPEN_LOOP, open_data
+from multiarm.dynamics.control_laws import ControlLaw, view_of_law
+from multiarm.dynamics.model import ControlSpan
 from multiarm.jit.kernels import cfunc, kernel
-from multiarm.jit.structs import struct_at
+from multiarm.jit.structs import Flag, Floats1, Floats3, struct_at
+from multiarm.scene.control import RecordedControl
 
 DEGREES = {"hold": 0, "linear": 1, "cubic": 3}
 
-# Offsets of the numbers of a table; the times of its rows follow, then the coefficients
-# [interval, joint, power].
-INTERVALS, DEGREE, ZERO_OUTSIDE, TIMES = 0, 1, 2, 3
+
+class RecordedTorques(NamedTuple):
+    """A table of torques as piecewise polynomials."""
+
+    times: Floats1  # (r,) [s], of the rows
+    coefficients: Floats3  # (r - 1, n, degree + 1), highest power first [N m, N]
+    last_row: Floats1  # (n,)
+    zero_outside: Flag  # outside the table: zero, else its first and its last row
 
 
-def pack_table(times: np.ndarray, values: np.ndarray, interpolation: str, zero: bool) -> np.ndarray:
-    """Parameters of a table: ``times`` (r,), ``values`` (r, n); ``zero``: outside it."""
-    coefficients = polynomials(times, values, interpolation)
-    head = [len(times) - 1, coefficients.shape[2] - 1, float(zero)]
-    return np.concatenate([head, times, coefficients.ravel(), values[-1]])
+class RecordedPositions(NamedTuple):
+    """Springs and dampers, and the table of their references, in the same form."""
+
+    stiffness: Floats1  # (n,) [N m/rad, N/m]
+    damping: Floats1  # (n,) [N m s/rad, N s/m]
+    times: Floats1
+    coefficients: Floats3
+    last_row: Floats1
+    zero_outside: Flag
+
+
+open_torques, open_positions = view_of_law(RecordedTorques), view_of_law(RecordedPositions)
+
+
+@cfunc
+def recorded_torques(address, size, at, t):
+    """Add the torques."""
+    struct = struct_at(address, size)
+    data, table = open_data(struct), open_torques(struct, at)
+    row = find_row(t, table.times)
+    for j in range(data.torque.size):
+        value, _ = table_point(t, table, row, j)
+        data.torque[j] += value
+    return 0
+
+
+@cfunc
+def recorded_positions(address, size, at, t):
+    """Add the torques of the springs and dampers."""
+    struct = struct_at(address, size)
+    data, law = open_data(struct), open_positions(struct, at)
+    row = find_row(t, law.times)
+    for j in range(data.torque.size):
+        reference, rate = table_point(t, law, row, j)
+        add_spring(law, j, reference, rate, data)
+    return 0
+
+
+@cfunc
+def differentiate_recorded_positions(address, size, at, _t):
+    """Add the derivatives of the torques."""
+    struct = struct_at(address, size)
+    differentiate_springs(open_positions(struct, at), open_data(struct))
+    return 0
+
+
+@kernel
+def find_row(t, times):
+    """The last row whose time is not after ``t``; -1 before the first one."""
+    low, high = -1, times.size - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if times[middle] <= t:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@kernel
+def table_point(t, table, row, joint):
+    """Value of one joint and its rate at time ``t``, which is after ``row``, see `find_row`."""
+    if row < 0 or row == table.times.size - 1:  # before the first row, from the last one on
+        if table.zero_outside:
+            return 0.0, 0.0
+        if row < 0:
+            return table.coefficients[0, joint, table.coefficients.shape[2] - 1], 0.0
+        return table.last_row[joint], 0.0
+    x = t - table.times[row]
+    value = rate = 0.0
+    for k in range(table.coefficients.shape[2]):
+        rate = rate * x + value
+        value = value * x + table.coefficients[row, joint, k]
+    return value, rate
+
+
+def recorded_program(control: RecordedControl, context: ControlContext) -> ControlProgram:
+    """The law that plays a table back."""
+    names, interpolation = context.joint_names, control.interpolation
+    rows = read_table(control, names)
+    times, zero = rows.times, control.outside == "zero"
+    span = ControlSpan(
+        f"the table {control.file.name}",
+        float(times[0]),
+        float(times[-1]),
+        control.where_no_rows_are,
+    )
+    follows = control.quantity == "position"
+    values = rows.stacked(names, context.start_angles if follows else np.zeros(len(names)))
+    table = RecordedTorques(times, polynomials(times, values, interpolation), values[-1], zero)
+    breakpoints = rough_times(times, values, interpolation, zero)
+    if not follows:
+        law = ControlLaw(recorded_torques, table)
+        return ControlProgram((law,), breakpoints, span, reach=OPEN_LOOP)
+    stiffness, damping = context.stacked(control.stiffness), context.stacked(control.damping)
+    numbers, carrying = RecordedPositions(stiffness, damping, *table), carrying_laws(context)
+    law = ControlLaw(recorded_positions, numbers, differentiate_recorded_positions)
+    return ControlProgram(
+        (law, *carrying),
+        breakpoints,
+        span,
+        reach=CARRYING if carrying else LOCAL,
+        derivative=holding_derivatives if carrying else None,
+    )
 
 
 def polynomials(times: np.ndarray, values: np.ndarray, interpolation: str) -> np.ndarray:
@@ -60,67 +173,3 @@ def rough_times(
         inner = times[1:-1][np.any(np.abs(np.diff(slope, axis=0)) > 1e-12 * scale, axis=1)]
     varies = bool(np.any(values != values[0])) or (zero and bool(np.any(values != 0.0)))
     return np.union1d(inner, times[[0, -1]]) if varies else inner
-
-
-# --- kernels -------------------------------------------------------------------------------------
-
-
-@cfunc
-def recorded_torque(address, size, place, t):
-    """Numbers: the table."""
-    model, data, _ = open_system(struct_at(address, size))
-    parameters, at, n = model.parameters, int(place), data.torque.size
-    row = find_row(t, parameters, at)
-    for j in range(n):
-        value, _ = table_point(t, parameters, at, row, n, j)
-        data.torque[j] += value
-    return 0
-
-
-@cfunc
-def recorded_position(address, size, place, t):
-    """Numbers: stiffness and damping of every joint, then the table."""
-    model, data, _ = open_system(struct_at(address, size))
-    parameters, at, n = model.parameters, int(place), data.torque.size
-    table = at + 2 * n
-    row = find_row(t, parameters, table)
-    for j in range(n):
-        reference, rate = table_point(t, parameters, table, row, n, j)
-        data.torque[j] += parameters[at + j] * (reference - data.angles[j])
-        data.torque[j] += parameters[at + n + j] * (rate - data.v[j])
-    return 0
-
-
-@kernel
-def find_row(t, parameters, at):
-    """The last row whose time is not after ``t``; -1 before the first one."""
-    times = at + TIMES
-    low, high = -1, int(parameters[at + INTERVALS])
-    while low < high:
-        middle = (low + high + 1) // 2
-        if parameters[times + middle] <= t:
-            low = middle
-        else:
-            high = middle - 1
-    return low
-
-
-@kernel
-def table_point(t, parameters, at, row, joints, joint):
-    """Value of one joint and its rate at time ``t``, which is after ``row``, see `find_row`."""
-    intervals, degree = int(parameters[at + INTERVALS]), int(parameters[at + DEGREE])
-    times, width = at + TIMES, degree + 1
-    table = times + intervals + 1
-    if row < 0 or row == intervals:  # before the first row, from the last one on
-        if parameters[at + ZERO_OUTSIDE] != 0.0:
-            return 0.0, 0.0
-        if row < 0:
-            return parameters[table + joint * width + degree], 0.0
-        return parameters[table + intervals * joints * width + joint], 0.0
-    x = t - parameters[times + row]
-    first = table + (row * joints + joint) * width
-    value = rate = 0.0
-    for k in range(width):
-        rate = rate * x + value
-        value = value * x + parameters[first + k]
-    return value, rate

@@ -11,8 +11,8 @@ r"""User-defined controls: a kind, parameters, and the torques that they mean.
             return {arm: -self.stiffness * q for arm, q in state.joint_positions.items()}
 
 A scene then has ``control: {kind: spring, stiffness: 200}``, and ``sample_time`` and
-``sample_delay`` like any other.  To stay in compiled code, a control defines ``build`` instead, see
-:mod:`multiarm.control.program`.
+``sample_delay`` like any other.  To stay in compiled code, a control defines ``build`` instead,
+which returns laws (:mod:`multiarm.dynamics.control_laws`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.dynamics.state import State
-from multiarm.scene.control import SampledControl
+from multiarm.errors import ModelError
+from multiarm.scene.control import FunctionControl, SampledControl
+from multiarm.scene.registry import called
 
 if TYPE_CHECKING:
     from multiarm.control.program import ControlContext, ControlProgram
@@ -55,7 +57,7 @@ class Control(SampledControl):
         raise NotImplementedError
 
     def build(self, context: ControlContext) -> ControlProgram:
-        """The compiled laws and their numbers; by default one that calls ``torques``.
+        """The compiled laws and their numbers; by default ``torques`` in Python.
 
         A law that needs ``data.gravity_torque`` overrides ``compensates_gravity``.
         """
@@ -76,3 +78,38 @@ class Control(SampledControl):
         if cls.torques is Control.torques and cls.build is Control.build:
             return "it defines neither 'torques' nor 'build'"
         return cls.lacks_sample()
+
+
+def user_program(control: Control, context: ControlContext) -> ControlProgram:
+    """What a user control builds.
+
+    Raises
+    ------
+    ModelError
+        It is no program, or laws cannot be called.
+    """
+    from multiarm.control.program import ControlProgram
+    from multiarm.dynamics.control_laws import ControlLaw
+
+    who = f"control kind {control.kind!r}: build()"
+    program = called(lambda: control.build(context), who)
+    if not isinstance(program, ControlProgram):
+        raise ModelError(
+            f"{who} returned {type(program).__name__}; return a multiarm.control.ControlProgram"
+        )
+    for law in program.laws:
+        if not isinstance(law, ControlLaw):
+            raise ModelError(
+                f"{who} returned a law that is {type(law).__name__}; return "
+                f"multiarm.control.ControlLaw(kernel, numbers), with a NamedTuple of its numbers"
+            )
+        law.require_usable(who)
+    return program
+
+
+def function_program(control: FunctionControl, _context: ControlContext) -> ControlProgram:
+    """The controller in Python that a scene names."""
+    from multiarm.control.program import ControlProgram
+    from multiarm.dynamics.callbacks import PythonControl
+
+    return ControlProgram(python=PythonControl(control.function, in_scene=True))

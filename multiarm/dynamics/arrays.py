@@ -59,12 +59,13 @@ class Constants(NamedTuple):
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
-    # (k, 3) address of each control law, offset of its numbers in ``parameters``, address of its
-    # derivative (0: none)
+    # (k, 3) address of each control law, index of its first number in the system's struct, address
+    # of its derivative (0: none), see multiarm.dynamics.control_laws
     control: Ints2
-    parameters: Floats1
-    # (k, 3) the laws of a control that is sampled, see multiarm.dynamics.held_control
+    # (k, 3) the laws of a control that is sampled; whether its torques act one sample later, see
+    # multiarm.dynamics.held_control
     sampled: Ints2
+    sample_delay: Flag
     # (k, 4): address of each effect's kernel, index of its first array in the system's struct,
     # address of its derivative (0: none), whether it knows the state alone; in the order of the
     # phases, and the end of each phase, see multiarm.dynamics.effect_kernels
@@ -318,13 +319,13 @@ def system_struct(
     work: NodeWork,
     coupled: CoupledWork,
     guards: Guards,
-    effects: Sequence[np.ndarray] = (),
+    further: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
     """Struct of a system; :func:`open_system`, :func:`open_coupled`, :func:`open_reports` open it.
 
-    ``effects`` are the structs of the effects, from index ``EFFECTS`` on.
+    ``further`` are the structs of the effects, from index ``EFFECTS`` on, then of control laws.
     """
-    return np.concatenate([struct_of(constants, variables, work, coupled, guards), *effects])
+    return np.concatenate([struct_of(constants, variables, work, coupled, guards), *further])
 
 
 _PARTS = (Constants, Variables, NodeWork, CoupledWork, Guards)

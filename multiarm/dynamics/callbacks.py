@@ -32,9 +32,6 @@ from multiarm.jit.structs import struct_at
 
 ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
 
-# No control law: see ``Constants.control``.
-NO_CONTROL = np.zeros((0, 3), dtype=np.int64)
-
 # Owners of the user functions that this thread is calling.
 _running: ContextVar[tuple[object, ...]] = ContextVar("running", default=())
 
@@ -92,11 +89,11 @@ class UserCallback(PythonCallback):
         difference = largest = 0.0
         for t, state, expected in reversed(self._recorded):
             try:
-                found = self._call(t, state.copy())
+                repeated = self._call(t, state.copy())
             except MultiarmError:
                 continue
             largest = max(largest, float(np.max(np.abs(expected), initial=0.0)))
-            difference = max(difference, float(np.max(np.abs(found - expected), initial=0.0)))
+            difference = max(difference, float(np.max(np.abs(repeated - expected), initial=0.0)))
         return difference > 1e-9 * largest
 
     def _write(self) -> None:
@@ -197,7 +194,7 @@ def dense_solver(
 
     def by_arm(on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
         sizes = [(dofs[i + 1] - dofs[i], rows[i + 1] - rows[i]) for i in arms]
-        blocks = [own[:d, :m] for own, (d, m) in zip(on_arms, sizes, strict=True)]
+        blocks = [block[:d, :m] for block, (d, m) in zip(on_arms, sizes, strict=True)]
         return [on_object[rows[i] : rows[i + 1]].T for i in arms], blocks
 
     def solve() -> None:

@@ -308,6 +308,11 @@ class EffectProgram:
         ends = [sum(own.phase <= phase for own, _ in called) for phase in range(3)]
         return np.array(rows, dtype=np.int64).reshape(-1, 4), ends
 
+    @property
+    def end(self) -> int:
+        """Index in the system's struct after the last array."""
+        return EFFECTS + sum(1 + len(kernel.arrays) for kernel in self.kernels)
+
     def _places(self) -> list[int]:
         """Index of each kernel's first array in the system's struct."""
         sizes = [1 + len(own.arrays) for own in self.kernels]

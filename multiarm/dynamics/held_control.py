@@ -69,18 +69,21 @@ class Sampling:
 
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
-    row, reach = [address_of(hold_torques), int(delay), 0], constants.control_reach
+    row, reach = [address_of(hold_torques), 0, 0], constants.control_reach
     if not len(laws):
         reach = OPEN_LOOP
     elif reach == CARRYING:  # the last law is another one now
         reach = COUPLED
     return constants._replace(
-        control=np.array([row], dtype=np.int64), sampled=laws, control_reach=reach
+        control=np.array([row], dtype=np.int64),
+        sampled=laws,
+        sample_delay=delay,
+        control_reach=reach,
     )
 
 
 @cfunc
-def hold_torques(address, size, delayed, _t):
+def hold_torques(address, size, _at, _t):
     """Write the held torques; where a sample is due, let the laws compute them."""
     struct = struct_at(address, size)
     model, data, _ = open_system(struct)
@@ -89,7 +92,7 @@ def hold_torques(address, size, delayed, _t):
         for k in range(model.sampled.shape[0]):
             law, at = model.sampled[k, 0], float(model.sampled[k, 1])
             call_cfunc(law, struct, at, data.time.now)
-        at_once = delayed == 0.0 or sampling.samples == 0
+        at_once = not model.sample_delay or sampling.samples == 0
         for j in range(data.torque.size):
             held[0, j] = data.torque[j] if at_once else held[1, j]
             held[1, j] = data.torque[j]

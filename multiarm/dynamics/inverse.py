@@ -29,8 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
-from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.contact_geometry import relative_motion
+from multiarm.dynamics.control_laws import NO_CONTROL
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok

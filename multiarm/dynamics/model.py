@@ -53,7 +53,8 @@ from multiarm.dynamics.arrays import (
     row_variables,
     system_struct,
 )
-from multiarm.dynamics.callbacks import NO_CONTROL, PythonControl, UserCallback, dense_solver
+from multiarm.dynamics.callbacks import PythonControl, UserCallback, dense_solver
+from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guards, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
@@ -106,6 +107,7 @@ class Model:
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
     # ``Variables.places`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    laws: tuple[ControlLaw, ...] = ()  # of a compiled control
     python_control: PythonControl | None = None  # None: control is compiled
     sampling: Sampling | None = None  # None: control is evaluated all the time
     control_span: ControlSpan | None = None  # None: control is defined at all times
@@ -183,6 +185,7 @@ class Model:
         """The same model driven by a controller in Python."""
         model = replace(
             self,
+            laws=(),
             python_control=control,
             sampling=sampling,
             control_span=None,
@@ -421,9 +424,10 @@ class Data:
         return np.vstack([pointers, self._ground.pointers])
 
     def _make_struct(self) -> np.ndarray:
-        effects = [effect.struct for effect in self.effects]
+        further = [effect.struct for effect in self.effects]
+        further += [law.struct for law in self.model.laws]
         return system_struct(
-            self.model.constants, self.arrays, self.work, self.coupled, self.guards, effects
+            self.model.constants, self.arrays, self.work, self.coupled, self.guards, further
         )
 
     def _connect_control(self) -> None:

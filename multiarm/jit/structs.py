@@ -112,6 +112,25 @@ def struct_of(*holders: tuple) -> np.ndarray:
     return make_struct(entries)
 
 
+def misfit(holder: tuple) -> str:
+    """The first field of a ``NamedTuple`` that is not of its annotated type, in words; else empty.
+
+    Kernels trust these types; what users make must be looked at.
+    """
+    fields = zip(holder._fields, holder, _fields_of(type(holder)), strict=True)  # type: ignore[attr-defined]
+    for name, entry, (kind, axes) in fields:
+        if axes == 0:
+            fits, what = isinstance(entry, (int, float, np.number, np.bool_)), "a number"
+        else:
+            dtype = np.dtype(_NUMPY[kind])
+            what = f"a contiguous {axes}-D array of {dtype}"
+            fits = isinstance(entry, np.ndarray) and entry.dtype == dtype and entry.ndim == axes
+            fits = fits and entry.flags.c_contiguous
+        if not fits:
+            return f"{name!r} is not {what}"
+    return ""
+
+
 @functools.cache
 def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
     """Places of the fields that are numbers, and their constructors."""

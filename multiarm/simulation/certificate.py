@@ -355,8 +355,8 @@ def _energy_gradient(data: Data, state: State) -> np.ndarray:
         return 0.5 * float(momentum @ state.velocity) + data.potential_energy()
 
     steps = change * np.eye(state.velocity.size)
-    found = [energy(step) - energy(-step) for step in steps]
-    return np.array(found) / (2.0 * change)
+    differences = [energy(step) - energy(-step) for step in steps]
+    return np.array(differences) / (2.0 * change)
 
 
 def _largest(run: Trajectory, name: str) -> float:

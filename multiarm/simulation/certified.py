@@ -110,14 +110,14 @@ class Attempts:
     task: Task
     out: Path | None
     progress: Progress | None
-    _made: list[Attempt] = field(default_factory=list)
+    _attempts: list[Attempt] = field(default_factory=list)
     _judged: list[tuple[Attempt, Finding]] = field(default_factory=list)
 
     def first(self) -> Trajectory:
         """Carry out the task as given."""
         sink = MemorySink() if self.out is None else Hdf5Sink(self.out)
         trajectory = carry_out(self.task, sink, self.progress).trajectory
-        self._made.append(Attempt(trajectory, self.out, dict.fromkeys(KINDS)))
+        self._attempts.append(Attempt(trajectory, self.out, dict.fromkeys(KINDS)))
         return trajectory
 
     def certify(self) -> Trajectory:
@@ -131,7 +131,7 @@ class Attempts:
         try:
             return self._finish(reason, words)
         finally:
-            for attempt in self._made:
+            for attempt in self._attempts:
                 if attempt.path != self.out:
                     self._remove(attempt.path)
 
@@ -166,7 +166,7 @@ class Attempts:
 
     def _first_pair(self) -> tuple[Attempt, Attempt]:
         """The first run and a tighter one, or else a looser one and the first run."""
-        first = self._made[0]
+        first = self._attempts[0]
         if first.tolerance >= SMALLEST_CHECKED:
             try:
                 return first, self._rerun(first.tolerance / TIGHTER, first)
@@ -212,19 +212,19 @@ class Attempts:
                 return exhausted
             if finding.accurate and earlier.accurate:
                 return CHECK, ""
-        if len(self._made) + 2 > 7:
+        if len(self._attempts) + 2 > 7:
             return ATTEMPTS, (
-                f"{len(self._made)} runs were made, which is the limit: ask for less, or give a "
-                f"smaller `tolerance` yourself"
+                f"{len(self._attempts)} runs were made, which is the limit: ask for less, or give "
+                f"a smaller `tolerance` yourself"
             )
         return None
 
     def _rerun(self, tolerance: float, coarser: Attempt | None = None) -> Attempt:
         """A run with the tolerances that correspond to ``tolerance``."""
-        first = self._made[0]
+        first = self._attempts[0]
         tolerance = max(tolerance, SMALLEST_TOLERANCE)
         most = math.inf if coarser is None else _most(coarser, tolerance)
-        path = self._place(len(self._made))
+        path = self._place(len(self._attempts))
         sink = MemorySink() if path is None else Hdf5Sink(path)
         try:
             task = self._with_shorter_steps(tolerance, coarser)
@@ -236,7 +236,7 @@ class Attempts:
             self._remove(path)
             raise
         attempt = Attempt(run, path, dict.fromkeys(KINDS))
-        self._made.append(attempt)
+        self._attempts.append(attempt)
         if run.status == "interrupted":
             raise _Stopped(INTERRUPTED, "")
         if stalled:
@@ -257,7 +257,7 @@ class Attempts:
         return replace(self.task, longest_step=ratio * min(self.task.longest_step, before))
 
     def _watch(self) -> Callable[[float], None] | None:
-        progress, number = self.progress, len(self._made)
+        progress, number = self.progress, len(self._attempts)
         if progress is None:
             return None
         checking = getattr(progress, "checking", None)
@@ -287,16 +287,16 @@ class Attempts:
 
     def _finish(self, reason: str, words: str) -> Trajectory:
         """The chosen run with its certificate."""
-        chosen, finding = self._judged[-1] if self._judged else (self._made[0], None)
+        chosen, finding = self._judged[-1] if self._judged else (self._attempts[0], None)
         changes: dict[str, Any] = {}
         if finding is None and reason == INTERRUPTED:
             changes["remarks"] = [*chosen.trajectory.remarks, INTERRUPTED_WORDS]
         else:
             if reason == INTERRUPTED:
                 words = "the repetition with smaller tolerances was interrupted by the user"
-            rows = [attempt.row(attempt is chosen) for attempt in self._made]
+            rows = [attempt.row(attempt is chosen) for attempt in self._attempts]
             changes["certificate"] = certificate(finding, self._accuracy, reason, words, rows)
-        waited = sum(attempt.compile_time for attempt in self._made)
+        waited = sum(attempt.compile_time for attempt in self._attempts)
         changes["statistics"] = {**chosen.trajectory.statistics, "compile_time_s": waited}
         if chosen.path is None:
             return chosen.trajectory.with_outcome(**changes)
@@ -305,16 +305,16 @@ class Attempts:
     def _store(self, chosen: Attempt, changes: dict[str, Any]) -> Trajectory:
         """Write the certificate into the chosen run's file, and move it to its place."""
         assert self.out is not None and chosen.path is not None
-        for attempt in self._made:
+        for attempt in self._attempts:
             attempt.trajectory.close()
         try:
             amend_file(chosen.path, changes)
             if chosen.path != self.out:
                 chosen.path.replace(self.out.expanduser().resolve())
         except (TrajectoryError, OSError) as error:
-            kept = load_trajectory(self.out)
+            trajectory = load_trajectory(self.out)
             fault = f"the certificate could not be stored in the file: {error}"
-            return kept.with_outcome(remarks=[*kept.remarks, fault])
+            return trajectory.with_outcome(remarks=[*trajectory.remarks, fault])
         return load_trajectory(self.out)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.dynamics.callbacks import NO_CONTROL
+from multiarm.dynamics.control_laws import NO_CONTROL
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -83,8 +83,8 @@ class Comparison:
 
     def worst(self, kind: str) -> float | None:
         """The largest difference of all outputs of a kind; None without such outputs."""
-        found = [d.worst for d in self.outputs.values() if d.kind == kind and d.compared]
-        return max(found, default=None)
+        worst = [d.worst for d in self.outputs.values() if d.kind == kind and d.compared]
+        return max(worst, default=None)
 
     def size(self, kind: str) -> float:
         """The largest value of all outputs of a kind."""
@@ -94,7 +94,7 @@ class Comparison:
 def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
     """Outputs that are compared: the object's position and rotation, joints and forces by arm."""
     place, turn = np.arange(3), np.arange(4)
-    found = [
+    outputs = [
         Output("object position", POSITION, "object/position", place, place),
         Output("object rotation", ROTATION, "object/quaternion_xyzw", turn, turn),
     ]
@@ -104,14 +104,14 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
         for kind, noun in ((ROTATION, "joints"), (POSITION, "sliding joints")):
             columns = np.flatnonzero(units == UNITS[kind])
             if columns.size:
-                found.append(Output(noun, kind, joints.name, columns, columns, arm))
+                outputs.append(Output(noun, kind, joints.name, columns, columns, arm))
         name = f"arms/{arm}/contact_force"
         labels, others = (r.channels[name].labels for r in (run, other))
         columns = np.flatnonzero([label in others for label in labels])
         if columns.size:
             same = np.flatnonzero([label in labels for label in others])
-            found.append(Output("contact forces", FORCE, name, columns, same, arm))
-    return found
+            outputs.append(Output("contact forces", FORCE, name, columns, same, arm))
+    return outputs
 
 
 def compare(
@@ -145,17 +145,17 @@ def compare(
         block = {kind: np.zeros(len(time)) for kind in KINDS}
         for output in outputs:
             first, second = (r.read(output.channel, start, stop) for r in (run, other))
-            found = _apart(output, first, second)
+            gaps = _apart(output, first, second)
             size = _sizes(output, first)
             lost = (undetermined or {}).get(output.arm) if output.kind == FORCE else None
             if lost is not None and lost[output.columns].any():
                 open_here = dependent[:, None] & lost[output.columns]
-                found, size = np.where(open_here, 0.0, found), np.where(open_here, 0.0, size)
+                gaps, size = np.where(open_here, 0.0, gaps), np.where(open_here, 0.0, size)
                 result[output.name].left_out += int(dependent.sum())
-                _note(result[output.name], time, found, size, not bool(open_here.all()))
+                _note(result[output.name], time, gaps, size, not bool(open_here.all()))
             else:
-                _note(result[output.name], time, found, size, True)
-            np.maximum(block[output.kind], found.max(axis=1), out=block[output.kind])
+                _note(result[output.name], time, gaps, size, True)
+            np.maximum(block[output.kind], gaps.max(axis=1), out=block[output.kind])
         for name, worst in apart.items():
             gap = np.abs(run.read(name, start, stop) - other.read(name, start, stop))
             np.maximum(worst, gap.max(axis=0), out=worst)
@@ -214,8 +214,8 @@ def undetermined_forces(data: Data, run: Trajectory) -> dict[str, np.ndarray]:
     """
     dependent, start, states = [], 0, 8
     for (rank,) in run.blocks("solver/rank", samples=BLOCK_SAMPLES):
-        found = np.flatnonzero(rank < data.model.layout.contacts)
-        dependent += (start + found[:: max(1, len(found) // states)]).tolist()
+        samples = np.flatnonzero(rank < data.model.layout.contacts)
+        dependent += (start + samples[:: max(1, len(samples) // states)]).tolist()
         start += len(rank)
     if not dependent:
         return {}
@@ -279,11 +279,11 @@ def _sizes(output: Output, values: np.ndarray) -> np.ndarray:
 
 
 def _note(
-    difference: Difference, time: np.ndarray, found: np.ndarray, size: np.ndarray, compared: bool
+    difference: Difference, time: np.ndarray, apart: np.ndarray, size: np.ndarray, compared: bool
 ) -> None:
-    row = int(np.argmax(found.max(axis=1)))
-    if found[row].max() > difference.worst:
-        difference.worst, difference.time = float(found[row].max()), float(time[row])
+    row = int(np.argmax(apart.max(axis=1)))
+    if apart[row].max() > difference.worst:
+        difference.worst, difference.time = float(apart[row].max()), float(time[row])
     difference.size = max(difference.size, float(size.max()))
     difference.compared |= compared
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.contacts.joint import axis_travel, limits_of
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
+from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import (
     ContactTerms,
@@ -44,6 +44,10 @@ from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, S
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
+
+# A relative pivot is the squared sine of an angle: below half a degree contact directions are
+# nearly dependent, at roundings there is a direction in which the arm does not move at all.
+GOOD_PIVOT, ROUNDING_PIVOT = 1e-4, 1e-12
 
 
 @dataclass(frozen=True)
@@ -162,12 +166,12 @@ class Inspection:
         return plain(asdict(self))
 
 
-def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection:
+def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspection:
     """Describe a compiled system and its start.
 
     Parameters
     ----------
-    left : sequence of NamedCode
+    unloaded : sequence of NamedCode
         Code that :func:`multiarm.assembly.compilation.compile_for_inspection` left out.
 
     Raises
@@ -176,13 +180,13 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         When the equations of motion cannot be solved at the start.
     """
     scene = system.scene
-    away = {code.arm for code in left}.difference([None])
-    evaluation = None if away else evaluate(system)
+    unknown_joints = {code.arm for code in unloaded}.difference([None])  # of these arms
+    evaluation = None if unknown_joints else evaluate(system)
     with system.borrow() as data:
         closed = data.with_contacts_closed()
         _place_at_start(closed, system)
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
-        freedom = None if away else count_freedom(closed)
+        freedom = None if unknown_joints else count_freedom(closed)
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
@@ -191,20 +195,20 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         joints=[
             _joint_facts(system, joint, terms[joint.arm])
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
-            if joint.arm not in away
+            if joint.arm not in unknown_joints
         ],
         freedom=freedom,
-        coming_and_going=[] if away else coming_and_going(system),
+        coming_and_going=[] if unknown_joints else coming_and_going(system),
         effects=active_effects(scene),
         control=scene.control.kind,
         run=resolve_run(scene.run),
-        start=None if away else system.start_report,
+        start=None if unknown_joints else system.start_report,
         position_residual=None if evaluation is None else evaluation.position_residual,
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
         carrying=None if evaluation is None else carrying_capacity(system, evaluation),
-        warnings=scene.warnings + ([] if away else start_warnings(system)),
-        not_looked_at=[_not_looked_at(code) for code in left],
+        warnings=scene.warnings + ([] if unknown_joints else start_warnings(system)),
+        not_looked_at=[_not_looked_at(code) for code in unloaded],
     )
 
 
@@ -242,18 +246,22 @@ def coming_and_going(system: System) -> list[str]:
     """The unilateral constraints of a system, counted by arm and kind."""
     if system.model.unilateral is None:
         return []
-    counts = Counter((unit.arm, _unit_words(unit)) for unit in system.model.unilateral.constraints)
+    constraints = system.model.unilateral.constraints
+    counts = Counter((constraint.arm, _constraint_words(constraint)) for constraint in constraints)
     lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
     springs = system.model.unilateral.compliant
     soft = 0 if springs is None else len(springs.rows)
     return lines + ([f"springs in place of contacts ({soft})"] if soft else [])
 
 
-def _unit_words(unit: Constraint) -> str:
-    words = {LIMIT: "ends of joints' ranges", DRY_JOINT: "joints with dry friction"}
-    if unit.kind != CONTACT:
-        return words[unit.kind]
-    return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.compliant)
+def _constraint_words(constraint: Constraint) -> str:
+    if constraint.kind == LIMIT:
+        return "ends of joints' ranges"
+    if constraint.kind == DRY_JOINT:
+        return "joints with dry friction"
+    if constraint.tangents:
+        return "contacts with friction"
+    return "contacts that give way" if constraint.compliant else "contacts"
 
 
 def active_effects(scene: Scene) -> dict[str, Any]:
@@ -305,8 +313,8 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
     spec, arm = system.scene.arms[name], system.arms[name]
     position, quaternion = _placement(spec.base.matrix())
     pivot = None if evaluation is None else evaluation.conditioning.get(name)
-    peers = [peer for peer in system.scene.robot_of(name).arms if peer != name]
-    moved = {joint for peer in peers for joint in system.arms[peer].joint_names}
+    siblings = [sibling for sibling in system.scene.robot_of(name).arms if sibling != name]
+    moved = {joint for sibling in siblings for joint in system.arms[sibling].joint_names}
     return ArmFacts(
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
@@ -328,11 +336,9 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
 def _verdict(pivot: float | None) -> str | None:
     if pivot is None:
         return None
-    # the pivot is the squared sine of an angle: below half a degree contact directions are nearly
-    # dependent, at roundings there is a direction in which the arm does not move at all
-    if pivot < 1e-12:
+    if pivot < ROUNDING_PIVOT:
         return "cannot follow"
-    return "good" if pivot >= 1e-4 else "near singular"
+    return "good" if pivot >= GOOD_PIVOT else "near singular"
 
 
 def _model_name(spec: ArmSpec | ToolSpec) -> str:

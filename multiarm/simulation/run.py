@@ -102,13 +102,13 @@ def carry_out(
     TrajectoryError
         When the sink cannot be opened.
     """
-    system, spec, given = task.system, task.spec, task.state is not None
+    system, spec, with_state = task.system, task.spec, task.state is not None
     compiled_before = compile_time()
     check_control_span(task.data.model, task.begin, task.end)
     driver = begin(task, sink, tighten)
     run, log = driver.run, driver.run.log
     log.add(span_notice(task.data.model, task.end))
-    run.sink.open(system.channels, run_metadata(system, spec, given), sample_columns)
+    run.sink.open(system.channels, run_metadata(system, spec, with_state), sample_columns)
     interrupt = Interrupt()
     try:
         pace = Pace(run, spec)
@@ -153,7 +153,9 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
     return Driver(run, events)
 
 
-def leave_undone(system: System, given: bool, sink: Sink, status: str, message: str) -> Trajectory:
+def leave_undone(
+    system: System, with_state: bool, sink: Sink, status: str, message: str
+) -> Trajectory:
     """The result of a run that did not begin: no samples, and the reason.
 
     Raises
@@ -161,7 +163,7 @@ def leave_undone(system: System, given: bool, sink: Sink, status: str, message: 
     TrajectoryError
         When the sink cannot be opened.
     """
-    sink.open(system.channels, run_metadata(system, system.scene.run, given), sample_columns)
+    sink.open(system.channels, run_metadata(system, system.scene.run, with_state), sample_columns)
     return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
@@ -185,15 +187,15 @@ class Pace:
         """Why the run is ended; empty while it advances fast enough."""
         t, clock = run.clock.t, run.clock
         steps = clock.steps + clock.rejected + EVENT_STEPS * self.event_stops
-        made, advanced = steps - self._steps, t - self._t
-        if made < JUDGED_STEPS:
+        judged, advanced = steps - self._steps, t - self._t
+        if judged < JUDGED_STEPS:
             return ""
         self._steps, self._t = steps, t
-        if advanced >= made * self._shortest:
+        if advanced >= judged * self._shortest:
             return ""
         loosen = "loosen `accuracy`, " if run.settings.adaptive else ""
         return (
-            f"{TOO_MANY}: the last {made:,} steps, rejected ones and events counted, advanced it "
+            f"{TOO_MANY}: the last {judged:,} steps, rejected ones and events counted, advanced it "
             f"by {advanced:.2g} s, the next one is {run.clock.h:.2g} s long; a pace of more "
             f"than {self._most:.2g} steps (`run.most_steps`) for {self._unit:.3g} s; {loosen}look "
             f"for a control that jumps or oscillates, contacts that chatter or a singular posture "
@@ -226,10 +228,10 @@ def _ambiguity_remarks(run: Run) -> list[str]:
     ]
 
 
-def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:
+def run_metadata(system: System, spec: RunSpec, with_state: bool) -> Callable[[], dict[str, Any]]:
     """Provenance, on access: writing the scene takes longer than a short run.
 
-    ``given``: the start is not the scene's.
+    ``with_state``: the start is a given state, not the scene's.
     """
     scene = system.scene  # a result must not keep its system alive
     controller = system.model.python_control
@@ -239,7 +241,7 @@ def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dic
     times = (
         {} if sampling is None else {"sample_time": sampling.time, "sample_delay": sampling.delay}
     )
-    start, created = "given state" if given else "scene", time.time()
+    start, created = "given state" if with_state else "scene", time.time()
     limits = {
         name: limits_record(arm.effort_limits, arm.velocity_limits, arm.position_limits)
         for name, arm in system.arms.items()

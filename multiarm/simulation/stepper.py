@@ -172,8 +172,8 @@ class Stepper:
         """Provenance; the scene's run is as long as this one is now."""
         task = self._task
         spec = task.spec.model_copy(update={"duration": self.time or task.spec.duration})
-        found = run_metadata(task.system, spec, task.state is not None)()
-        return {**found, "control": "torques given to a stepper"} if self._driven else found
+        metadata = run_metadata(task.system, spec, task.state is not None)()
+        return {**metadata, "control": "torques given to a stepper"} if self._driven else metadata
 
     # --- what it does -------------------------------------------------------------------------
 

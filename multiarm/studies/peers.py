@@ -19,14 +19,13 @@ import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.contacts.kernel import GAP
-from multiarm.control.laws import harmonic, unpack_harmonic
+from multiarm.control.harmonic import harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.joint_damping import JointDamping
 from multiarm.errors import ModelError
-from multiarm.jit.pointers import address_of
 from multiarm.scene import RunSpec
 from multiarm.studies.timing import OutOfTime
 
@@ -267,11 +266,11 @@ def sinusoid(system: System) -> Sinusoid | None:
     n = system.model.layout.joints
     if not is_controlled(system):
         return Sinusoid.none(n)
-    program, parameters = system.model.constants.control, system.model.constants.parameters
-    if program.shape[0] > 1 or program[0, 0] != address_of(harmonic):
+    laws, sampled = system.model.laws, system.model.sampling is not None
+    if sampled or len(laws) != 1 or laws[0].kernel is not harmonic:
         return None
-    frequency, columns = unpack_harmonic(parameters[program[0, 1] :], n)
-    return Sinusoid(2.0 * np.pi * frequency, *columns.T.copy())
+    torques = laws[0].numbers
+    return Sinusoid(2.0 * np.pi * torques.frequency, torques.constant, torques.sine, torques.cosine)
 
 
 def control_torque(system: System, t: float, state: State) -> np.ndarray:

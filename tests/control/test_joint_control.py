@@ -20,7 +20,7 @@ from refusals import refused
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.control.laws import pack_path, path_point
+from multiarm.control.joint_pd import path_point
 from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.errors import ControlError
 
@@ -191,13 +191,12 @@ def test_a_path_out_of_reach_names_its_waypoint():
 def test_clenshaw_sums_are_numpys(rng):
     """Value and slope of every segment, its ends included."""
     bounds, coefficients = np.array([0.5, 1.5, 3.0]), rng.standard_normal((2, 3, 6))
-    packed = np.concatenate([[99.0], pack_path(bounds, coefficients)])
     for t, segment in ((0.7, 0), (1.4, 0), (1.6, 1), (2.9, 1)):
         begin, end = bounds[segment : segment + 2]
         x = 2 * (t - begin) / (end - begin) - 1
         for joint in range(3):
             series = np.polynomial.Chebyshev(coefficients[segment, joint])
-            value, slope = path_point(t, packed, 1, 3, joint)
+            value, slope = path_point(t, bounds, coefficients, joint)
             assert value == pytest.approx(series(x), abs=1e-13)
             assert slope == pytest.approx(series.deriv()(x) * 2 / (end - begin), abs=1e-12)
 

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.control.object_control import add_arm_forces, write_spring_wrench
+from multiarm.control.object_control import ObjectLaw, add_arm_forces, write_spring_wrench
+from multiarm.control.object_path import PosePath
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.errors import ControlError, SceneError
 
@@ -300,8 +301,10 @@ def test_spring_moment_is_the_slope_of_its_energy(rng):
     for _ in range(20):
         rest, q = Rotation.random(random_state=rng), Rotation.random(random_state=rng)
         x, x_r = rng.standard_normal((2, 3))
-        rests = [x_r, np.zeros(3), rest.as_quat(), np.zeros(3)]
-        numbers = np.concatenate([stiffness, np.zeros(8), [1.0, 0.0, 1.0], *rests])
+        zero = np.zeros((1, 3))
+        still = PosePath(np.array([0.0, 1.0]), x_r[None], zero, rest.as_quat()[None], zero)
+        no_forces = np.zeros(0), np.zeros((0, 6))
+        law = ObjectLaw(stiffness, np.zeros(6), 0.0, 0.0, False, *no_forces, *still)
 
         def energy(step, q=q, rest=rest, x=x, x_r=x_r):
             turned = Rotation.from_rotvec(step[3:]) * q
@@ -311,9 +314,7 @@ def test_spring_moment_is_the_slope_of_its_energy(rng):
         if (rest * q.inv()).magnitude() > 3.0:  # at half a turn the energy has a ridge
             continue
         wrench, h = np.empty(6), 1e-4
-        write_spring_wrench(
-            0.0, numbers, 0, 14, np.concatenate([x, q.as_quat()]), np.zeros(6), wrench
-        )
+        write_spring_wrench(0.0, law, np.concatenate([x, q.as_quat()]), np.zeros(6), wrench)
         slope = [(energy(h * d) - energy(-h * d)) / (2 * h) for d in np.eye(6)]
         np.testing.assert_allclose(wrench, -np.array(slope), atol=1e-3)
 

@@ -13,7 +13,7 @@ from refusals import refused
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.control.laws import joint_pd
+from multiarm.control.joint_pd import joint_pd
 from multiarm.errors import ControlError, SceneError, SolverError
 from multiarm.jit.pointers import address_of
 from multiarm.scene import parse_scene
@@ -191,11 +191,10 @@ def test_samples_that_meet_the_end_but_for_roundings_make_no_tiny_steps(
 
 
 def test_control_without_samples_calls_its_laws_and_nothing_else(tmp_path):
-    own = [address_of(joint_pd), 0]
     free, held = cart(tmp_path, spring()), cart(tmp_path, spring(sample_time=SLOW))
-    assert free.model.constants.control[:, :2].tolist() == [own]
+    assert free.model.constants.control[:, 0].tolist() == [address_of(joint_pd)]
     assert free.model.constants.sampled.size == 0
-    assert held.model.constants.sampled[:, :2].tolist() == [own]
+    assert held.model.constants.sampled.tolist() == free.model.constants.control.tolist()
     assert held.model.breakpoints.size == 0
 
 

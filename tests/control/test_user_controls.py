@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
-from multiarm.control import ControlProgram, open_system
-from multiarm.control.laws import program_of
+from multiarm.control import ControlLaw, ControlProgram, open_data, view_of_law
+from multiarm.control.laws import PROGRAMS
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import struct_at
+from multiarm.jit.structs import Float, Floats1, struct_at
 from multiarm.scene import CONTROLS, Scene, dump_scene, named_code, parse_scene
-from multiarm.scene.control import BUILT_IN, ControlKind
+from multiarm.scene.control import BUILT_IN
 from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context
@@ -32,12 +32,23 @@ def _only_ours(monkeypatch):
     empty_registries(monkeypatch)
 
 
+class Pushes(NamedTuple):
+    """Constant torques, after a number that the kernel must not take for them."""
+
+    share: Float
+    torques: Floats1  # (n,) [N m, N]
+
+
+open_pushes = view_of_law(Pushes)
+
+
 @cfunc
-def push(address, size, place, _t):
-    """Numbers: a torque for every joint."""
-    model, data, _ = open_system(struct_at(address, size))
+def push(address, size, at, _t):
+    """Add the torques."""
+    struct = struct_at(address, size)
+    data, pushes = open_data(struct), open_pushes(struct, at)
     for j in range(data.torque.size):
-        data.torque[j] += model.parameters[int(place) + j]
+        data.torque[j] += pushes.share * pushes.torques[j]
     return 0
 
 
@@ -49,8 +60,11 @@ class Push(ma.Control):
     by_joint = ("pushes",)
 
     def build(self, context):
-        """One number a joint."""
-        return ControlProgram((push,), context.stacked(self.pushes))
+        """A quarter of the torques, then the rest."""
+        torques = context.stacked(self.pushes)
+        # one law after the other, each with its own numbers
+        laws = [ControlLaw(push, Pushes(share, torques)) for share in (0.25, 0.75)]
+        return ControlProgram(tuple(laws))
 
 
 class Pull(ma.Control):
@@ -166,8 +180,7 @@ def test_every_kind_of_ours_has_a_sentence_an_example_and_a_law():
             parse_scene(dump_scene(scene_of(own.sample()))).control
             == scene_of(own.sample()).control
         )
-        lawless = program_of.dispatch(own) is program_of.dispatch(ControlKind)
-        assert lawless == (name == "none")
+        assert (own in PROGRAMS) == (name != "none")
     ours = Scene.model_json_schema()["properties"]["control"]["anyOf"][0]
     assert set(ours["discriminator"]["mapping"]) == set(BUILT_IN)
 
@@ -278,6 +291,11 @@ def test_a_function_of_a_scene_file_lies_in_its_folder(tmp_path):
         ma.load_scene(path)
 
 
+def pushes_of(torque):
+    """The same torque at twelve joints."""
+    return Pushes(1.0, np.full(12, torque))
+
+
 @pytest.mark.parametrize(
     "body",
     [
@@ -286,8 +304,14 @@ def test_a_function_of_a_scene_file_lies_in_its_folder(tmp_path):
         {"torques": lambda self, t, state: {"left": 1}},
         {"build": lambda self, c: 1 / 0},
         {"build": lambda self, c: 3},
-        {"build": lambda self, c: ControlProgram((pull,))},
-        {"build": lambda self, c: ControlProgram((push,), np.full(12, np.nan))},
+        {"build": lambda self, c: ControlProgram((push,))},
+        {"build": lambda self, c: ControlProgram((push,), parameters=np.zeros(12))},
+        {"build": lambda self, c: ControlProgram((ControlLaw(pull),))},
+        {"build": lambda self, c: ControlProgram((ControlLaw(push, np.zeros(12)),))},
+        {"build": lambda self, c: ControlProgram((ControlLaw(push, pushes_of(np.nan)),))},
+        {"build": lambda self, c: ControlProgram((ControlLaw(push, pushes_of(1)),))},
+        {"build": lambda self, c: ControlProgram((ControlLaw(push, Pushes(1.0, np.eye(12))),))},
+        {"build": lambda self, c: ControlProgram((ControlLaw(push, Pushes("1", np.ones(12))),))},
         {"torques": pull, "faults": lambda self, arms: 1 / 0},
     ],
 )

@@ -33,7 +33,7 @@ from steps import data_at, without_derivatives
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
-from multiarm.control.derivatives import holding_derivatives
+from multiarm.control.gravity_compensation import holding_derivatives
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.equation_derivatives import write_derivatives
 from multiarm.dynamics.force_derivatives import applied_derivatives

@@ -59,7 +59,7 @@ def static_forces(Wo, weight, force):
 
 
 @allocating
-def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
+def share_load(wrench, Wo, rows, rotation, of_contacts, of_arms, force):
     r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
 
     Parameters
@@ -70,18 +70,18 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
         Rows of all contacts in world axes, and where each arm's begin.
     rotation : (9,)
         Of the object, row by row.
-    offsets : (N,), pressing : (6 n,)
+    of_contacts : (N,), of_arms : (n, 6)
         Desired forces of the contacts, and a desired wrench of every arm on the object (about its
         centre of mass, its axes).  Only their internal part remains.
     force : (N,), written
     """
-    desired, remaining = np.empty(offsets.size), np.empty(6)
-    copy(offsets, desired)
+    desired, remaining = np.empty(of_contacts.size), np.empty(6)
+    copy(of_contacts, desired)
     for i in range(rows.size - 1):
-        on_object, any_pressing = pressing[6 * i : 6 * i + 6], False
+        on_object, presses = of_arms[i], False
         for a in range(6):
-            any_pressing = any_pressing or on_object[a] != 0.0
-        if any_pressing:
+            presses = presses or on_object[a] != 0.0
+        if presses:
             r0, r1, world = rows[i], rows[i + 1], np.zeros(6)
             for a in range(3):
                 for b in range(3):
@@ -97,3 +97,14 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
     static_forces(Wo, remaining, force)
     for k in range(desired.size):
         force[k] += desired[k]
+
+
+@kernel
+def subtract_contact_forces(data, work):
+    """Subtract ``W lambda`` of the contact forces in ``data.static_force`` from ``data.torque``."""
+    force, torque = data.static_force, data.torque
+    for i in range(work.rows.size - 1):
+        d0, r0 = work.dofs[i], work.rows[i]
+        for j in range(work.dofs[i + 1] - d0):
+            for a in range(work.rows[i + 1] - r0):
+                torque[d0 + j] -= work.W[i, j, a] * force[r0 + a]

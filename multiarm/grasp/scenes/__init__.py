@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.bases import Stand
-from multiarm.control.object_control import packed_path, reference_motion
+from multiarm.control.object_path import pose_path, reference_motion
 from multiarm.dynamics.forces.internal_forces import distribute, internal_forces
 from multiarm.errors import GraspError
 from multiarm.grasp.body.polyhedron import Polyhedron
@@ -307,12 +307,12 @@ def motion_wrenches(
     gravity : ndarray, shape (3,)
         World axes [m/s^2].
     """
-    parameters = packed_path([w.time for w in path], [w.matrix() for w in path])
+    reference = pose_path([w.time for w in path], [w.matrix() for w in path])
     wrenches = []
     for begin, end in pairwise(path):
         for x in SAMPLES:
             t = begin.time + x * (end.time - begin.time)
-            quaternion, twist, change = reference_motion(t, parameters, 0)
+            quaternion, twist, change = reference_motion(t, reference)
             R = quaternion_to_matrix(quaternion)
             omega, alpha = R.T @ twist[3:], R.T @ change[3:]
             force = mass * R.T @ (change[:3] - gravity)

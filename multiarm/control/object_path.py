@@ -1,0 +1,93 @@
+r"""The reference of laws that move the object: from rest to rest through poses.
+
+From one waypoint to the next the object moves along a line and about a fixed axis, with the part
+
+.. math:: s(x) = 10 x^3 - 15 x^4 + 6 x^5, \qquad x = (t - t_s) / (t_{s+1} - t_s),
+
+of the displacement :math:`\Delta p` and the rotation vector :math:`\Delta\theta` (world axes); so
+:math:`p_r = p_s + s\,\Delta p`, :math:`R_r = \exp(s\,\Delta\theta)\,R_s`, the reference's twist is
+:math:`\dot s\,[\Delta p; \Delta\theta]` and its acceleration :math:`\ddot s\,[\Delta p;
+\Delta\theta]`.  Before the first waypoint and after the last one it rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.state import State
+from multiarm.jit.kernels import kernel
+from multiarm.jit.structs import Floats1, Floats2
+from multiarm.jit.vectors import add_scaled, scale, vec
+from multiarm.scene import Pose, Waypoint
+from multiarm.spatial import difference, matrix_to_quaternion, retracted
+
+
+class PosePath(NamedTuple):
+    """A path of S segments between poses."""
+
+    times: Floats1  # (S + 1,) [s], of the waypoints
+    positions: Floats2  # (S, 3) at the begin of each segment [m]
+    shifts: Floats2  # (S, 3) displacement to the next waypoint [m]
+    quaternions: Floats2  # (S, 4) xyzw, at the begin of each segment
+    turns: Floats2  # (S, 3) rotation vector to the next waypoint, world axes [rad]
+
+
+def pose_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> PosePath:
+    """The path through poses (4, 4) at times [s]."""
+    quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in poses])
+    turns = np.array([difference(begin, end) for begin, end in pairwise(quaternions)])
+    positions = np.array([pose[:3, 3] for pose in poses])
+    return PosePath(
+        np.array(times), positions[:-1], np.diff(positions, axis=0), quaternions[:-1], turns
+    )
+
+
+def pose_of(state: State) -> Pose:
+    """Pose of the object in a state."""
+    return Pose(
+        xyz=state.object_position.tolist(), quaternion_xyzw=state.object_quaternion_xyzw.tolist()
+    )
+
+
+def route(start: State, path: Sequence[Waypoint]) -> tuple[list[float], list[np.ndarray]]:
+    """Times and poses (4, 4) of a path; one that does not begin at time 0 begins at the start."""
+    times = [waypoint.time for waypoint in path]
+    poses = [waypoint.matrix() for waypoint in path]
+    if times[0] > 0.0:
+        times.insert(0, 0.0)
+        poses.insert(0, pose_of(start).matrix())
+    return times, poses
+
+
+@kernel
+def reference_pose(t, path):
+    """Reference of the object at ``t``: position (3,), quaternion (4,), and how it moves.
+
+    It moves along ``shift`` and about ``turn``, the displacement and the rotation vector of its
+    segment; ``rate`` [1/s] and ``second`` [1/s^2] are the derivatives of the part that is covered.
+    ``path`` has the fields of :class:`PosePath`.
+    """
+    segments = path.times.size - 1
+    s = 0
+    while s < segments - 1 and t >= path.times[s + 1]:
+        s += 1
+    begin, length = path.times[s], path.times[s + 1] - path.times[s]
+    x = min(max((t - begin) / length, 0.0), 1.0)
+    part = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
+    rate = 30.0 * (x * (1.0 - x)) ** 2 / length
+    second = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / length**2
+    shift, turn = vec(path.shifts[s], 0), vec(path.turns[s], 0)
+    position = add_scaled(vec(path.positions[s], 0), part, shift)
+    quaternion = retracted(path.quaternions[s], scale(part, turn))
+    return position, quaternion, shift, turn, rate, second
+
+
+def reference_motion(t: float, path: PosePath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reference of the object at ``t``: quaternion xyzw (4,), twist (6,), acceleration (6,)."""
+    _, quaternion, shift, turn, rate, second = reference_pose(t, path)
+    displacement = np.array([*shift, *turn])
+    return np.array(quaternion), rate * displacement, second * displacement

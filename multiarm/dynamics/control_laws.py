@@ -1,0 +1,126 @@
+r"""Control laws: compiled functions with named numbers, which an evaluation calls by address.
+
+Laws are called one after the other, and each adds its torques to ``data.torque``.  A law has the
+signature of :func:`multiarm.jit.kernels.cfunc`.  Its numbers are a ``NamedTuple``, constants of the
+model, which stand at the end of the system's struct; it opens them by :func:`view_of_law`.
+
+.. code-block:: python
+
+    class Spring(NamedTuple):
+        stiffness: Floats1  # (n,) [N m/rad, N/m]
+
+    open_spring = view_of_law(Spring)
+
+    @cfunc
+    def pull(address, size, at, t):
+        struct = struct_at(address, size)
+        data, spring = open_data(struct), open_spring(struct, at)
+        for j in range(data.torque.size):
+            data.torque[j] -= spring.stiffness[j] * data.angles[j]
+        return 0
+
+    ControlLaw(pull, Spring(stiffness))
+
+*Its derivative*, where it states one, is a function of the same signature.  It adds the derivatives
+of the law's torques to ``data.torque_slopes`` (n, columns), by the columns of
+:func:`multiarm.dynamics.coordinates.force_columns`, without those by the time.
+
+.. code-block:: python
+
+    @cfunc
+    def differentiate_pull(address, size, at, t):
+        struct = struct_at(address, size)
+        data, spring = open_data(struct), open_spring(struct, at)
+        positions = force_columns(data).positions
+        for j in range(data.torque.size):
+            data.torque_slopes[j, positions + j] -= spring.stiffness[j]
+        return 0
+
+    ControlLaw(pull, Spring(stiffness), differentiate_pull)
+
+Effects are built in the same way (:mod:`multiarm.dynamics.effect_kernels`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import ModelError
+from multiarm.jit.kernels import Kernel, inlined
+from multiarm.jit.pointers import address_of
+from multiarm.jit.structs import make_struct, misfit, struct_of, view_at
+
+# ``Constants.control`` without a law.
+NO_CONTROL = np.zeros((0, 3), dtype=np.int64)
+
+
+def view_of_law(holder: type) -> Callable[[Any, Any], Any]:
+    """Function of kernels ``(struct, at) -> view`` of a law's numbers."""
+    open_view = view_at(holder)
+
+    @inlined
+    def open_law(struct, at):
+        return open_view(struct, int(at))
+
+    return open_law
+
+
+@dataclass(frozen=True, eq=False)
+class ControlLaw:
+    """A compiled law and its numbers.
+
+    Attributes
+    ----------
+    kernel : Kernel
+        Decorated with :func:`multiarm.jit.kernels.cfunc`, called with address and size of the
+        system's struct, the place ``at`` of the numbers there (a float), and the time [s].
+    numbers : NamedTuple
+        Numbers, and contiguous arrays of float64 or int64.  All threads share them: a law reads
+        them only.  Empty for a law without numbers.
+    derivative : Kernel, optional
+        The derivatives of its torques, see above; absent: they are differences.
+    """
+
+    kernel: Kernel
+    numbers: Any = ()
+    derivative: Kernel | None = None
+
+    @cached_property
+    def struct(self) -> np.ndarray:
+        """Its part of the system's struct."""
+        return struct_of(self.numbers) if self.numbers else make_struct(())
+
+    def require_usable(self, who: str) -> None:
+        """Raise a ``ModelError`` where kernels could not be called, or read what is not there."""
+        for kernel in (self.kernel, self.derivative or self.kernel):
+            if not isinstance(kernel, Kernel) or not kernel.is_called_by_address:
+                raise ModelError(f"{who} returned a law that is no `multiarm.jit.kernels.cfunc`")
+        if isinstance(self.numbers, tuple) and not self.numbers:
+            return
+        named = isinstance(self.numbers, tuple) and hasattr(self.numbers, "_fields")
+        if not named or not hasattr(type(self.numbers), "__annotations__"):
+            raise ModelError(
+                f"{who} returned a law whose numbers are {type(self.numbers).__name__}; return a "
+                f"NamedTuple whose fields are annotated with `multiarm.jit.structs.Floats1` or the "
+                f"like"
+            )
+        fault = misfit(self.numbers)
+        if fault:
+            raise ModelError(f"{who} returned a law with wrong numbers: {fault}")
+        if not all(np.all(np.isfinite(entry)) for entry in self.numbers):
+            raise ModelError(f"{who} returned a law with numbers that are not finite")
+
+
+def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:
+    """``Constants.control``; ``first`` is the place of the first law's numbers in the struct."""
+    rows, at = [], first
+    for law in laws:
+        derivative = 0 if law.derivative is None else address_of(law.derivative)
+        rows.append((address_of(law.kernel), at, derivative))
+        at += len(law.numbers)
+    return np.array(rows, dtype=np.int64).reshape(-1, 3)
