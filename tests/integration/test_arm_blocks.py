@@ -17,12 +17,20 @@ from mechanics import (
     ur5_pair,
 )  # fmt: skip
 from repository import SCENES as SCENE_FILES
-from steps import coupled, derivatives_of, step_of_the_package, without_derivatives
+from steps import (
+    CANCELLING,
+    FORWARD,
+    ORDER_8,
+    Slope,
+    assert_derivatives,
+    coupled,
+    derivatives_of,
+    step_of_the_package,
+    without_derivatives,
+)  # fmt: skip
 
 import multiarm as ma
 from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, OPEN_LOOP
-from multiarm.dynamics.status import OK
-from multiarm.integration.step import Stage, evaluate_slope
 from multiarm.problems import ring_of_arms
 from multiarm.scene.control import BUILT_IN as CONTROLS
 from multiarm.scene.effects import BUILT_IN as EFFECTS
@@ -103,44 +111,6 @@ def used(stepping) -> bool:
 # --- the derivatives, and runs with them ---------------------------------------------------------
 
 
-class Slope:
-    """The rate of a step's state by evaluations of the whole system, at any state and time."""
-
-    def __init__(self, system, state, alpha=0.0, beta=0.0):
-        ma.evaluate(system, 0.0, state)
-        self.data = data_of(system)
-        inner, works = self.data.effect_states(), np.zeros(self.data.arrays.power.size)
-        position = [state.object_position, np.zeros(3), state.position[7:]]
-        self.z = np.concatenate([*position, state.velocity, inner, works])
-        self.base = state.object_quaternion_xyzw.copy()
-        self.stage = Stage(alpha=alpha, beta=beta, gap=-1.0, latest=np.inf)
-
-    def __call__(self, t, z):
-        slope = np.zeros(z.size)
-        assert evaluate_slope(self.data.struct, self.stage, t, z, self.base, slope) == OK
-        return slope
-
-    def jacobian(self, size):
-        """Derivatives by the first ``size`` entries of the state, by differences of order 8."""
-        along = lambda e: lambda s: self(0.0, self.z + s * e)  # noqa: E731
-        return np.column_stack(
-            [first_difference(along(e), 1e-3) for e in np.eye(self.z.size)[:size]]
-        )
-
-
-def assert_derivatives(found, J, bound):
-    """Column by column, relative to the largest entry or to 1."""
-    scale = np.maximum(np.max(np.abs(J), axis=0), 1.0)
-    assert np.max(np.abs(found - J) / scale) < bound
-
-
-# What differences leave, relative to the largest entry of a column: of order 8 with displacements
-# of 1e-3, roundings of 1e-15 / 1e-3 of accelerations that are up to 1e3 times as large as their
-# derivatives; the steps' own, forward ones with displacements of 1e-7; these where they are
-# differences of accelerations in which the terms of the weight cancel.
-ORDER_8, FORWARD, CANCELLING = 2e-9, 2e-5, 1e-4
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_derivatives_arm_by_arm_are_those_of_whole_evaluations(name, tmp_path, rng):
     """Of accelerations, drives' torques and powers, by all of the state and by the time."""
@@ -156,7 +126,8 @@ def test_derivatives_arm_by_arm_are_those_of_whole_evaluations(name, tmp_path, r
     by_time = first_difference(lambda s: exact(s, exact.z), 1e-3)
     assert (np.max(np.abs(by_time)) > 1.0) == (name != "egg on a face")
     coarse = CANCELLING if name == "carried" else FORWARD
-    for stepping, bound in ((own, ORDER_8), (plain, coarse), (whole, coarse)):
+    in_full = coarse if name == "carried" else ORDER_8
+    for stepping, bound in ((own, ORDER_8), (plain, coarse), (whole, in_full)):
         assert_derivatives(np.hstack(derivatives_of(system, stepping)), J, bound)
         atol = 1e-5 * np.max(np.abs(by_time)) + 1e-3
         np.testing.assert_allclose(stepping.work[0].time_slope, by_time, rtol=0, atol=atol)
@@ -173,12 +144,12 @@ def test_derivatives_know_the_feedback_on_the_drift(name, tmp_path, rng):
     n, exact = 6 + system.model.layout.joints, Slope(system, state, alpha, beta)
     own = step_of_the_package(system, state, 1e-3, alpha, beta)
     assert used(own)
-    derivatives = np.hstack(derivatives_of(system, own))  # the next step reuses the arrays
+    found = np.hstack(derivatives_of(system, own))  # the next step has the same arrays
     J = exact.jacobian(own.step.tolerance.size)[n:]
     free = np.hstack(derivatives_of(system, step_of_the_package(system, state, 1e-3)))
     assert np.max(np.abs(J - free)) > 1e4
     # gaps, times beta^2, make the accelerations up to ten times as large
-    assert_derivatives(derivatives, J, 10.0 * ORDER_8)
+    assert_derivatives(found, J, 10.0 * ORDER_8)
 
 
 @pytest.mark.parametrize("name", ["harmonic", "springs", "carried"])
@@ -186,7 +157,6 @@ def test_a_run_is_the_same_with_either_derivatives(name, tmp_path):
     system = SCENES[name](tmp_path)
     run = {"duration": 0.4, "integrator": "rodas5p", "tolerance": 1e-9, "output_step": 0.1}
     found, known = ma.simulate(system, **run), ma.simulate(coupled(system), **run)
-    assert found.statistics["evaluations"] < 0.5 * known.statistics["evaluations"]
     np.testing.assert_allclose(found.object_position, known.object_position, rtol=0, atol=1e-9)
     for arm in found.arm_names:
         q, v = found.joint_positions[arm], found.joint_velocities[arm]
@@ -220,7 +190,6 @@ def test_torques_that_are_held_carry_nothing(tmp_path, rng):
     state = random_state(system, rng, turn=0.05)
     run = {"duration": 0.03, "integrator": "rodas5p", "tolerance": 1e-9, "output_step": 0.03}
     found, known = (ma.simulate(s, state=state, **run) for s in (system, coupled(system)))
-    assert found.statistics["evaluations"] < 0.5 * known.statistics["evaluations"]
     np.testing.assert_allclose(found.object_twist[-1], known.object_twist[-1], atol=1e-8)
 
 
@@ -439,7 +408,7 @@ def test_deficient_arms_and_the_dense_solver_are_differentiated_as_a_whole(tmp_p
 
 def test_evaluations_of_a_step_do_not_grow_with_the_arms():
     """The beginning and seven more stages; where an effect states no derivative, 2 n displacements
-    of all arms and the way back; 3 (6 + 12) and two more for the time in whole evaluations.
+    of all arms and the way back.
     """
     counts = {}
     for n in (2, 5):
@@ -449,8 +418,6 @@ def test_evaluations_of_a_step_do_not_grow_with_the_arms():
             step_of_the_package(own, state, 1e-3).step.stage.evaluations
             for own in (system, without_derivatives(system))
         ]
-        whole = step_of_the_package(coupled(system), state, 1e-3).step.stage.evaluations
-        assert whole == 3 * (6 + 6 * n) + 2 + 7
     assert counts == {n: [1 + 7, 1 + 12 + 1 + 7] for n in (2, 5)}
     control = swing("east", joints=7)
     trio = ma.compile_system(panda_trio(WELD, control=control, effects={"actuator_lag": 0.05}))
