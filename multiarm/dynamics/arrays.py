@@ -6,7 +6,7 @@ solver's workspace.  :func:`open_system` returns its views ``model, data, work``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ from multiarm.jit.structs import (
     Numbers,
     struct_of,
     view,
+    write_sizes,
 )
 
 # Numbers of a tip in ``Variables.tips``.
@@ -253,13 +254,14 @@ def make_variables(
     """Allocate for a layout, the size of Pinocchio's configuration, numbers of effects that do
     work, and of states of effects.
     """
-    arms, joints = len(pointers), layout.joints
+    arms, joints, pairs = len(pointers), layout.joints, len(constants.shapes)
     monitors = len(constants.monitors)
     columns = 2 * layout.nv + states + 7
     shapes = {
         "q": pinocchio_size,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
-        "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6),
+        "query": RELATIVE_WIDTH + QUERY_WIDTH, "places": (pairs, 3), "located": (pairs, 3),
+        "inertia": (6, 6),
         "torque": joints, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
@@ -285,7 +287,7 @@ def make_variables(
         passed=np.zeros(arms, dtype=np.int64),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
         **stacked_vectors(layout),
-        **row_variables(constants, layout.contacts),
+        **row_variables(constants, layout),
     )
 
 
@@ -301,21 +303,20 @@ def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def row_variables(constants: Constants, rows: int) -> dict[str, np.ndarray]:
-    """The variables with an entry for every row of W, or for every pair of surfaces."""
-    shapes, force = len(constants.shapes), np.zeros(rows)
+def row_variables(constants: Constants, layout: Layout) -> dict[str, np.ndarray]:
+    """The variables with an entry for every row of W."""
+    rows = {name: np.zeros(shape) for name, shape in row_shapes(constants, layout).items()}
+    return {**rows, "shown": rows["force"]}
+
+
+def row_shapes(constants: Constants, layout: Layout) -> dict[str, tuple[int, ...]]:
+    """Shapes of these variables, without ``shown``."""
+    rows = layout.contacts
     return {
-        "contacts": np.zeros((rows, CONTACT_WIDTH)),
-        "parts": np.zeros((len(constants.codes) - rows, CONTACT_WIDTH)),
-        "places": np.zeros((shapes, 3)),
-        "located": np.zeros((shapes, 3)),
-        "Wo": np.zeros((rows, 6)),
-        "wrench": np.zeros((6, rows)),
-        "c": np.zeros(rows),
-        "force": force,
-        "shown": force,
-        "static_force": np.zeros(rows),
-    }
+        "contacts": (rows, CONTACT_WIDTH), "parts": (len(constants.codes) - rows, CONTACT_WIDTH),
+        "Wo": (rows, 6), "wrench": (6, rows), "c": (rows,), "force": (rows,),
+        "static_force": (rows,),
+    }  # fmt: skip
 
 
 def system_struct(
@@ -344,6 +345,20 @@ open_coupled = view(CoupledWork, _FIRST[3])
 FUNCTIONS = _FIRST[1] + Variables._fields.index("functions")
 STATUS = _FIRST[1] + Variables._fields.index("status")
 EFFECTS = _FIRST[4]
+
+
+def write_row_sizes(
+    struct: np.ndarray,
+    constants: Mapping[str, np.ndarray],
+    variables: Mapping[str, np.ndarray],
+    work: Mapping[str, np.ndarray],
+    coupled: Mapping[str, np.ndarray],
+) -> None:
+    """Write the sizes of arrays of a system's struct, which begin where they did."""
+    for part, at, arrays in zip(
+        _PARTS, _FIRST, (constants, variables, work, coupled), strict=False
+    ):
+        write_sizes(struct, part, at, arrays)
 
 
 @inlined

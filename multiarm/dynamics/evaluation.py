@@ -96,7 +96,7 @@ class Snapshot:
         self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
         self.work, self.coupled = data.work, data.coupled
         if not self.regular:
-            self.work = _copied(data.work, ("L", "Y"))
+            self.work = _copied(data.work, ("rows", "L", "Y"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 

@@ -8,6 +8,7 @@ laws, and :math:`\lambda = \lambda_0 + \delta` with :math:`\delta` of minimum no
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +50,7 @@ from multiarm.jit.structs import (
     struct_at,
     struct_of,
     view,
+    write_sizes,
 )
 
 
@@ -85,9 +87,15 @@ def mode_struct(
 
 _SLIDES = len(ModeArrays._fields)
 _GUARDS = _SLIDES + len(Slides._fields)
+_REACTIONS = _GUARDS + len(Guards._fields)
 open_mode, open_slides = view(ModeArrays), view(Slides, _SLIDES)
 open_guards = view(Guards, _GUARDS)
-open_reactions = view(ReactionWork, _GUARDS + len(Guards._fields))
+open_reactions = view(ReactionWork, _REACTIONS)
+
+
+def write_reaction_sizes(struct: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write the sizes of arrays of the reactions, which begin where they did."""
+    write_sizes(struct, ReactionWork, _REACTIONS, arrays)
 
 
 @cfunc

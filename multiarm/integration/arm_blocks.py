@@ -166,7 +166,7 @@ def make_arm_blocks(data: Data, step: Step) -> ArmBlocks:
     constants = data.model.constants
     carries = len(constants.control) > 0 and constants.control_reach == CARRYING
     u, equations = 12 if carries else 6, np.zeros(0, dtype=np.int64)
-    if constants.local_effects:
+    if constants.local_effects and not data.arrays.modes.active:
         _, equations = equation_work(data, 2 * layout.nv)
     return ArmBlocks(
         d=d,

@@ -34,7 +34,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from struct import Struct as Format
 from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
 
@@ -110,6 +110,20 @@ def struct_of(*holders: tuple) -> np.ndarray:
         numbers = _numbers_of(type(holder))
         entries += [numbers[k](entry) if k in numbers else entry for k, entry in enumerate(holder)]
     return make_struct(entries)
+
+
+def write_sizes(
+    struct: np.ndarray, holder: type, at: int, arrays: Mapping[str, np.ndarray]
+) -> None:
+    """Write the sizes of fields of a holder at place ``at``; their arrays begin where they did."""
+    for name, array in arrays.items():
+        first = WIDTH * (at + _places_of(holder)[name]) + 1
+        struct[first : first + array.ndim] = array.shape
+
+
+@functools.cache
+def _places_of(holder: type) -> dict[str, int]:
+    return {name: k for k, name in enumerate(holder._fields)}  # type: ignore[attr-defined]
 
 
 @functools.cache
