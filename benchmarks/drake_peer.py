@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -85,7 +86,7 @@ def motions(system: System, steps: Sequence[float], rounds: int) -> list[dict[st
     if exact.status != "completed":
         raise ModelError(f"the scene has no reference to compare with: {exact.message}")
     peer, grid = DrakePeer(system), Grid.of(system.scene.run)
-    drive = sinusoid(system) or (lambda t, state: control_torque(system, t, state))
+    drive = sinusoid(system) or (lambda t, state: control_torque(system, t, state()))
     rows = []
     for step in steps:
         print(f"step {step:g} s", flush=True)
@@ -236,9 +237,6 @@ class DrakePeer(Peer):
         spread = np.zeros((3, size))
         spread[:, self.velocity_places] = drive.constant, drive.sine, drive.cosine
         constant = builder.AddSystem(ConstantVectorSource(spread[0]))
-        if drive.is_constant:
-            builder.Connect(constant.get_output_port(), target)
-            return
         amplitude, phase = np.hypot(spread[1], spread[2]), np.arctan2(spread[2], spread[1])
         sine = builder.AddSystem(Sine(amplitude, np.full(size, drive.rate), phase, True))
         adder = builder.AddSystem(Adder(2, size))
@@ -275,7 +273,7 @@ class DrakePeer(Peer):
         )
 
 
-def _controller(model: DrakePeer, torque: Callable[[float, State], np.ndarray]) -> Any:
+def _controller(model: DrakePeer, torque: Drive) -> Any:
     """A Drake system whose output are torques of time and state, by a Python function."""
     from pydrake.systems.framework import LeafSystem
 
@@ -291,7 +289,7 @@ def _controller(model: DrakePeer, torque: Callable[[float, State], np.ndarray]) 
         def write(self, own: Any, output: Any) -> None:
             plant.SetPositionsAndVelocities(context, self.get_input_port().Eval(own))
             force = np.zeros(size)
-            force[model.velocity_places] = torque(own.get_time(), model.state(context))
+            force[model.velocity_places] = torque(own.get_time(), partial(model.state, context))
             output.SetFromVector(force)
 
     return Controller()

@@ -23,7 +23,7 @@ import numpy as np
 import output
 import pandas
 from matplotlib.figure import Figure
-from peer_solvers import ConstraintDynamics, Lcaba, memory_needed
+from peer_solvers import ConstraintDynamics, Lcaba, Tree, memory_needed
 from timing import (
     fastest,
     fitted_slopes,
@@ -42,7 +42,6 @@ from multiarm.dynamics.system import System
 from multiarm.events.evaluation import evaluate
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK
 from multiarm.problems import ring_of_arms
-from multiarm.studies.pinocchio_peer import PinocchioTree
 
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5
@@ -176,7 +175,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
     if not remark:
         peers = {
             "constraintDynamics": ConstraintDynamics(system).evaluation(state, torque),
-            "tree": PinocchioTree(system).evaluation(state, torque),
+            "tree": Tree(system).evaluation(state, torque),
             "lcaba": Lcaba(system).evaluation(state, torque),
         }
         accelerations |= {name: call()[: torque.size].copy() for name, call in peers.items()}

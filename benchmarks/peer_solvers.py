@@ -9,7 +9,7 @@ unconverged numbers without an exception when rows are redundant, and ``lcaba`` 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import ClassVar
 
@@ -19,8 +19,11 @@ import pinocchio as pin
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.spatial import quaternion_to_matrix
-from multiarm.studies.peers import Peer
-from multiarm.studies.pinocchio_peer import PinocchioLoops, Settings
+from multiarm.studies.peers import Clock, Drive, Grid, Peer, Sample
+from multiarm.studies.pinocchio_peer import SETTINGS, PinocchioPeer, dop853_steps
+
+Settings = tuple[float, ...]
+"""Absolute and relative accuracy, regularisation, iterations; empty: as shipped."""
 
 BYTES_PER_CUBE = 64
 """Memory of Pinocchio's Data, as measured, grows with the cube of the number of joints."""
@@ -47,16 +50,49 @@ class Solver(Peer):
         """The object's classical acceleration in world axes and the joints', shape (6 + n,)."""
 
 
-class ConstraintDynamics(PinocchioLoops, Solver):
+class Tree(PinocchioPeer):
+    """The algorithm with the object on the last arm, at one state."""
+
+    fast: ClassVar[Settings] = SETTINGS
+    """Where an algorithm is timed."""
+    precise: ClassVar[Settings] = SETTINGS
+    """For accelerations, and for motions."""
+
+    def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
+        """A function without arguments, to be timed, that runs the algorithm once."""
+        return self.call(*self.arguments(state, torque), self.fast)
+
+    def arguments(
+        self, state: State, torque: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pinocchio's configuration, velocity and generalised forces."""
+        n, nq, nv = torque.size, self.model.nq, self.model.nv
+        y, tau = self.coordinates(state), np.zeros(nv)
+        q, v = y[:nq].copy(), y[nq : nq + nv].copy()
+        tau[:n] = torque - self.damping * v[:n]
+        return q, v, tau
+
+    def call(
+        self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Settings
+    ) -> Callable[[], np.ndarray]:
+        """A function without arguments that runs the algorithm once."""
+        return partial(
+            pin.constraintDynamics, self.model, self.data, q, v, tau, self.constraints,
+            self.constraint_data, pin.ProximalSettings(*settings),
+        )  # fmt: skip
+
+
+class ConstraintDynamics(Tree, Solver):
     """``constraintDynamics`` on the forest of all arms and a free object.
 
     Its settings, like those of :class:`Lcaba`, were chosen among four as the most precise on two
-    welded UR5s, folded and straight; other systems may want others.
+    welded UR5s, folded and straight; other systems may want others.  The last of its coordinates is
+    the work of torques and damping, and its samples are those after every step.
     """
 
+    methods: ClassVar = {"SciPy DOP853": "tolerance"}
     best: ClassVar = ("SciPy DOP853", 1e-10)
     precise: ClassVar[Settings] = (1e-14, 1e-14, 1e-10, 50)
-    every_step: ClassVar = True
 
     def __init__(self, system: System):
         super().__init__(system, holder="")
@@ -68,6 +104,33 @@ class ConstraintDynamics(PinocchioLoops, Solver):
         rotation, local = quaternion_to_matrix(state.object_quaternion_xyzw), v[-6:]
         linear = rotation @ (a[-6:-3] + np.cross(local[3:], local[:3]))
         return np.concatenate([linear, rotation @ a[-3:], a[:-6]])
+
+    def solver(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """The algorithm for motions; it raises where there is NaN, on which integrators with error
+        control would try for ever."""
+
+        def solve(q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
+            accelerations = self.call(q, v, tau, self.precise)()
+            if not np.all(np.isfinite(accelerations)):
+                raise FloatingPointError("NaN")
+            return accelerations
+
+        return solve
+
+    def follow(
+        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
+    ) -> Iterator[Sample]:
+        """Integrate, with the work that is done on the way (:meth:`Peer.follow`)."""
+        motion, n, nq = self.slope(clock, drive), self.damping.size, self.model.nq
+
+        def slope(t: float, y: np.ndarray) -> np.ndarray:
+            rates = motion(t, y)
+            return np.append(rates, self.force[:n] @ y[nq : nq + n])
+
+        yield Sample(0.0, start, 0.0)
+        y = np.append(self.coordinates(start), 0.0)
+        for solver in dop853_steps(clock, slope, y, grid.times[-1], value):
+            yield Sample(solver.t, self.state(solver.y), float(solver.y[-1]))
 
 
 class AsShipped(ConstraintDynamics):

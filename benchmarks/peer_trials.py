@@ -179,7 +179,7 @@ class Trial:
         self.begin = float(times[self.first])
         self.window = float(times[self.last]) - self.begin
         self.damping = joint_damping(system)
-        self.drive: Drive = self._torques
+        self.drive: Drive = lambda t, state: self._torques(t, state())
         if not is_controlled(system):
             self.drive = Sinusoid.none(self.damping.size)
         self.reference: np.ndarray | None = None

@@ -155,7 +155,7 @@ class ModeStructs(Numbers):
     closed: Int  # with all contacts of the joints closed, as controllers assume
     full: Int  # with all rows
     tangents: Int  # with the tangents of the sliding contacts
-    mode: Int  # the mode's own numbers, slides and guards, see multiarm.events
+    mode: Int  # the mode's guards, numbers and slides, see multiarm.events
 
 
 class Variables(NamedTuple):

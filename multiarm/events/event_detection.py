@@ -23,10 +23,10 @@ from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.coordinates import load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.guards import QUIET, spring_length
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
-from multiarm.events.guards import QUIET, spring_length
 from multiarm.events.kernels import write_guards
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
 from multiarm.integration.dense_output import interpolate
@@ -127,6 +127,8 @@ GRID = np.linspace(0.0, 1.0, 9)
 def evaluate_in_step(struct, arrays, guards, t, h, theta):
     """Evaluate the mode with this struct at the fraction ``theta`` of a step; returns a status.
 
+    The gains of the drift feedback are those of the step, so that a force is the one that fired.
+
     ``guards`` is the address of :func:`multiarm.events.kernels.write_guards`, which writes the
     values into the mode's arrays.
     """
@@ -135,7 +137,7 @@ def evaluate_in_step(struct, arrays, guards, t, h, theta):
     interpolate(method, step, theta, step.z_stage)
     load_chart(step.z_stage, step.base_old, data)
     data.time.now = min(t + theta * h, step.stage.latest)
-    status = evaluate_state(struct, 0.0, 0.0)
+    status = evaluate_state(struct, step.stage.alpha, step.stage.beta)
     if status != OK:
         return status
     return call_cfunc(guards, struct, 0.0, 0.0)
@@ -168,7 +170,7 @@ def first_event(
     values : callable
         All guards as a function of the fraction.
     results : ndarray of int
-        Result of each guard for the step, see :mod:`multiarm.events.guards`.
+        Result of each guard for the step, see :mod:`multiarm.dynamics.guards`.
     levels : ndarray
         Smaller values are zero: a guard may begin there, and grow before it falls.
 

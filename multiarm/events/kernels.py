@@ -20,6 +20,15 @@ from multiarm.dynamics.equations import (
     update_rows,
     write_wrenches,
 )
+from multiarm.dynamics.guards import (
+    FIRED,
+    QUIET,
+    Guards,
+    accept_guards,
+    guard_value,
+    judge_guard,
+    open_guards,
+)
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
@@ -27,15 +36,6 @@ from multiarm.dynamics.solver.reactions import (
     solve_for_reactions,
 )
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
-from multiarm.events.guards import (
-    FIRED,
-    QUIET,
-    Guards,
-    accept_guards,
-    guard_value,
-    judge_guard,
-    update_least,
-)
 from multiarm.events.sliding import Slides, follow_slip, friction_power, write_reactions
 from multiarm.jit.kernels import INTS, cfunc, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -79,17 +79,16 @@ class ModeArrays(NamedTuple):
 
 
 def mode_struct(
-    arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None
+    arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None = None
 ) -> np.ndarray:
-    """Struct of a mode; the functions below open its parts."""
-    return struct_of(arrays, slides, guards, *([] if reactions is None else [reactions]))
+    """Struct of a mode, which begins with its guards; the functions below open its parts."""
+    return struct_of(guards, arrays, slides, *([] if reactions is None else [reactions]))
 
 
-_SLIDES = len(ModeArrays._fields)
-_GUARDS = _SLIDES + len(Slides._fields)
-_REACTIONS = _GUARDS + len(Guards._fields)
-open_mode, open_slides = view(ModeArrays), view(Slides, _SLIDES)
-open_guards = view(Guards, _GUARDS)
+_MODE = len(Guards._fields)
+_SLIDES = _MODE + len(ModeArrays._fields)
+_REACTIONS = _SLIDES + len(Slides._fields)
+open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
 open_reactions = view(ReactionWork, _REACTIONS)
 
 
@@ -100,18 +99,16 @@ def write_reaction_sizes(struct: np.ndarray, arrays: Mapping[str, np.ndarray]) -
 
 @cfunc
 def solve_held(address, size, _a, _b):
-    """Solve a mode without sliding contacts, and update the least values of its guards."""
+    """Solve a mode without sliding contacts."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    own = struct_at(data.modes.mode, 0)
-    mode = open_mode(own)
+    mode = open_mode(struct_at(data.modes.mode, 0))
     data.status.ambiguous = 0
     if mode.numbers.stressed:
         add_prestress(mode, data.Wo, work.Y, data, work)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.numbers.stressed:
         restore_forces(mode, data)
-    update_least(open_guards(own), data.force)
     return status
 
 
@@ -174,7 +171,6 @@ def solve_sliding(address, size, _a, _b):
     power = friction_power(slides, data.force)
     data.power[mode.numbers.power] = power
     data.power[data.power.size - 1] += power
-    update_least(open_guards(own), data.force)
     return OK
 
 

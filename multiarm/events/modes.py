@@ -12,10 +12,7 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
-from multiarm.dynamics.model import Data
-from multiarm.dynamics.row_selection import Room, RowSelection
-from multiarm.dynamics.solver.reactions import make_reaction_work, reaction_shapes
-from multiarm.events.guards import (
+from multiarm.dynamics.guards import (
     CONE_GUARD,
     GAP_GUARD,
     HOLD_GUARD,
@@ -29,6 +26,9 @@ from multiarm.events.guards import (
     SPRING_GUARD,
     Guards,
 )
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.row_selection import Room, RowSelection
+from multiarm.dynamics.solver.reactions import make_reaction_work, reaction_shapes
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -41,7 +41,6 @@ from multiarm.events.kernels import (
 )
 from multiarm.events.sliding import Slides
 from multiarm.jit.pointers import address_of
-from multiarm.jit.structs import struct_of
 from multiarm.results.channels import ContactState
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
@@ -55,7 +54,7 @@ DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 
 
 class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.events.guards`."""
+    """A guard of one constraint, see :mod:`multiarm.dynamics.guards`."""
 
     kind: int
     watched: int
@@ -200,7 +199,6 @@ class Modes:
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
             mode.slides.direction[s] = directions[u]
         mode.guards.armed[:] = 0
-        mode.guards.least[:] = np.inf
         self._numbers.muted = self._numbers.stressed = False
         set_constraint_forces(self.full, choice)
         return mode
@@ -209,7 +207,7 @@ class Modes:
         """Select the rows of a choice, and make its sliding contacts and guards."""
         mode = self._entered = self._make(choice)
         self._held.select(mode.arrays.held)
-        parts = struct_of(mode.arrays, mode.slides, mode.guards)
+        parts = mode_struct(mode.arrays, mode.slides, mode.guards)
         self._struct[: parts.size] = parts
         functions, solver = self.data.arrays.functions, self.data.dense_solver
         functions.solve, solver.reactions = address_of(solve_held), None

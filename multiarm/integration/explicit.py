@@ -5,7 +5,7 @@ from __future__ import annotations
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.status import OK
-from multiarm.integration.step import combine, open_step, slope_at
+from multiarm.integration.step import combine, open_step, stage_slope
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import struct_at
 
@@ -16,7 +16,7 @@ def explicit_step(address, size, t, h):
     method, step = open_step(struct_at(address, size))
     for i in range(1, method.stages):
         combine(step, method.A[i], i, h, step.z_stage)
-        status = slope_at(step, t + method.c[i] * h, step.z_stage, step.k[i])
+        status = stage_slope(step, t + method.c[i] * h, step.z_stage, step.k[i])
         if status != OK:
             return status
     combine(step, method.b, method.stages, h, step.z_new)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -82,6 +82,18 @@ class Stepping:
     work: WorkArrays
     struct: np.ndarray
 
+    def restart(self) -> None:
+        """Forget the steps of another run: all arrays are as after the allocation."""
+        for array in self._of_steps:
+            array.fill(0.0)
+        self.step.stage.begin()
+
+    @cached_property
+    def _of_steps(self) -> list[np.ndarray]:
+        """The arrays that steps write."""
+        arrays = [array for part in (self.step, *self.work) for array in part]
+        return [x for x in arrays if isinstance(x, np.ndarray) and x.dtype == float]
+
 
 _address = cache(address_of)
 
@@ -93,3 +105,13 @@ def make_stepping(data: Data, tableau: Tableau) -> Stepping:
     step = make_step(tableau, data.model.layout, data.struct, effects.states, works)
     known, work = coefficients(tableau, _address(kind.step)), kind.make_work(data, step)
     return Stepping(tableau, known, step, work, struct_of(known, step, *work))
+
+
+def stepping_of(data: Data, tableau: Tableau) -> Stepping:
+    """The arrays for a run, which those before have left in the Data."""
+    key = "stepping", tableau.name
+    if key not in data.cache:
+        data.cache[key] = make_stepping(data, tableau)
+    else:
+        data.cache[key].restart()
+    return data.cache[key]

@@ -57,7 +57,7 @@ from multiarm.integration.arm_blocks import (
 )
 from multiarm.integration.arm_stages import factor_stages, solve_arm_stage, turn
 from multiarm.integration.projection import greatest
-from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at
+from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at, stage_slope
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
 
@@ -126,7 +126,7 @@ def rosenbrock_step(address, size, t, h):
         copy(work.slope, work.other)
         if i > 0:
             combine(step, method.A[i], i, h, step.z_stage)
-            status = slope_at(step, t + method.c[i] * h, step.z_stage, work.other)
+            status = stage_slope(step, t + method.c[i] * h, step.z_stage, work.other)
             if status != OK:
                 return status
         for j in range(i):

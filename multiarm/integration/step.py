@@ -20,12 +20,23 @@ import numpy as np
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import load_chart, store_chart, write_chart_slope
 from multiarm.dynamics.equations import finite
+from multiarm.dynamics.guards import follow_stage, open_guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, copy, inlined, kernel
-from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Numbers, view
+from multiarm.jit.structs import (
+    Flag,
+    Float,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    Numbers,
+    struct_at,
+    view,
+)
 from multiarm.tableaus import Tableau
 
 
@@ -58,6 +69,10 @@ class Stage(Numbers):
     gap: Float  # to which a state is projected before it is evaluated [m]; negative: it is not
     latest: Float  # later times are replaced by it [s]: a step that ends at a jump stays before it
     evaluations: Int  # that were made and are not in the run's statistics yet
+
+    def begin(self) -> None:
+        """As a run begins: states are evaluated as they are, at their times."""
+        self.gap, self.latest, self.evaluations = -1.0, math.inf, 0
 
 
 class Step(NamedTuple):
@@ -120,10 +135,11 @@ def make_step(
     """Allocate for a method and a system, its struct, its number of effects' states and works."""
     size = 2 * layout.nv + states + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
-    upright = np.tile([0.0, 0.0, 0.0, 1.0], layout.frames)
+    upright, stage = np.tile([0.0, 0.0, 0.0, 1.0], layout.frames), Stage()
+    stage.begin()
     return Step(
         system=system,
-        stage=Stage(gap=-1.0, latest=math.inf),
+        stage=stage,
         z=np.zeros(size),
         z_new=np.zeros(size),
         z_stage=np.zeros(size),
@@ -186,6 +202,16 @@ def evaluate_slope(struct, stage, t, z, base, slope):
 def slope_at(step, t, z, slope):
     """Evaluate the rate of a state in the chart of the step; returns a status."""
     return evaluate_slope(step.system, step.stage, t, z, step.base, slope)
+
+
+@inlined
+def stage_slope(step, t, z, slope):
+    """:func:`slope_at` at a stage, whose forces the guards of a mode watch; returns a status."""
+    status = slope_at(step, t, z, slope)
+    data = open_data(step.system)
+    if status == OK and data.functions.guards != 0:
+        follow_stage(open_guards(struct_at(data.modes.mode, 0)), data.force)
+    return status
 
 
 @kernel

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import (
     chart_places,
     copy_works,
@@ -27,6 +27,7 @@ from multiarm.dynamics.coordinates import (
     write_chart_slope,
 )
 from multiarm.dynamics.equations import finite, largest
+from multiarm.dynamics.guards import begin_stages, open_guards
 from multiarm.dynamics.status import (
     BLOCK_FULL,
     BUDGET_USED,
@@ -46,7 +47,7 @@ from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
 from multiarm.integration.samples import follow_joints, write_sample
-from multiarm.integration.step import error_estimate, open_step, slope_at
+from multiarm.integration.step import error_estimate, open_step, slope_at, stage_slope
 from multiarm.integration.step_control import (
     FEEDBACK,
     STIFF_AFTER,
@@ -66,6 +67,7 @@ from multiarm.integration.step_control import (
 )
 from multiarm.jit.kernels import INT, INTS, NUMBER, TABLE, clear, copy, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_at
 
 # Near a loss of rank this many steps after a failed one are made with projected stages, which
 # allows long steps.
@@ -246,7 +248,9 @@ def emit_samples(struct, method, step, clock, settings, block):
 def try_step(arrays, clock, settings, h):
     """Stages and error estimate of one step; returns (status, error in units of the tolerance)."""
     method, step = open_step(arrays)
-    t, stage = clock.t, step.stage
+    t, stage, data = clock.t, step.stage, open_data(step.system)
+    if data.functions.guards != 0:
+        begin_stages(open_guards(struct_at(data.modes.mode, 0)))
     stage.alpha, stage.beta = gains(settings, h)
     copy(step.slope, step.k[0])
     if settings.stabilization == FEEDBACK and settings.adaptive:
@@ -262,7 +266,7 @@ def try_step(arrays, clock, settings, h):
     if not settings.adaptive:
         return OK, 0.0
     if method.error[0, method.stages] != 0.0:
-        status = slope_at(step, t + h, step.z_new, step.k[method.stages])
+        status = stage_slope(step, t + h, step.z_new, step.k[method.stages])
         if status != OK:
             return status, 0.0
     error = error_estimate(method, step, h, rounding_floor(step.system, clock))

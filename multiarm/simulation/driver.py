@@ -34,7 +34,7 @@ from multiarm.dynamics.status import (
     STOPPED,
 )
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
-from multiarm.integration.methods import make_stepping
+from multiarm.integration.methods import stepping_of
 from multiarm.integration.monitors import collect_events
 from multiarm.integration.time_loop import advance, observe
 from multiarm.jit.structs import struct_of
@@ -125,7 +125,7 @@ class Switch:
 
     def _change(self, run: Run, name: str, why: str) -> None:
         """Change the method of a run, at its state."""
-        old, run.stepping = run.stepping.step, make_stepping(run.data, METHODS[name])
+        old, run.stepping = run.stepping.step, stepping_of(run.data, METHODS[name])
         new = run.stepping.step
         set_tolerance(new, run.data, run.tolerance)
         new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope

@@ -19,6 +19,7 @@ from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -31,7 +32,6 @@ from multiarm.events.event_detection import (
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
 from multiarm.events.kernels import start_guards
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
@@ -138,7 +138,6 @@ class EventHandler:
         struct = run.data.struct
         probe = GuardValues(struct, run.stepping.struct, self.mode, begin, end)
         theta, changed = first_event(probe, guards.result.copy(), guards.threshold)
-        guards.least[:] = np.inf
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted
             return ""
@@ -291,7 +290,7 @@ class EventHandler:
             clock.h = length
         clock.error_before, clock.t_before, clock.h_before = 1.0, clock.t, 0.0
         clock.stop = np.inf
-        step.stage.gap, step.stage.latest = -1.0, np.inf
+        step.stage.begin()
         step.stage.alpha, step.stage.beta = gains(run.settings, clock.step)
         status = write_slope(run.stepping.struct, clock.t, step.z, step.slope)
         if status != OK:

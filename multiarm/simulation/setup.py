@@ -19,7 +19,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import Fault, SceneError, SolverError
-from multiarm.integration.methods import Stepping, make_stepping
+from multiarm.integration.methods import Stepping, stepping_of
 from multiarm.integration.samples import sample_width
 from multiarm.integration.step import Step, begin_chart, write_slope
 from multiarm.integration.step_control import (
@@ -206,7 +206,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     with_events = causes_of_events(effects, has_friction)
     if fault := method_fault(name, with_states, with_events):
         raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
-    stepping = make_stepping(data, METHODS[name])
+    stepping = stepping_of(data, METHODS[name])
     step = stepping.step
     set_tolerance(step, data, tolerance)
     state, report = _place(task, step)

@@ -32,6 +32,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.jit.structs import floats_at, struct_at
+from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
 from multiarm.studies.peers import (
     Clock,
     Drive,
@@ -117,40 +118,24 @@ class MujocoPeer(Peer):
         self.model.opt.integrator, self.model.opt.timestep = kind, value
         self.place(start)
         yield Sample(0.0, start)
-        played: tuple[TorqueTape, Sinusoid] | None = None
-        control: Any = None
-        if not isinstance(drive, Sinusoid):
-            control = self._control(drive)
-        elif drive.is_constant:
-            d.qfrc_applied[:n] = drive.constant
-        else:
-            played = TorqueTape(d.qfrc_applied[:n]), drive
-            control = played[0].play
+        tape = TorqueTape(d.qfrc_applied[:n])
+
+        def control(_model: Any, data: Any) -> None:
+            data.qfrc_applied[:n] = drive(data.time, self.state)
+
         offsets = (np.arange(count)[:, None] + np.array(stages)).ravel()
-        with quiet(control):
+        with quiet(tape.play if isinstance(drive, Sinusoid) else control):
             for k in range(grid.intervals):
-                if played is not None:
-                    tape, torques = played
-                    tape.load(torques.at(k * grid.interval + value * offsets))
+                if isinstance(drive, Sinusoid):
+                    tape.load(drive.at(k * grid.interval + value * offsets))
                 with clock:
                     mujoco.mj_step(self.model, d, nstep=count)
                 clock.steps += count
                 clock.evaluations += count * len(stages)
                 yield Sample((k + 1) * grid.interval, self.state())
 
-    def _control(self, torque: Callable[[float, State], np.ndarray]) -> Callable[[Any, Any], None]:
-        """MuJoCo's callback for torques of time and state."""
-        n = self.system.model.layout.joints
-
-        def control(_model: Any, data: Any) -> None:
-            data.qfrc_applied[:n] = torque(data.time, self.state())
-
-        return control
-
     def _rotation(self) -> np.ndarray:
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, self.data.qpos[-4:])
-        return rotation.reshape(3, 3)
+        return quaternion_to_matrix(np.roll(self.data.qpos[-4:], -1))
 
 
 class MujocoAsShipped(MujocoPeer):
@@ -227,12 +212,7 @@ def _shifts(joint: Any) -> tuple[float, ...]:
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
-    return quaternion
-
-
-_NEXT, _WIDTH, _LAST = 1, 2, 3
+    return np.roll(matrix_to_quaternion(rotation), 1)
 
 
 class TorqueTape:
@@ -251,21 +231,17 @@ class TorqueTape:
 
     def __init__(self, target: np.ndarray):
         assert target.flags.c_contiguous and target.dtype == np.float64
-        # address of the next row's tape, next row, width, last row; address of the target
-        self._state = np.array([0, 0, target.size, 0, target.ctypes.data], dtype=np.int64)
-        self._rows = np.zeros((0, target.size))
-        self._target = target
-        address = self._state.ctypes.data
+        self._target, self._rows = target, np.zeros((0, target.size))
+        self._state = np.zeros(3, dtype=np.int64)  # the rows' address, the next one, the last one
+        address, width, place = self._state.ctypes.data, target.size, target.ctypes.data
 
         @cfunc(types.void(types.intp, types.intp))
         def play(_model, _data):
-            state = struct_at(address, 5)
-            width = state[_WIDTH]
-            row = floats_at(state[0] + 8 * width * state[_NEXT], width)
-            out = floats_at(state[4], width)
+            state, out = struct_at(address, 3), floats_at(place, width)
+            row = floats_at(state[0] + 8 * width * state[1], width)
             for i in range(width):
                 out[i] = row[i]
-            state[_NEXT] = min(state[_NEXT] + 1, state[_LAST])
+            state[1] = min(state[1] + 1, state[2])
 
         self._function = play
         self.play = play.ctypes
@@ -273,10 +249,4 @@ class TorqueTape:
     def load(self, rows: np.ndarray) -> None:
         """Put rows (K, n) on the tape, and go to the first."""
         self._rows = np.ascontiguousarray(rows, dtype=float)
-        self._state[0] = self._rows.ctypes.data
-        self._state[_NEXT], self._state[_LAST] = 0, len(rows) - 1
-
-    @property
-    def played(self) -> int:
-        """Number of the next row."""
-        return int(self._state[_NEXT])
+        self._state[:] = self._rows.ctypes.data, 0, len(rows) - 1

@@ -32,7 +32,7 @@ from multiarm.studies.timing import OutOfTime
 PEERS = {
     "MuJoCo": "multiarm.studies.mujoco_peer:MujocoPeer",
     "MuJoCo as shipped": "multiarm.studies.mujoco_peer:MujocoAsShipped",
-    "Pinocchio": "multiarm.studies.pinocchio_peer:PinocchioTree",
+    "Pinocchio": "multiarm.studies.pinocchio_peer:PinocchioPeer",
 }
 """Name -> module, which need not be importable here, and class of the peer."""
 EXPRESSIBLE = ("weld", "ball", "revolute")
@@ -54,10 +54,10 @@ class Sinusoid:
         """No torques at ``n`` joints."""
         return cls(0.0, np.zeros(n), np.zeros(n), np.zeros(n))
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether nothing swings."""
-        return self.rate == 0.0 or not (np.any(self.sine) or np.any(self.cosine))
+    def __call__(self, t: float, _state: object = None) -> np.ndarray:
+        """Torques at a time [s], shape (n,)."""
+        angle = self.rate * t
+        return self.constant + math.sin(angle) * self.sine + math.cos(angle) * self.cosine
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Torques at times [s], shape (times, n)."""
@@ -65,8 +65,8 @@ class Sinusoid:
         return self.constant + self.sine * np.sin(angle) + self.cosine * np.cos(angle)
 
 
-Drive = Sinusoid | Callable[[float, State], np.ndarray]
-"""Torques of the control, of time alone or of time and state."""
+Drive = Callable[[float, Callable[[], State]], np.ndarray]
+"""Torques of the control at a time [s] and a state, which is computed when it is called for."""
 
 
 @dataclass(frozen=True)

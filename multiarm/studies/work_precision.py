@@ -22,9 +22,9 @@ import itertools
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas
@@ -119,6 +119,7 @@ class Point:
     gap_rate_m_per_s: float | None = None
     energy_J: float | None = None  # largest error of the energy balance
     used: str = ""  # the integrator, where the program chose it
+    motion: Motion | None = None  # until the errors are those from the checked reference
 
     def error(self, quantity: str) -> float | None:
         """The error of a quantity (``reference.QUANTITIES``); None where there is no result."""
@@ -126,37 +127,31 @@ class Point:
             return None
         return motion_error(self.errors) if quantity == "motion" else self.errors.get(quantity)
 
+    def judged(self, reference: Reference) -> Point:
+        """The point with its errors, which a first reference tells for the time being."""
+        if self.motion is None:
+            return self
+        errors = self.motion.errors(reference.motion)
+        return replace(self, errors=errors, motion=self.motion if reference.first else None)
+
     def again(self, wall_time_s: float | None) -> Point:
         """The point after one more run; the fastest one counts."""
         times = [seconds for seconds in (self.wall_time_s, wall_time_s) if seconds is not None]
         return replace(self, repeats=self.repeats + 1, wall_time_s=min(times, default=None))
 
 
-class Run(NamedTuple):
-    """A run: its point, without errors, and its motion if it has one."""
-
-    point: Point
-    motion: Motion | None = None
-
-    def against(self, exact: Motion) -> Point:
-        """The point with its errors."""
-        if self.motion is None:
-            return self.point
-        return replace(self.point, errors=self.motion.errors(exact))
-
-
-def run_ours(system: System, setting: Setting, limit_s: float) -> Run:
-    """Run one of our settings, for so much wall time at most."""
+def run_ours(system: System, setting: Setting, limit_s: float) -> Point:
+    """Run one of our settings, for so much wall time at most; the point has no errors yet."""
     try:
         run, _ = clocked_run(system, limit_s, solver="node", **setting.options)
     except OutOfTime:
-        return _too_slow(setting, limit_s)
+        return too_slow(setting, limit_s)
     except MultiarmError as error:
-        return Run(Point(setting, FAILED, str(error)))
+        return Point(setting, FAILED, str(error))
     if run.status != "completed":
-        return Run(Point(setting, FAILED, run.message))
+        return Point(setting, FAILED, run.message)
     statistics = run.statistics
-    point = Point(
+    return Point(
         setting,
         COMPLETED,
         wall_time_s=statistics["wall_time_s"],
@@ -166,41 +161,43 @@ def run_ours(system: System, setting: Setting, limit_s: float) -> Run:
         gap_rate_m_per_s=float(np.max(run.velocity_drift)),
         energy_J=float(np.max(np.abs(run.energy_balance))),
         used=statistics["integrator"],
+        motion=Motion.of(run),
     )
-    return Run(point, Motion.of(run))
 
 
-def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Run:
+def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Point:
     """Run a peer's setting; whatever it raises becomes a failed point.
 
     A feedback controller, which is ours and is called back, costs the peer nothing.
     """
     clock, grid, start = Clock(limit_s), Grid.of(system.scene.run), system.initial_state()
-    drive = sinusoid(system) or clock.off_the_clock(partial(control_torque, system))
+    control = clock.off_the_clock(lambda t, state: control_torque(system, t, state()))
+    drive = sinusoid(system) or control
     try:
         with np.errstate(all="ignore"):
             course = peer.follow(clock, grid, start, setting.method, setting.value, drive)
             samples = list(itertools.takewhile(lambda sample: sample.is_finite, course))
     except OutOfTime:
-        return _too_slow(setting, limit_s)
+        return too_slow(setting, limit_s)
     except Exception as error:
-        return Run(Point(setting, FAILED, error_text(error).splitlines()[0]))
+        return Point(setting, FAILED, error_text(error).splitlines()[0])
     if len(samples) <= grid.intervals:
         reason = f"the state is no longer finite after {samples[-1].time:.3g} s"
-        return Run(Point(setting, FAILED, reason))
-    point = Point(
+        return Point(setting, FAILED, reason)
+    return Point(
         setting,
         COMPLETED,
         wall_time_s=clock.wall_time_s,
         steps=clock.steps,
         evaluations=clock.evaluations,
         gap_m=max(largest_gap(system, sample.state) for sample in samples),
+        motion=Motion(np.array([sample.state.position for sample in samples])),
     )
-    return Run(point, Motion(np.array([sample.state.position for sample in samples])))
 
 
-def _too_slow(setting: Setting, limit_s: float) -> Run:
-    return Run(Point(setting, TOO_SLOW, f"not done after {limit_s:.2g} s"))
+def too_slow(setting: Setting, limit_s: float) -> Point:
+    """A setting that was not done in so much time."""
+    return Point(setting, TOO_SLOW, f"not done after {limit_s:.2g} s")
 
 
 # --- the study ------------------------------------------------------------------------------------
@@ -249,7 +246,8 @@ class Study:
             }
             for key, point in self.points.items()
         ]
-        table = pandas.DataFrame(rows).drop(columns="errors").astype(dict.fromkeys(NUMBERS, float))
+        table = pandas.DataFrame(rows).drop(columns=["errors", "motion"])
+        table = table.astype(dict.fromkeys(NUMBERS, float))
         series = {name: place for place, name in enumerate(table["series"].unique())}
         order = pandas.DataFrame(
             {"peer": ~table["ours"], "series": table["series"].map(series), "fine": -table["value"]}
@@ -266,19 +264,13 @@ class Study:
         known = {} if self.reference is None else dict(vars(self.reference))
         known.pop("motion", None)
         points = [
-            {**asdict(point), "setting": point.setting._asdict()} for point in self.points.values()
+            {**vars(point), "setting": point.setting._asdict()} for point in self.points.values()
         ]
-        return plain(
-            {
-                "scene": self.scene,
-                "machine": self.machine,
-                "reference": known,
-                "refusals": self.refusals,
-                "wall_time_s": self.wall_time_s,
-                "left_out": self.left_out,
-                "points": points,
-            }
-        )
+        for point in points:
+            del point["motion"]
+        about = {key: getattr(self, key) for key in ("scene", "machine", "refusals", "left_out")}
+        about["wall_time_s"] = self.wall_time_s
+        return plain({**about, "reference": known, "points": points})
 
 
 def decades(study: Study, quantity: str) -> pandas.DataFrame:
@@ -348,7 +340,6 @@ class _Measurement:
         self.strides = QUICK_STRIDES if quick else STRIDES
         self.repeats = QUICK_REPEATS if quick else REPEATS
         self.peers: dict[str, Peer] = {}
-        self.motions: dict[str, Motion] = {}  # of points that a first reference judges
         self.limit_s = LEAST_PATIENCE
 
     def stages(self, peers: bool) -> Iterator[None]:
@@ -368,7 +359,7 @@ class _Measurement:
             reference = replace(reference, average_step_s=first.average_step_s)
         self.limit_s = max(LEAST_PATIENCE, PATIENCE * reference.wall_time_s)
         study.points = {
-            key: Run(point, self.motions.get(key)).against(reference.motion)
+            key: point.judged(reference)
             for key, point in study.points.items()
             if point.status != TOO_SLOW  # there is more time now
         }
@@ -388,7 +379,7 @@ class _Measurement:
 
     def _first_reference(self) -> Reference | None:
         """The tightest of the first accuracies, which the next one checks; None without two."""
-        runs: list[Run] = []
+        points: list[Point] = []
         settings = [Setting(OURS, BY_ACCURACY, "", "accuracy", x) for x in FIRST_ACCURACIES]
         self.report(0.0, 0.0, "first reference")
         run_ours(self.system, settings[0], FIRST_PATIENCE)  # loads what is compiled
@@ -396,36 +387,36 @@ class _Measurement:
         for setting in settings:
             self.report(0.0, 0.0, f"first reference: {setting.text}")
             before = clock()
-            run = run_ours(self.system, setting, FIRST_PATIENCE)
-            if run.motion is None:
+            point = run_ours(self.system, setting, FIRST_PATIENCE)
+            if point.motion is None:
                 break
-            runs.append(run)
+            points.append(point)
             ends = clock() + TIGHTER_TAKES * (clock() - before)
-            if len(runs) >= 2 and ends > begin + FIRST_REFERENCE:
+            if len(points) >= 2 and ends > begin + FIRST_REFERENCE:
                 break
-        if len(runs) < 2:
+        if len(points) < 2:
             return None
-        coarse, fine = runs[-2:]
+        coarse, fine = points[-2:]
         assert coarse.motion is not None and fine.motion is not None, "both have a result"
-        assert fine.point.wall_time_s is not None and fine.point.steps is not None
+        assert fine.wall_time_s is not None and fine.steps is not None
         check, about = (
             {
-                "integrator": run.point.used,
-                "accuracy": run.point.setting.value,
-                "evaluations": run.point.evaluations,
+                "integrator": point.used,
+                "accuracy": point.setting.value,
+                "evaluations": point.evaluations,
             }
-            for run in (coarse, fine)
+            for point in (coarse, fine)
         )
         self.study.reference = Reference(
             fine.motion,
             difference(coarse.motion, fine.motion),
-            self.system.scene.run.duration / max(1, fine.point.steps),
-            fine.point.wall_time_s,
+            self.system.scene.run.duration / max(1, fine.steps),
+            fine.wall_time_s,
             {**about, "check": check},
             first=True,
         )
-        for run in runs:
-            self._add(run)
+        for point in points:
+            self._add(point)
         return self.study.reference
 
     def _climb(self, ladders: Sequence[Ladder], strides: Sequence[int]) -> Iterator[None]:
@@ -483,28 +474,23 @@ class _Measurement:
                     continue
                 done, total = number + turn * len(completed), self.repeats * len(completed)
                 self.report(done, total, f"once more: {point.setting.text}")
-                points[key] = point.again(self._run(point.setting).point.wall_time_s)
+                points[key] = point.again(self._run(point.setting).wall_time_s)
                 yield
 
-    def _run(self, setting: Setting) -> Run:
+    def _run(self, setting: Setting) -> Point:
         if setting.solver == OURS:
             return run_ours(self.system, setting, self.limit_s)
         return run_peer(self.system, self.peers[setting.solver], setting, self.limit_s)
 
-    def _run_first(self, setting: Setting) -> Run:
+    def _run_first(self, setting: Setting) -> Point:
         """Run a setting, a second time if it is the first of its ladder: the first loads code."""
-        run = self._run(setting)
-        points = self.study.points.values()
-        if any(point.setting.series == setting.series for point in points):
-            return run
+        point = self._run(setting)
+        measured = self.study.points.values()
+        if any(earlier.setting.series == setting.series for earlier in measured):
+            return point
         again = self._run(setting)
-        if run.point.status != COMPLETED:
-            return again
-        return run._replace(point=run.point.again(again.point.wall_time_s))
+        return point.again(again.wall_time_s) if point.status == COMPLETED else again
 
-    def _add(self, run: Run) -> None:
+    def _add(self, point: Point) -> None:
         assert self.study.reference is not None, "the reference comes first"
-        point = run.against(self.study.reference.motion)
-        self.study.points[point.setting.key] = point
-        if self.study.reference.first and run.motion is not None:
-            self.motions[point.setting.key] = run.motion
+        self.study.points[point.setting.key] = point.judged(self.study.reference)

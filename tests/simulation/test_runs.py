@@ -26,7 +26,9 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
 from multiarm.errors import ControlError, ModelError, SceneError, TrajectoryError
+from multiarm.integration.methods import stepping_of
 from multiarm.problems import ring_of_arms
+from multiarm.tableaus import METHODS
 
 # --- exactness -----------------------------------------------------------------------------------
 
@@ -462,6 +464,21 @@ def test_a_failed_run_leaves_nothing_behind(name):
     after = ma.simulate(system, **run)
     assert after.status == "completed"
     np.testing.assert_array_equal(after.object_position, before.object_position)
+
+
+@pytest.mark.parametrize("name", ["dop853", "rodas5p", "variational"])
+def test_numbers_left_in_the_arrays_of_a_method_do_not_matter(free_block_system, name):
+    run = {"duration": 0.02, "integrator": name}
+    run |= {"tolerance": 1e-8} if METHODS[name].adaptive else {"step": 1e-3}
+    before = ma.simulate(free_block_system, **run)
+    with free_block_system.borrow() as data:
+        stepping = stepping_of(data, METHODS[name])
+        for array in (entry for part in (stepping.step, *stepping.work) for entry in part):
+            if isinstance(array, np.ndarray) and array.dtype == float:
+                array.fill(np.nan)
+    after = ma.simulate(free_block_system, **run)
+    np.testing.assert_array_equal(after.object_position, before.object_position)
+    np.testing.assert_array_equal(after.energy_balance, before.energy_balance)
 
 
 @pytest.mark.slow

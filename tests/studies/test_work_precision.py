@@ -50,7 +50,6 @@ from multiarm.studies.work_precision import (
     STALE,
     TOO_SLOW,
     Point,
-    Run,
     Study,
     decades,
     run_ours,
@@ -98,7 +97,7 @@ def study_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Study:
 
 
 def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -> Point:
-    return run_ours(system, about, limit_s).against(reference.motion)
+    return run_ours(system, about, limit_s).judged(reference)
 
 
 # --- the reference --------------------------------------------------------------------------------
@@ -261,13 +260,13 @@ class Law:
         self.order, self.floor, self.seconds = order, floor, seconds
         self.runs: list[Setting] = []
 
-    def __call__(self, system, about: Setting, limit_s: float) -> Run:
+    def __call__(self, system, about: Setting, limit_s: float) -> Point:
         if about.method == BY_ACCURACY:
-            return Run(Point(about, FAILED, "not by accuracy"))
+            return Point(about, FAILED, "not by accuracy")
         self.runs.append(about)
         error = max(about.value**self.order, self.floor)
         found = point(self.seconds / about.value, error)
-        return Run(replace(found, setting=about))
+        return replace(found, setting=about)
 
 
 @pytest.fixture
@@ -325,7 +324,7 @@ def test_an_accident_at_the_first_setting_does_not_end_a_ladder(fast_study):
 
     def stalled_once(system, about, limit_s):
         found = law(system, about, limit_s)
-        return studies._too_slow(about, limit_s) if len(law.runs) == 1 else found
+        return studies.too_slow(about, limit_s) if len(law.runs) == 1 else found
 
     assert list(fast_study(stalled_once).points) == list(fast_study(Law(seconds=1e-9)).points)
 
@@ -344,7 +343,7 @@ def test_the_fastest_run_counts(fast_study):
     times = itertools.count()
 
     def law(system, about, limit_s):
-        return Run(replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about))
+        return replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about)
 
     results = fast_study(law)
     (found,) = results.points.values()
@@ -401,7 +400,7 @@ class World:
             raise KeyboardInterrupt
         self.now += seconds
 
-    def run(self, system, about: Setting, limit_s: float) -> Run:
+    def run(self, system, about: Setting, limit_s: float) -> Point:
         order, cost = self.costs[about.series]
         place = self.places[about.key]
         rng = np.random.default_rng([self.seed, *about.key.encode()])
@@ -409,12 +408,14 @@ class World:
         self.call(min(wall, limit_s))
         self.runs.append(about.key)
         if wall > limit_s:
-            return studies._too_slow(about, limit_s)
+            return studies.too_slow(about, limit_s)
         error = max(0.1 * 2.0 ** (-order * place), 1e-14) * luck
         motion = Motion(EXACT.positions.copy(), EXACT.forces + 100.0 * error)
         motion.positions[:, 0] += error
-        point = Point(about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853")
-        return Run(point, motion)
+        return Point(
+            about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853",
+            motion=motion,
+        )  # fmt: skip
 
     def reference(self, *_) -> Reference:
         self.call(60.0)
@@ -590,7 +591,7 @@ def course_of(
     peers, solver: str, method: str, value: float, reference, system, limit_s: float = 60.0
 ) -> Point:
     about = Setting(solver, method, "", peers[solver].methods[method], value)
-    return run_peer(system, peers[solver], about, limit_s).against(reference.motion)
+    return run_peer(system, peers[solver], about, limit_s).judged(reference)
 
 
 @pytest.fixture(scope="module", params=["weld", "ball", "revolute"])
@@ -722,6 +723,7 @@ def test_sinusoidal_torques_are_the_scenes(system):
     for t in (0.0, 0.013, 0.4):
         expected = control_torque(system, t, state)
         assert found.at(np.array([t]))[0] == pytest.approx(expected, abs=1e-12)
+        assert found(t) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_tape_plays_row_by_row_and_stays_at_its_end():
@@ -743,7 +745,7 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     peer = make_peers(system, only("MuJoCo"))[0]["MuJoCo"]
     for method in peer.methods:
         ends = []
-        for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
+        for torques in (drive, lambda t, _state: drive(t)):
             *_, last = peer.follow(Clock(), grid, system.initial_state(), method, 0.005, torques)
             ends.append(last.state.position)
         # roundings of torques end Newton's method an iteration earlier or later

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from multiarm.events.guards import dips
+from multiarm.dynamics.guards import dips
 
 NEAR = 0.05  # part of the smaller gap at the ends that counts as touching, as in `dips`
 ROUNDING = 1e-12  # of the cubic's terms

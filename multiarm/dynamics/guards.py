@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE, depth_in_patch
 from multiarm.jit.kernels import inlined, kernel
-from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2
+from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, view
 from multiarm.jit.vectors import vec
 
 # Kinds of guards, with what they watch.
@@ -45,13 +45,16 @@ class Guards(NamedTuple):
     constraint: Ints1
     patch: Floats2  # (g, 18) frame (rotation row by row, origin) in its body, and corners
     # at the state evaluated last; at the end of the last step, with the rate of a gap; the least
-    # at the stages since
+    # at the stages of this step
     value: Floats1
     before: Floats1
     rate: Floats1
     least: Floats1
     armed: Ints1  # whether it has been positive in this mode
     result: Ints1  # for the last step
+
+
+open_guards = view(Guards)
 
 
 @inlined
@@ -120,8 +123,15 @@ def guard_value(guards, g, slides, data, contacts):
 
 
 @kernel
-def update_least(guards, force):
-    """Update the least values of force guards at a stage of a step."""
+def begin_stages(guards):
+    """Forget the stages of all steps before."""
+    for g in range(guards.least.size):
+        guards.least[g] = math.inf
+
+
+@kernel
+def follow_stage(guards, force):
+    """Update the least values of force guards at a stage of the step."""
     for g in range(guards.kind.size):
         if is_force_guard(guards, g):
             guards.least[g] = min(guards.least[g], force_guard(guards, g, force))
@@ -165,7 +175,6 @@ def accept_guards(guards, contacts):
     """Make the end of a step the beginning of the next one."""
     for g in range(guards.kind.size):
         guards.before[g] = guards.value[g]
-        guards.least[g] = math.inf
         if is_gap_guard(guards, g):
             guards.rate[g] = contacts[guards.watched[g], GAP_RATE]
         if guards.value[g] > guards.threshold[g]:
