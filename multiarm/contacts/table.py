@@ -131,7 +131,7 @@ def select_rows(
         links, parts_before = selected[tangents, LINK], selected[tangents, COUNT]
         normals = np.where(parts_before > 0, parts_before, rows[tangents] - links)
         at = tangents - links  # where the normal row is, if it is selected
-        alone = (parts_before > 0) | (at < 0) | (rows[at] != normals)
+        alone = (parts_before > 0) | (at < 0) | (rows[np.maximum(at, 0)] != normals)
         selected[tangents, COUNT] = 0
         selected[tangents[alone], COUNT] = len(rows) + len(parts) + np.arange(np.sum(alone))
         parts += normals[alone].tolist()
