@@ -26,9 +26,9 @@ from multiarm.jit.structs import (
     Ints1,
     Ints2,
     Numbers,
+    sizes_in_struct,
     struct_of,
     view,
-    write_sizes,
 )
 
 # Numbers of a tip in ``Variables.tips``.
@@ -347,18 +347,14 @@ STATUS = _FIRST[1] + Variables._fields.index("status")
 EFFECTS = _FIRST[4]
 
 
-def write_row_sizes(
-    struct: np.ndarray,
-    constants: Mapping[str, np.ndarray],
-    variables: Mapping[str, np.ndarray],
-    work: Mapping[str, np.ndarray],
-    coupled: Mapping[str, np.ndarray],
-) -> None:
-    """Write the sizes of arrays of a system's struct, which begin where they did."""
-    for part, at, arrays in zip(
-        _PARTS, _FIRST, (constants, variables, work, coupled), strict=False
-    ):
-        write_sizes(struct, part, at, arrays)
+def row_sizes(*arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Places in a system's struct of the sizes of arrays, and these sizes.
+
+    The arrays are some of the ``Constants, Variables, NodeWork, CoupledWork``.
+    """
+    parts = zip(_PARTS, _FIRST, arrays, strict=False)
+    places, sizes = zip(*(sizes_in_struct(*part) for part in parts), strict=True)
+    return np.concatenate(places), np.concatenate(sizes)
 
 
 @inlined

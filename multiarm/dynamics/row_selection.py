@@ -7,21 +7,39 @@ tables are written.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.table import CODE_WIDTH, GEOMETRY_WIDTH, KIND, TANGENT
-from multiarm.dynamics.arrays import row_shapes, write_row_sizes
-from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.node import group_tables, work_shapes
-from multiarm.dynamics.solver.singular import coupled_shapes
+from multiarm.dynamics.arrays import row_shapes, row_sizes
+from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.solver.node import NodeWork, group_tables, work_shapes
+from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.jit.simd import aligned_zeros
 
 Shapes = Mapping[str, tuple[int, ...]]
+Value = TypeVar("Value")
+# Constants with an entry for every row.
+CONSTANTS = "codes", "geometry", "joint_rows"
+# Selections of which all is known that selecting them again needs.
+MOST_RECENT = 32
+
+
+class Recent(dict[Any, Value]):
+    """The values that were asked for last; the others are made again."""
+
+    def value(self, key: Any, make: Callable[[], Value]) -> Value:
+        """The value of a key."""
+        value = self.pop(key) if key in self else make()
+        if len(self) >= MOST_RECENT:
+            del self[next(iter(self))]
+        self[key] = value
+        return value
 
 
 class Room:
@@ -30,25 +48,25 @@ class Room:
     def __init__(self, largest: Mapping[str, np.ndarray]) -> None:
         self._memory = {name: array.reshape(-1) for name, array in largest.items()}
 
-    def zeros(self, shapes: Shapes) -> dict[str, np.ndarray]:
-        """Arrays of these shapes, at the beginning of the memory."""
-        arrays = {}
-        for name, shape in shapes.items():
-            size = 1
-            for count in shape:
-                size *= count
-            memory = self._memory[name][:size]
-            memory[:] = 0
-            arrays[name] = memory.reshape(shape)
-        return arrays
+    def arrays(self, shapes: Shapes) -> dict[str, np.ndarray]:
+        """Arrays of these shapes, at the beginning of the memory, as it is."""
+        return {
+            name: self._memory[name][: math.prod(shape)].reshape(shape)
+            for name, shape in shapes.items()
+        }
 
-    def copies(self, tables: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Copies of arrays, at the beginning of the memory."""
-        arrays = {}
-        for name, table in tables.items():
-            arrays[name] = self._memory[name][: table.size].reshape(table.shape)
-            arrays[name][:] = table
-        return arrays
+
+class Selected(NamedTuple):
+    """What some rows make of a Data, apart from the contents of its memory."""
+
+    model: Model
+    variables: dict[str, np.ndarray]
+    work: NodeWork
+    coupled: CoupledWork
+    clear: list[np.ndarray]  # what an evaluation does not write as a whole
+    contents: list[tuple[np.ndarray, np.ndarray]]  # arrays, and what they contain
+    places: np.ndarray  # of the sizes in the struct
+    sizes: np.ndarray
 
 
 class RowSelection:
@@ -93,34 +111,48 @@ class RowSelection:
             **variables,
         )
         shapes = row_shapes(self.data.model.constants, layout)
-        self._constants, self._tables = Room(constants), Room(tables)
+        self._tables = Room({**constants, **tables, "rows": self.data.work.rows})
         self._variables = _room(self.data.arrays, shapes)
         self._work = _room(self.data.work, work_shapes(self._dofs, rows.tolist()))
         self._coupled = _room(self.data.coupled, coupled_shapes(self._dofs, rows.tolist()))
+        self._recent: Recent[Selected] = Recent()
         self.select(np.zeros(0, dtype=np.int64))
 
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
+        data = self.data
+        selected = self._recent.value(rows.tobytes(), lambda: self._prepare(rows))
+        for array in selected.clear:
+            array.fill(0.0)
+        for array, content in selected.contents:
+            array[:] = content
+        data.struct[selected.places] = selected.sizes
+        data.work.factored[0] = 0
+        data.take_rows(selected.model, selected.variables, selected.work, selected.coupled)
+
+    def _prepare(self, rows: np.ndarray) -> Selected:
         data, dofs = self.data, self._dofs
         model = replace(self._full.model.select(rows), unilateral=None)
-        new, bounds = model.constants, model.layout.rows
-        counts = np.diff(bounds).tolist()
-        constants = self._constants.copies(
-            {"codes": new.codes, "geometry": new.geometry, "joint_rows": new.joint_rows}
-        )
-        variables = self._variables.zeros(row_shapes(new, model.layout))
+        constants, counts = model.constants, np.diff(model.layout.rows).tolist()
         tables, size = group_tables(dofs, counts, data.work.levers)
-        work = {
-            **self._work.zeros(work_shapes(dofs, counts)),
-            **self._tables.copies(tables),
-            **self._tables.zeros({"packs": (size,)}),
-        }
-        coupled: dict[str, Any] = self._coupled.zeros(coupled_shapes(dofs, counts))
-        data.work.rows[:] = bounds
-        data.work.factored[0] = 0
-        write_row_sizes(data.struct, constants, variables, work, coupled)
-        data.take_rows(
-            model, variables, data.work._replace(**work), data.coupled._replace(**coupled)
+        tables |= {name: getattr(constants, name) for name in CONSTANTS}
+        tables["rows"] = np.array(model.layout.rows)
+        shapes = {name: table.shape for name, table in tables.items()}
+        copies = self._tables.arrays({**shapes, "packs": (size,)})
+        variables = self._variables.arrays(row_shapes(constants, model.layout))
+        work: dict[str, Any] = self._work.arrays(work_shapes(dofs, counts))
+        coupled: dict[str, Any] = self._coupled.arrays(coupled_shapes(dofs, counts))
+        contents = [(copies[name], table) for name, table in tables.items()]
+        of_model = {name: copies.pop(name) for name in CONSTANTS}
+        work |= copies
+        return Selected(
+            model,
+            variables,
+            data.work._replace(**work),
+            data.coupled._replace(**coupled),
+            [*variables.values(), work["Y"]],
+            contents,
+            *row_sizes(of_model, variables, work, coupled),
         )
 
 

@@ -47,10 +47,10 @@ from multiarm.jit.structs import (
     Int,
     Ints1,
     Numbers,
+    sizes_in_struct,
     struct_at,
     struct_of,
     view,
-    write_sizes,
 )
 
 
@@ -92,9 +92,9 @@ open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
 open_reactions = view(ReactionWork, _REACTIONS)
 
 
-def write_reaction_sizes(struct: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write the sizes of arrays of the reactions, which begin where they did."""
-    write_sizes(struct, ReactionWork, _REACTIONS, arrays)
+def reaction_sizes(arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Places in a mode's struct of the sizes of arrays of the reactions, and these sizes."""
+    return sizes_in_struct(ReactionWork, _REACTIONS, arrays)
 
 
 @cfunc

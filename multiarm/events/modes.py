@@ -27,17 +27,17 @@ from multiarm.dynamics.guards import (
     Guards,
 )
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.row_selection import Room, RowSelection
+from multiarm.dynamics.row_selection import Recent, Room, RowSelection
 from multiarm.dynamics.solver.reactions import make_reaction_work, reaction_shapes
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
     check_guards,
     mode_struct,
+    reaction_sizes,
     record_forces,
     solve_held,
     solve_sliding,
-    write_reaction_sizes,
 )
 from multiarm.events.sliding import Slides
 from multiarm.jit.pointers import address_of
@@ -174,6 +174,7 @@ class Modes:
             ),
             (),
         )
+        self._recent: Recent[tuple[Mode, np.ndarray]] = Recent()
         mode = self._make(everything_open)
         reactions = None if self._reactions is None else self._reactions.work
         self._struct = mode_struct(mode.arrays, mode.slides, mode.guards, reactions)
@@ -205,10 +206,10 @@ class Modes:
 
     def _select(self, choice: Choice) -> None:
         """Select the rows of a choice, and make its sliding contacts and guards."""
-        mode = self._entered = self._make(choice)
+        self._entered, struct = self._recent.value(choice, lambda: self._prepare(choice))
+        mode = self._entered
         self._held.select(mode.arrays.held)
-        parts = mode_struct(mode.arrays, mode.slides, mode.guards)
-        self._struct[: parts.size] = parts
+        self._struct[: struct.size] = struct
         functions, solver = self.data.arrays.functions, self.data.dense_solver
         functions.solve, solver.reactions = address_of(solve_held), None
         if mode.slides.row.size:
@@ -216,6 +217,11 @@ class Modes:
             self._tangents.select(np.concatenate([[t, t + 1] for t in mode.slides.tangent_of_all]))
             Yr = self._reactions.resize(self.data, self._struct)
             functions.solve, solver.reactions = address_of(solve_sliding), (mode.arrays.Wr, Yr)
+
+    def _prepare(self, choice: Choice) -> tuple[Mode, np.ndarray]:
+        """The mode of a choice, and its part of the struct."""
+        mode = self._make(choice)
+        return mode, mode_struct(mode.arrays, mode.slides, mode.guards)
 
     def _make(self, choice: Choice) -> Mode:
         rows = np.array(sorted([*self.unilateral.bilateral, *choice.rows]), dtype=np.int64)
@@ -321,17 +327,22 @@ class _Reactions:
         own = make_reaction_work(dofs, rows)
         shapes = reaction_shapes(dofs, rows)
         self._room = Room({name: getattr(own, name) for name in shapes})
+        self._recent: Recent[tuple[np.ndarray, np.ndarray, np.ndarray]] = Recent()
         self.work = own._replace(
             dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
         )
 
     def resize(self, data: Data, struct: np.ndarray) -> np.ndarray:
         """Write the sizes for the rows of the data into a mode's struct; the arms' reactions."""
-        shapes = reaction_shapes(self._dofs, np.diff(data.model.layout.rows).tolist())
-        del shapes["Y"]
-        arrays = self._room.zeros(shapes)
-        write_reaction_sizes(struct, {**arrays, "Y": data.work.Y})
-        return arrays["Yr"]
+        counts = tuple(np.diff(data.model.layout.rows).tolist())
+        Yr, places, sizes = self._recent.value(counts, lambda: self._prepare(counts))
+        struct[places] = sizes
+        return Yr
+
+    def _prepare(self, counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The arms' reactions for numbers of rows; places of sizes in the struct, and sizes."""
+        arrays = self._room.arrays(reaction_shapes(self._dofs, list(counts)))
+        return arrays["Yr"], *reaction_sizes(arrays)
 
 
 def _view(full: Data, rows: Sequence[int]) -> Data:

@@ -112,13 +112,20 @@ def struct_of(*holders: tuple) -> np.ndarray:
     return make_struct(entries)
 
 
-def write_sizes(
-    struct: np.ndarray, holder: type, at: int, arrays: Mapping[str, np.ndarray]
-) -> None:
-    """Write the sizes of fields of a holder at place ``at``; their arrays begin where they did."""
+def sizes_in_struct(
+    holder: type, at: int, arrays: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the sizes of some fields of a holder at place ``at``, and these sizes.
+
+    With them a struct is written again for arrays that begin where those before did.
+    """
+    places: list[int] = []
+    sizes: list[int] = []
     for name, array in arrays.items():
         first = WIDTH * (at + _places_of(holder)[name]) + 1
-        struct[first : first + array.ndim] = array.shape
+        places += range(first, first + array.ndim)
+        sizes += array.shape
+    return np.array(places, dtype=np.int64), np.array(sizes, dtype=np.int64)
 
 
 @functools.cache

@@ -136,12 +136,12 @@ def group_tables(
     """``groups, places, present, stiffness`` of :class:`NodeWork`, and the size of ``packs``."""
     groups, size = _group(dofs, rows)
     d, m = max(dofs), max(rows)
-    arms = groups[:, FIRST_ARM:]
-    held = np.arange(m)[:, None] < np.take(rows, arms)[:, None, :]  # (g, m, 4)
+    arms, joints, contacts = groups[:, FIRST_ARM:], np.array(dofs), np.array(rows)
+    held = np.arange(m)[:, None] < contacts[arms][:, None, :]  # (g, m, 4)
     present = np.concatenate([held, np.arange(LANES) < groups[:, None, COUNT, None]], axis=1)
-    moving = np.arange(d) < np.reshape(dofs, (-1, 1))
+    moving = np.arange(d) < joints[:, None]
     stiffness = np.where(moving, 1.0 / levers**2, np.inf)[arms]  # (g, 4, d)
-    places = np.concatenate([_places(dofs, arms, d), _places(rows, arms, m)], axis=1)
+    places = np.concatenate([_places(joints, arms, d), _places(contacts, arms, m)], axis=1)
     tables = {
         "groups": groups,
         "places": places.reshape(len(groups), LANES * (d + m)),
@@ -151,13 +151,12 @@ def group_tables(
     return tables, size
 
 
-def _places(sizes: list[int], arms: np.ndarray, most: int) -> np.ndarray:
+def _places(sizes: np.ndarray, arms: np.ndarray, most: int) -> np.ndarray:
     """Index of every joint or contact of these arms (g, 4) in a stacked vector, (g, most, 4).
 
     Padding reads from somewhere.
     """
-    first = _starts(sizes)[arms][:, None, :]
-    count = np.take(sizes, arms)[:, None, :]
+    first, count = (np.cumsum(sizes) - sizes)[arms][:, None, :], sizes[arms][:, None, :]
     number = np.arange(most)[:, None]
     return np.where(number < count, first + number, np.where(count > 0, first, 0))
 
