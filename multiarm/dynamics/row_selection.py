@@ -63,7 +63,6 @@ class Selected(NamedTuple):
     variables: dict[str, np.ndarray]
     work: NodeWork
     coupled: CoupledWork
-    clear: list[np.ndarray]  # what an evaluation does not write as a whole
     contents: list[tuple[np.ndarray, np.ndarray]]  # arrays, and what they contain
     places: np.ndarray  # of the sizes in the struct
     sizes: np.ndarray
@@ -122,8 +121,8 @@ class RowSelection:
         """Select rows, given in increasing order."""
         data = self.data
         selected = self._recent.value(rows.tobytes(), lambda: self._prepare(rows))
-        for array in selected.clear:
-            array.fill(0.0)
+        for array in selected.variables.values():
+            array.fill(0.0)  # no result of other rows is left
         for array, content in selected.contents:
             array[:] = content
         data.struct[selected.places] = selected.sizes
@@ -150,7 +149,6 @@ class RowSelection:
             variables,
             data.work._replace(**work),
             data.coupled._replace(**coupled),
-            [*variables.values(), work["Y"]],
             contents,
             *row_sizes(of_model, variables, work, coupled),
         )
