@@ -121,8 +121,9 @@ class RowSelection:
         """Select rows, given in increasing order."""
         data = self.data
         selected = self._recent.value(rows.tobytes(), lambda: self._prepare(rows))
-        for array in selected.variables.values():
-            array.fill(0.0)  # no result of other rows is left
+        # no result of other rows is left; columns of W beyond an arm's rows are zero
+        for array in (*selected.variables.values(), selected.work.Y):
+            array.fill(0.0)
         for array, content in selected.contents:
             array[:] = content
         data.struct[selected.places] = selected.sizes
