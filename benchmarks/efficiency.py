@@ -407,9 +407,9 @@ def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
         for i in range(M.shape[0]):
             for a in range(M.shape[1]):
                 for b in range(a + 1):
-                    work.L[i, a, b] = M[i, a, b]
+                    work.M[i, a, b] = M[i, a, b]
                 for b in range(W.shape[2]):
-                    work.Y[i, a, b] = W[i, a, b]
+                    work.W[i, a, b] = W[i, a, b]
         status = solve_batched(work, Wo, M_o, h_o, h, c, q_o, q, force)
         if status != OK:
             return status

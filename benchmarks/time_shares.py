@@ -60,7 +60,6 @@ from multiarm.integration.step import (
     open_step,
 )
 from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_of
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK
 from multiarm.problems import ring_of_arms
@@ -231,7 +230,7 @@ def evaluation_parts(cost: dict[str, float], whole: float) -> dict[str, float]:
         "arm terms": cost["terms"],
         "contacts": cost["kinematics"] - cost["terms"],
         "forces": cost["forces"],
-        "node": cost["reload and solve"] - cost["reload"],
+        "node": cost["solve"],
         "state": cost["state"],
     }
     return {**parts, "between": whole - sum(parts.values())}
@@ -284,7 +283,6 @@ OPEN = 1e-9
 
 def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     """The loops over the parts, all at the state in the data."""
-    work = data.work
     state = data.get_state()
     slopes = make_step(RK4, data.model.layout, data.struct)
     begin_chart(data.struct, slopes.base, slopes.z)
@@ -292,7 +290,6 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     pushed[:3] += OPEN
     parts = data.arrays.functions
     call_burst(data, parts.kinematics)(1)
-    L, Y = work.L.copy(), work.Y.copy()
     sample = np.zeros(sample_width(data))
     closed = projection_tolerance(data)
     evaluate(data, 0.0, state)  # all that samples are made of
@@ -302,8 +299,7 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
         "terms": terms_burst(data),
         "kinematics": call_burst(data, parts.kinematics),
         "forces": call_burst(data, parts.forces),
-        "reload": loop_burst(data, _reload_often, L, Y, work.L, work.Y),
-        "reload and solve": loop_burst(data, _solve_often, L, Y, work.L, work.Y),
+        "solve": call_burst(data, parts.solve),
         "state": loop_burst(data, _pass_often, slopes.z, slopes.base, slopes.slope),
         "sample": loop_burst(data, _sample_often, sample),
         "arithmetic": _arithmetic_burst(data.model.layout, integrator),
@@ -325,33 +321,6 @@ def _arithmetic_burst(layout: Layout, integrator: str) -> Burst:
         assert np.all(np.isfinite(step.z_new)), "the sums of finite slopes are finite"
 
     return burst
-
-
-@kernel
-def _reload(source, out):
-    """Write one stack of matrices into another."""
-    for i in range(source.shape[0]):
-        for a in range(source.shape[1]):
-            for b in range(source.shape[2]):
-                out[i, a, b] = source[i, a, b]
-
-
-@kernel
-def _reload_often(struct, L, Y, to_L, to_Y, count):
-    for _ in range(count):
-        _reload(L, to_L)
-        _reload(Y, to_Y)
-    return OK
-
-
-@kernel
-def _solve_often(struct, L, Y, to_L, to_Y, count):
-    status = OK
-    for _ in range(count):
-        _reload(L, to_L)
-        _reload(Y, to_Y)
-        status = call_cfunc(open_data(struct).functions.solve, struct, 0.0, 0.0)
-    return status
 
 
 @kernel

@@ -54,7 +54,7 @@ from multiarm.effects.building import (
 from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.errors import ModelError, SceneError
 from multiarm.integration.explicit import explicit_step
-from multiarm.integration.monitors import make_monitors
+from multiarm.integration.monitors import reporting_guards
 from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.integration.step import write_slope
 from multiarm.integration.time_loop import advance
@@ -457,7 +457,6 @@ def draft_model(
         ),
         free_bounds=np.zeros(len(arms) + 1, dtype=np.int64),
         free=np.zeros((0, 2), dtype=np.int64),
-        monitors=make_monitors(monitored, limits, layout, effects.watched),
         object_mass=float(scene.object.mass),
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=_gravity(scene),
@@ -496,6 +495,7 @@ def draft_model(
         breakpoints=effects.breakpoints,
         pair_places=np.zeros((len(rows.table.shapes), 3)),
         unilateral=unilateral,
+        guards=reporting_guards(monitored, limits, layout, effects.watched),
     )
 
 

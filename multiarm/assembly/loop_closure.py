@@ -43,9 +43,9 @@ from multiarm.contacts.kernel import GAP
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.coordinates import difference, retracted
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 
 CLOSED, STUCK, FAR = "closed", "stuck", "far"
@@ -245,7 +245,7 @@ class Linkage:
             J[:, frames] = b.Wo[self.rows]
             L[frames, frames] = np.linalg.cholesky(b.inertia)
         for i, held, (r, c) in zip(self._arms, self._held_rows, self.blocks, strict=True):
-            J[r, c] = work.Y[i, : c.stop - c.start, held]
+            J[r, c] = work.W[i, : c.stop - c.start, held]
             L[c, c] = self._factor(i, c.stop - c.start)
         gaps = b.contacts[self.rows, GAP].copy()
         return Posture(b.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)
@@ -270,8 +270,7 @@ class Linkage:
             displacement[self._moving] = self.unit * u
             b.configuration[:] = retracted(self._layout, posture.configuration, displacement)
             self._snap(b.angles)
-        if update_kinematics(self._data.struct) != OK:
-            self._data.reraise()
+        require_ok(self._data, update_kinematics(self._data.struct))
 
     def moved(self, posture: Posture, u: np.ndarray) -> Posture | None:
         """The posture displaced by ``u``; None where a contact has no normal."""

@@ -17,6 +17,7 @@ from multiarm.contacts.kernel import GAP
 from multiarm.control.object_control import pose_of, route
 from multiarm.control.program import JointPath
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -178,8 +179,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
     data.set_state(0.0, state)
     free = np.full((data.model.layout.joints, 2), [-np.inf, np.inf])
     for i in range(len(data.model.arm_names)):
-        if update_kinematics(data.struct) != OK:
-            data.reraise()
+        require_ok(data, update_kinematics(data.struct))
         if close_gaps(Linkage(data, [i], False, free), tolerance).status != CLOSED:
             return False
     return True

@@ -39,13 +39,13 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
-from multiarm.dynamics.diagnosis import failure_text, lost_contact
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import lost_contact, require_ok
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
-from multiarm.errors import ModelError, SceneError, SolverError
+from multiarm.errors import ModelError, SceneError
 from multiarm.integration.monitors import contacts_off_patch
 from multiarm.integration.projection import project_velocities
 from multiarm.scene import Scene
@@ -69,7 +69,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         When an arm's inertia is not positive definite.
     """
     written, layout = data.get_state(), data.model.layout
-    _update_kinematics(data)
+    require_ok(data, update_kinematics(data.struct))
     lost = np.flatnonzero(~np.isfinite(data.arrays.contacts).all(axis=1))
     if lost.size:
         raise SceneError(
@@ -112,7 +112,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
 
 def unassembled(data: Data) -> StartReport:
     """The report of a start that is left as it is in the data."""
-    _update_kinematics(data)
+    require_ok(data, update_kinematics(data.struct))
     gaps = gaps_by_arm(data)
     rates = gaps_by_arm(data, GAP_RATE)
     return StartReport(gaps=gaps, gap_rates=rates, gaps_left=gaps, assembled=False)
@@ -156,9 +156,7 @@ def project_velocity(system: System, state: State) -> State:
         status = update_kinematics(data.struct)
         if status == OK:
             status = project_velocities(data.struct)
-        if status != OK:
-            data.reraise()
-            raise SolverError(failure_text(data, status))
+        require_ok(data, status)
         return data.get_state()
 
 
@@ -171,7 +169,7 @@ def check_patches(data: Data, start: State) -> None:
         Names the contacts that are not.
     """
     data.set_state(0.0, start)
-    _update_kinematics(data)
+    require_ok(data, update_kinematics(data.struct))
     faults = [
         f"arm '{arm}': '{contact}' touches {excess:.3g} m outside the patch of its surface; "
         f"correct the posture, or the patch's 'min' and 'max'"
@@ -191,7 +189,7 @@ def check_unilateral(data: Data, start: State) -> None:
     """
     assert data.model.unilateral is not None
     data.set_state(0.0, start)
-    _update_kinematics(data)
+    require_ok(data, update_kinematics(data.struct))
     allowed, gaps = TOUCHING * scene_size(data), data.arrays.contacts[:, GAP]
     faults = []
     for constraint in data.model.unilateral.constraints:
@@ -311,13 +309,8 @@ def _close_rates(data: Data, size: float) -> float:
         v -= np.linalg.solve(place.factor.T, Vt.T @ taken)
         lost += 0.5 * float(taken @ taken)
         b.velocity[:] = linkage.unit * v
-        _update_kinematics(data)
+        require_ok(data, update_kinematics(data.struct))
     return lost
-
-
-def _update_kinematics(data: Data) -> None:
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
 
 
 def _inside(data: Data, constraint: Constraint, depth: float) -> str:

@@ -24,7 +24,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import ORIGIN_AT, SPIN, VELOCITY
 from multiarm.geometry.records import Contact
-from multiarm.jit.kernels import kernel
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.vectors import (
     add,
     add_cross,
@@ -165,6 +165,17 @@ def axis_travel(on_object: np.ndarray, on_tip: np.ndarray) -> tuple[np.ndarray, 
     x_tip = on_tip[:, :3, 0]
     along_x, along_y = (np.einsum("ki,ki->k", R[..., j], x_tip) for j in (0, 1))
     return np.unwrap(np.arctan2(along_y, along_x)), slide
+
+
+@inlined
+def unwrapped(x, before, place):
+    """A coordinate by its place in :func:`write_relative`.
+
+    A single angle continues past pi from ``before`` (NaN: unknown).
+    """
+    if place >= SINGLE_TURN and before == before:
+        x += 2.0 * math.pi * round((before - x) / (2.0 * math.pi))
+    return x
 
 
 @kernel

@@ -82,8 +82,6 @@ class CompliantContacts:
     ----------
     rows : int64 (s,)
         Their rows.
-    owners : int64 (s,)
-        Numbers of their arms.
     stiffness, damping : ndarray, shape (s,)
         [N/m, N s/m]
     always : int64 (s,)
@@ -91,7 +89,6 @@ class CompliantContacts:
     """
 
     rows: np.ndarray
-    owners: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
     always: np.ndarray
@@ -251,7 +248,7 @@ class _Rows:
         self.constraints: list[Constraint] = []
         self.model: list[int] = []
         self.bilateral: list[int] = []
-        self.compliant: list[tuple[int, int, _Parameters, bool]] = []
+        self.compliant: list[tuple[int, _Parameters, bool]] = []
         self.count = 0
 
     def start(self, owner: str) -> None:
@@ -275,7 +272,7 @@ class _Rows:
         if own is None:
             self.bilateral.append(row)
         elif own.stiffness > 0.0:
-            self.compliant.append((row, len(self.records) - 1, own, not contact.pushes_only))
+            self.compliant.append((row, own, not contact.pushes_only))
             if contact.pushes_only:  # one that also pulls is always active
                 lag = own.damping / own.stiffness
                 self._constrain(CONTACT, contact, row, compliant=True, lag=lag)
@@ -319,10 +316,9 @@ class _Rows:
 def _compliant_contacts(rows: _Rows) -> CompliantContacts | None:
     if not rows.compliant:
         return None
-    places, owners, parameters, always = zip(*rows.compliant, strict=True)
+    places, parameters, always = zip(*rows.compliant, strict=True)
     return CompliantContacts(
         rows=np.array(places, dtype=np.int64),
-        owners=np.array(owners, dtype=np.int64),
         stiffness=np.array([own.stiffness for own in parameters]),
         damping=np.array([own.damping for own in parameters]),
         always=np.array(always, dtype=np.int64),

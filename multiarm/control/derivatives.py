@@ -76,6 +76,6 @@ def holding_derivatives(data: Data) -> np.ndarray | None:
     forces = rates + W_o @ of_twist
     for i, (d0, d1) in enumerate(zip(layout.dofs, layout.dofs[1:], strict=False)):
         rows = slice(*layout.rows[i : i + 2])
-        W = data.work.Y[i, : d1 - d0, : rows.stop - rows.start]
+        W = data.work.W[i, : d1 - d0, : rows.stop - rows.start]
         torques[d0:d1] -= W @ forces[rows]
     return torques

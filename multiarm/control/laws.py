@@ -49,11 +49,11 @@ from multiarm.control.user_control import Control
 from multiarm.dynamics.arrays import CARRYING, LOCAL, OPEN_LOOP, open_system
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan, Data
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import INTS, Kernel, cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
@@ -228,8 +228,7 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     state = start.copy()
     state.velocity[:] = 0.0
     data.set_state(0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     b.gravity_torque[:] = np.concatenate(
         [
             data.model.arms[arm].gravity_torque(angles, gravity)

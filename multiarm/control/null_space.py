@@ -133,5 +133,5 @@ def hold_pose(i, stiffness, rate, along, model, data, work, preferred):
         v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
         put(W[column], 0, add_cross(v, w, p))
         put(W[column], 3, w)
-    nearest_accelerations(work.L[i], W, preferred, target, result)
+    nearest_accelerations(work.M[i], W, preferred, target, result)
     copy(result, preferred)

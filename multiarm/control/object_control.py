@@ -46,12 +46,12 @@ from multiarm.contacts.kernel import GAP_BIAS
 from multiarm.control.null_space import hold_pose, nearest_accelerations
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import share_load, static_forces
 from multiarm.dynamics.forces.internal_forces import decompose, internal_forces
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError, GraspError
 from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import allocating, cfunc, kernel
@@ -103,8 +103,7 @@ def object_law(data: Data, start: State, control: ObjectControl) -> tuple[np.nda
         of the scene.
     """
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     Wo = data.arrays.Wo.copy()
     _require_hold(Wo, control.kind)
     gains = [*control.stiffness.vector(), *control.damping.vector()]
@@ -400,7 +399,7 @@ def add_motion_forces(parameters, at, along, model, data, work, torque):
         r0, r1 = work.rows[i], work.rows[i + 1]
         if stiffness > 0.0:
             hold_pose(i, stiffness, rate, along, model, data, work, data.qdd[d0:d1])
-        add_arm_forces(work.L[i], work.Y[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
+        add_arm_forces(work.M[i], work.W[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
 
 
 @kernel
@@ -411,4 +410,4 @@ def take_contact_forces(data, work, torque):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):
             for a in range(work.rows[i + 1] - r0):
-                torque[d0 + j] -= work.Y[i, j, a] * force[r0 + a]
+                torque[d0 + j] -= work.W[i, j, a] * force[r0 + a]

@@ -13,6 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
+from multiarm.dynamics.guards import Guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
@@ -56,7 +57,6 @@ class Constants(NamedTuple):
     # of the rates, of the coordinates
     free_bounds: Ints1
     free: Ints2
-    monitors: Floats2  # (w, 20) what is monitored, see multiarm.integration.monitors
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
@@ -200,6 +200,9 @@ class Variables(NamedTuple):
     h_o: Floats1
     h: Floats1
     c: Floats1
+    # generalised forces with those of the contacts; the check of an evaluation writes those on the
+    # object only
+    total_forces: Floats1
     # accelerations, and parts of the same memory, of the object and of the joints; contact forces
     # (N,), positive = pushing
     acceleration: Floats1
@@ -228,11 +231,6 @@ class Variables(NamedTuple):
     torque_slopes: Floats2
     force_slopes: Floats2
     coordinates: Floats2  # (n, 6) free coordinates of the joints after the last step, without jumps
-    # monitors: margins; events (time, monitor, 1 when its margin became positive, else 0); number
-    margins: Floats1
-    events: Floats2
-    event_count: Ints1
-    residual: Floats1  # (joints,) scratch
     # scratch of an interpolation: a state, and accelerations
     kept_configuration: Floats1
     kept_velocity: Floats1
@@ -255,7 +253,6 @@ def make_variables(
     work, and of states of effects.
     """
     arms, joints, pairs = len(pointers), layout.joints, len(constants.shapes)
-    monitors = len(constants.monitors)
     columns = 2 * layout.nv + states + 7
     shapes = {
         "q": pinocchio_size,
@@ -266,10 +263,8 @@ def make_variables(
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
         "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
-        "residual": joints, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
+        "total_forces": layout.nv, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
         "mixed": layout.nv, "signs": arms,
-        # between two calls of the time loop; further events are only counted
-        "events": (512 if monitors else 0, 3),
     }  # fmt: skip
     return Variables(
         time=Time(),
@@ -281,8 +276,6 @@ def make_variables(
         pointers=pointers,
         link_poses=np.zeros(0, dtype=np.int64),
         coordinates=np.full((arms, 6), np.nan),
-        margins=np.full(monitors, np.nan),
-        event_count=np.zeros(1, dtype=np.int64),
         lost=np.zeros(arms + 1, dtype=np.int64),
         passed=np.zeros(arms, dtype=np.int64),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
@@ -324,27 +317,30 @@ def system_struct(
     variables: Variables,
     work: NodeWork,
     coupled: CoupledWork,
+    guards: Guards,
     effects: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
-    """Struct of a system; :func:`open_system` and :func:`open_coupled` are its inverse.
+    """Struct of a system; :func:`open_system`, :func:`open_coupled`, :func:`open_reports` open it.
 
     ``effects`` are the structs of the effects, from index ``EFFECTS`` on.
     """
-    return np.concatenate([struct_of(constants, variables, work, coupled), *effects])
+    return np.concatenate([struct_of(constants, variables, work, coupled, guards), *effects])
 
 
-_PARTS = (Constants, Variables, NodeWork, CoupledWork)
+_PARTS = (Constants, Variables, NodeWork, CoupledWork, Guards)
 _FIRST = [sum(len(part._fields) for part in _PARTS[:k]) for k in range(len(_PARTS) + 1)]
 _open_constants, _open_variables, _open_work = (
     view(part, at) for part, at in zip(_PARTS[:3], _FIRST[:3], strict=True)
 )
 # Views of the coupled system's arrays in a system's struct.
 open_coupled = view(CoupledWork, _FIRST[3])
+# View of the guards that only report.
+open_reports = view(Guards, _FIRST[4])
 
 # Indices of two fields in the struct of a system, and of the first of the effects' arrays.
 FUNCTIONS = _FIRST[1] + Variables._fields.index("functions")
 STATUS = _FIRST[1] + Variables._fields.index("status")
-EFFECTS = _FIRST[4]
+EFFECTS = _FIRST[5]
 
 
 def row_sizes(*arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -204,8 +204,8 @@ class DenseSolver:
         b, work, dofs = self.variables, self.work, self.work.dofs
         arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
-        _require_usable(inertias, (b.h, b.c, b.h_o, work.Y))
-        W_o, W = self._by_arm(b.Wo, work.Y)
+        _require_usable(inertias, (b.h, b.c, b.h_o, work.W))
+        W_o, W = self._by_arm(b.Wo, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
             reaction_o, reaction = self._by_arm(*self.reactions)

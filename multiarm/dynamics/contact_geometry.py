@@ -17,7 +17,6 @@ from multiarm.contacts.kernel import (
     LINE_CONTACT,
     NORMAL,
     RELATIVE_WIDTH,
-    depth_in_patch,
     locate_pair,
 )
 from multiarm.contacts.matrices import (
@@ -36,7 +35,10 @@ from multiarm.contacts.table import (
     TIP_RADIUS,
 )
 from multiarm.contacts.unilateral import Constraint
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.guards import depth_on_body, packed_patch
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -52,6 +54,7 @@ from multiarm.geometry.records import (
     Patch,
 )
 from multiarm.geometry.screws import first_largest
+from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -118,8 +121,7 @@ def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
         When a user-defined surface fails.
     """
     place_state(data, 0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     return points_and_normals(data, slice(None))
 
 
@@ -176,8 +178,8 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
     for i in range(len(data.model.arm_names)):
         d, r = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
-        matrix[d, r] = work.Y[i, :n, : r.stop - r.start]
-        scale[d] = np.sqrt(np.diag(work.L[i])[:n])
+        matrix[d, r] = work.W[i, :n, : r.stop - r.start]
+        scale[d] = np.sqrt(np.diag(work.M[i])[:n])
     matrix /= scale[:, None]
     return matrix / np.linalg.norm(matrix, axis=0)
 
@@ -233,8 +235,7 @@ def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
     joint's rows (with pivoting); rotations are scaled by the joint's size.
     """
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     wrenches = joint_wrenches(data, arm)
     space = null_space(wrenches).basis  # (6, m)
     chosen: list[int] = []
@@ -256,8 +257,7 @@ def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
     patch: Patch | None = record.arm.patch
     if patch is None or record.surface_body != SURFACE_ON_ARM:
         return None
-    lower, upper = (np.clip(c, -1e300, 1e300) for c in (patch.lower, patch.upper))
-    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
+    return packed_patch(patch)
 
 
 def patch_margin(data: Data, constraint: Constraint) -> float:
@@ -268,7 +268,14 @@ def patch_margin(data: Data, constraint: Constraint) -> float:
     patch = patch_of(data.model, constraint)
     if patch is None:
         return np.inf
-    return float(depth_in_patch(patch, data.arrays.contacts[constraint.row, AT : AT + 3]))
+    return depth_of_contact(data.struct, patch, len(data.model.arm_names), constraint.row)
+
+
+@kernel
+def depth_of_contact(struct: INTS, patch: NUMBERS, body: INT, row: INT):
+    """:func:`multiarm.dynamics.guards.depth_on_body`, for Python."""
+    model, data, _ = open_system(struct)
+    return depth_on_body(patch, body, row, model, data)
 
 
 def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:

@@ -176,7 +176,7 @@ class _Equations:
     def motions(self, independent: bool) -> Callable[[], Motions]:
         """What makes the inertia and the derivatives of the gaps, when they are needed."""
         b, own = self._data.arrays, self._work
-        arrays = (part.copy() for part in (b.inertia, own.M, self._data.work.Y, b.Wo, own.rates))
+        arrays = (part.copy() for part in (b.inertia, own.M, self._data.work.W, b.Wo, own.rates))
         codes = self._data.model.constants.codes[: len(b.Wo)]
         closed, layout = codes[:, KIND] != TANGENT, self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)

@@ -1,8 +1,8 @@
-r"""Why equations could not be solved, and which motions an arm has lost, in words.
+r"""Which motions an arm has lost, in words.
 
-*Lost motions.*  Contact forces ``x`` of a joint sum to a wrench ``w`` on the arm.  The arm can
-move along it when it causes joint torques, :math:`W_i x = J^T w \ne 0`.  Combinations without
-torques are lost motions, and there are three reasons for them:
+Contact forces ``x`` of a joint sum to a wrench ``w`` on the arm.  The arm can move along it when it
+causes joint torques, :math:`W_i x = J^T w \ne 0`.  Combinations without torques are lost motions,
+and there are three reasons for them:
 
 - the contacts depend on each other: they sum to no wrench at all;
 - the arm has fewer joints than the joint has independent constraints;
@@ -23,10 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
-from multiarm.dynamics.model import Data, Evaluated
+from multiarm.dynamics.model import Evaluated
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.solver.node import NO_INERTIA
-from multiarm.dynamics.status import CONTRADICTION, NOT_FINITE, PROJECTION_FAILED
 from multiarm.geometry.records import Contact
 from multiarm.notation import count_of
 
@@ -52,82 +50,6 @@ class LostMotion:
     place: np.ndarray  # (3,) where the arm holds the object [m]
     share: float  # motion along it, relative to that along the arm's best direction
     along_reach: bool = False  # from the arm's shoulder to where it holds the object
-
-
-def failure_text(data: Data, status: int) -> str:
-    """What a status of the compiled code means, and what to do."""
-    names = data.model.arm_names
-    lost = lost_contact_text(data)
-    if lost:
-        return lost
-    if 0 <= status < len(names) and data.work.pivot[status] == NO_INERTIA:
-        return (
-            f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
-            f"links without mass or inertia; give them some in the URDF, or lock the joint"
-        )
-    if status == len(names):
-        return (
-            "the object's node matrix is not positive definite; check the object's mass and "
-            "inertia and that all numbers of the state are finite"
-        )
-    if status == PROJECTION_FAILED:
-        return (
-            "the state could not be projected back onto the joints; take smaller steps (a smaller "
-            "`accuracy` or `step`), or look for a motion that the joints cannot follow"
-        )
-    if status == CONTRADICTION:
-        return contradiction_text(data)
-    if status == NOT_FINITE:
-        return "the state is not finite; take smaller steps, or check the controller"
-    return f"the evaluation failed (status {status})"
-
-
-def contradiction_text(data: Data) -> str:
-    """Why the last solution does not satisfy the equations."""
-    residual = float(data.arrays.status.residual)
-    if data.arrays.status.imbalance >= residual:
-        return (
-            f"the contact forces do not balance the object (relative residual {residual:.2g}): "
-            f"rounding errors are too large next to a posture in which arms cannot move; start "
-            f"elsewhere, or use `solver: dense`"
-        )
-    return (
-        f"no acceleration meets all constraints (relative residual {residual:.2g}): some of them "
-        f"contradict each other, or the chains are in a singular posture with a velocity that none "
-        f"of their further motions has, and the motion is undetermined; take smaller steps, start "
-        f"elsewhere, or remove redundant contacts"
-    )
-
-
-def ambiguity_text(data: Data) -> str:
-    """That the last solution is one of several; empty where it is the only one."""
-    if not data.arrays.status.ambiguous:
-        return ""
-    return (
-        "friction leaves the motion open: other accelerations meet the equations, too; these are "
-        "those of the least contact forces"
-    )
-
-
-def lost_contact_text(data: Data) -> str:
-    """Message when a contact has no normal at the state in the data; else empty."""
-    b = data.arrays
-    lost = np.flatnonzero(~np.isfinite(b.contacts).all(axis=1))
-    if not lost.size or not (np.isfinite(b.position).all() and np.isfinite(b.angles).all()):
-        return ""
-    return (
-        f"{lost_contact(data, int(lost[0]))}; look where the motion takes it, take smaller steps, "
-        f"or choose a larger surface"
-    )
-
-
-def lost_contact(data: Data, row: int) -> str:
-    """Message that a contact has no normal."""
-    arm, contact = data.model.owner(row)
-    return (
-        f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
-        f"apex or the end of a surface was reached, or two surfaces lost each other"
-    )
 
 
 def lost_motions(data: Evaluated, arms: Iterable[str] | None = None) -> dict[str, tuple[str, ...]]:
@@ -249,7 +171,7 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
     arrays, layout = data.arrays, data.model.layout
     d = slice(layout.dofs[i], layout.dofs[i + 1])
     r = slice(layout.rows[i], layout.rows[i + 1])
-    rows, W = arrays.Wo[r], data.work.Y[i, : d.stop - d.start, : r.stop - r.start]
+    rows, W = arrays.Wo[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None
     place = joint_origin(data, arm)

@@ -137,9 +137,10 @@ class EffectKernel:
         Whether these are user functions.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
-    watched : tuple of (str, int)
+    watched : tuple of (str, int, float)
         An array among ``arrays`` and a joint: this entry is a margin, which is positive while the
-        joint's drive is saturated.  The beginning and the end are events.
+        joint's drive is saturated.  The beginning and the end are events, once it is larger than
+        its roundings, the third number.
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
         only, those on the object on the time and the object's state only, and the power, if there
@@ -162,7 +163,7 @@ class EffectKernel:
     connect: Callable[[Any, Any], Mapping[str, GuardedCall]] | None = None
     calls_user: bool = False
     unilateral: bool = False
-    watched: tuple[tuple[str, int], ...] = ()
+    watched: tuple[tuple[str, int, float], ...] = ()
     local: bool = False
     state_joints: tuple[int, ...] = ()
     derivative: Any = None
@@ -247,13 +248,13 @@ class EffectProgram:
         return np.array(joints, dtype=np.int64)
 
     @property
-    def watched(self) -> list[tuple[int, int]]:
-        """Margins to monitor: index of the array in the struct, joint."""
+    def watched(self) -> list[tuple[int, int, float]]:
+        """Margins of drives: index of the array in the struct, joint, roundings."""
         places = zip(self.kernels, self._places(), strict=True)
         return [
-            (at + 1 + kernel.arrays._fields.index(name), joint)
+            (at + 1 + kernel.arrays._fields.index(name), joint, roundings)
             for kernel, at in places
-            for name, joint in kernel.watched
+            for name, joint, roundings in kernel.watched
         ]
 
     def make_data(self) -> list[EffectData]:

@@ -41,6 +41,7 @@ from multiarm.dynamics.contact_derivatives import (
     unit,
 )
 from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
@@ -147,7 +148,7 @@ def equation_work(
 def differentiate_equations(data: Data, own: np.ndarray) -> None:
     """Write the derivatives of all equations at the solution in the data.
 
-    ``own`` is the struct of :func:`equation_work`.  The matrices in the data must not be factored.
+    ``own`` is the struct of :func:`equation_work`.
     """
     _differentiate(data, own, False, data.arrays.twist)
 
@@ -162,8 +163,7 @@ def differentiate_holding(data: Data, own: np.ndarray, twist: np.ndarray) -> Non
 
 
 def _differentiate(data: Data, own: np.ndarray, at_rest: bool, twist: np.ndarray) -> None:
-    if write_derivatives(data.struct, own, at_rest, twist) != OK:
-        data.reraise()
+    require_ok(data, write_derivatives(data.struct, own, at_rest, twist))
 
 
 @kernel
@@ -270,7 +270,7 @@ def columns_of_arm(i, n, links, work):
 @inlined
 def write_matrix_of_arm(i, first, m, n, data, system, work):
     """Write ``K_i`` and ``M_i``."""
-    K, M, W = work.K[i], system.L[i], system.Y[i]
+    K, M, W = work.K[i], system.M[i], system.W[i]
     for a in range(n):
         for b in range(n):
             work.M[i, a, b] = K[a, b] = M[max(a, b), min(a, b)]

@@ -38,15 +38,14 @@ from multiarm.dynamics.kinematics import (
     object_terms,
     write_joint_rows,
 )
+from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.bounds import AT_REST, IMBALANCE_BOUND
-from multiarm.dynamics.solver.factors import norm
+from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.node import eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
-from multiarm.jit.simd import broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
 
 
@@ -71,8 +70,8 @@ def evaluate_state(struct: INTS, alpha: NUMBER, beta: NUMBER):
 def update_kinematics(struct: INTS):
     """Terms of arms and object, and all contact rows, at the state in ``data``.
 
-    Writes ``W`` to ``work.Y`` and the inertias to ``work.L``, as the elimination needs them.
-    Returns ``OK`` or ``CALLBACK_FAILED``.
+    Writes the inertias to ``work.M`` and the arms' rows to ``work.W``.  Returns ``OK`` or
+    ``CALLBACK_FAILED``.
     """
     return call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
 
@@ -97,7 +96,6 @@ def kinematics(address, size, _a, _b):
     if data.status.failed:
         return CALLBACK_FAILED
     object_terms(model, data)
-    work.factored[0] = 0
     for i in range(data.pointers.shape[0]):
         arm_rows(i, struct, model, data, work)
         load_inertia(i, data, work)
@@ -222,7 +220,7 @@ def solve(address, size, _a, _b):
     if model.dense:
         open_coupled(struct).status.arms = 0
         call_python(data.functions.dense)
-        data.status.imbalance = imbalance(data, work, data.Wo)
+        data.status.imbalance = imbalance(data, data.Wo)
         return CALLBACK_FAILED if data.status.failed else OK
     result = solve_batched(
         work, data.Wo, data.inertia, data.h_o, data.h, data.c, data.q_o,
@@ -230,57 +228,10 @@ def solve(address, size, _a, _b):
     )  # fmt: skip
     if result == OK:
         open_coupled(struct).status.arms = 0
-        data.status.imbalance = imbalance(data, work, data.Wo)
+        data.status.imbalance = imbalance(data, data.Wo)
         if data.status.imbalance <= IMBALANCE_BOUND:
             return OK
     return call_cfunc(data.functions.coupled, struct, 0.0, 0.0)
-
-
-@inlined
-def imbalance(data, work, Wo):
-    """Residual of ``M_o q_o = h_o + W_o force``, relative to the largest force in it.
-
-    ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
-    with that force at the object's radius of gyration.  Zero where it is clearly less than
-    ``IMBALANCE_BOUND``; NaN where the solution is not finite.
-    """
-    inertia, h_o, q_o, m = data.inertia, data.h_o, data.q_o, data.inertia[0, 0]
-    total = work.packs  # scratch: the solution has been copied
-    front, back = load_pack(h_o, 0), load_pack(h_o, 2)  # six numbers, two of them twice
-    for a in range(data.force.size):
-        force = broadcast(data.force[a])
-        front = front + force * load_pack(Wo, 6 * a)
-        back = back + force * load_pack(Wo, 6 * a + 2)
-    store_pack(total, 0, front)
-    store_pack(total, 2, back)
-    x, y, z = q_o[3], q_o[4], q_o[5]
-    forces = abs(total[0] - m * q_o[0]) + abs(total[1] - m * q_o[1]) + abs(total[2] - m * q_o[2])
-    moments = (
-        abs(total[3] - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
-        + abs(total[4] - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
-        + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
-    )
-    largest = m * max(abs(q_o[0]), abs(q_o[1]), abs(q_o[2]))
-    small = IMBALANCE_BOUND * max(largest, abs(h_o[0]), abs(h_o[1]), abs(h_o[2]))
-    square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
-    if forces <= small and m * moments * moments <= small * small * square:
-        return 0.0
-    return relative_imbalance(data, Wo, forces, moments)
-
-
-@kernel
-def relative_imbalance(data, Wo, forces, moments):
-    """Residuals of forces [N] and moments [N m] relative to the largest terms."""
-    inertia = data.inertia
-    radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
-    push = max(AT_REST * inertia[0, 0], norm(data.h_o[:3], 3))
-    turn = norm(data.h_o[3:6], 3)
-    for a in range(data.force.size):
-        force = abs(data.force[a])
-        push = max(push, force * norm(Wo[a, :3], 3))
-        turn = max(turn, force * norm(Wo[a, 3:6], 3))
-    # NaN stays NaN
-    return forces / push + moments / max(turn, push * radius)
 
 
 @cfunc
@@ -298,7 +249,7 @@ def solve_deficient(address, size, decompose_all, _b):
         return status
     if decompose_all != 0.0 or coupled.status.arms == data.pointers.shape[0]:
         return status
-    return solve_again(struct)
+    return solve_by_arms(data, work, coupled, True)
 
 
 @kernel
@@ -312,36 +263,21 @@ def solve_by_arms(data, work, coupled, decompose_all):
     if not pivot > 0.0:
         return data.pointers.shape[0] if pivot == pivot else NOT_FINITE
     solve_coupled(work, coupled, data.h_o, data.h, data.c, data.q_o, data.qdd, data.force)
-    data.status.imbalance = imbalance(data, work, data.Wo)
+    data.status.imbalance = imbalance(data, data.Wo)
     return OK
 
 
 @kernel
-def solve_again(struct):
-    """Solve the same equations again without eliminating any arm as a whole; returns a status."""
-    status = renew_kinematics(struct)
-    if status != OK:
-        return status
-    return call_cfunc(open_data(struct).functions.coupled, struct, 1.0, 0.0)
-
-
-@kernel
-def renew_kinematics(struct):
-    """Recompute the kinematics that an elimination has overwritten; returns a status."""
-    h_o = open_data(struct).h_o  # the kinematics alone would remove the external loads
-    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
-    status = update_kinematics(struct)
-    h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
-    return status
-
-
-@kernel
 def update_rows(struct: INTS):
-    """Contact rows alone; the motion of the bodies is that of a Data which shares it."""
+    """Contact rows alone; the motion of the bodies is that of a Data which shares it.
+
+    Returns ``OK`` or ``CALLBACK_FAILED``.
+    """
     model, data, work = open_system(struct)
     for i in range(data.pointers.shape[0]):
         arm_rows(i, struct, model, data, work)
     write_joint_rows(model, data, work)
+    return CALLBACK_FAILED if data.status.failed else OK
 
 
 @cfunc
@@ -388,20 +324,6 @@ def potential_energy(model, data):
         call_python(functions.pinocchio_energy)
         energy += data.status.potential_energy
     return energy
-
-
-@kernel
-def write_wrenches(rows, bounds, forces, wrenches):
-    """Write the wrench of each owner of rows on the object, the sum of its ``rows * forces``.
-
-    ``rows`` (N, 6) are those of ``W_o``, ``bounds`` (o + 1,) where those of each owner begin.
-    """
-    for i in range(wrenches.shape[0]):
-        wrench = wrenches[i]
-        clear(wrench)
-        for k in range(bounds[i], bounds[i + 1]):
-            for l in range(6):  # noqa: E741
-                wrench[l] += rows[k, l] * forces[k]
 
 
 @kernel

@@ -29,25 +29,19 @@ from multiarm.dynamics.contact_geometry import (
     points_and_normals,
     relative_motion,
 )
-from multiarm.dynamics.diagnosis import (
-    ambiguity_text,
-    contradiction_text,
-    failure_text,
-    lost_contact_text,
-    lost_motions,
-)
+from multiarm.dynamics.diagnosis import lost_motions
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.failures import ambiguity_text, contradiction_text, require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork, loose_rows
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
-from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
@@ -76,6 +70,22 @@ class Residuals:
     constraint: float
 
 
+def residuals_of(
+    data: Data,
+    acceleration: np.ndarray,
+    generalised_forces: np.ndarray,
+    force: np.ndarray,
+    c: np.ndarray,
+) -> Residuals:
+    """Residuals of accelerations (6 + n,) and contact forces (N,) at the kinematics in the data.
+
+    ``generalised_forces`` (6 + n,) and ``c`` (N,) are the right-hand sides.
+    """
+    largest = np.empty(3)
+    write_residuals(data.struct, acceleration, generalised_forces, force, c, largest)
+    return Residuals(*largest.tolist())
+
+
 # Variables that a snapshot copies: always, and where some arm could not be eliminated as a whole or
 # the dense solver was used.
 _MOTION = ("arms", "body", "contacts", "parts", "Wo")
@@ -85,9 +95,9 @@ _COORDINATES = ("angles", "inertia")
 class Snapshot:
     """Copies of the arrays of a Data after an evaluation, for results that are computed later.
 
-    It has the attributes of the Data, with the matrices before the elimination.  Of a ``regular``
-    one, in which all arms were eliminated as a whole, only motion and contacts are copied; the
-    other arrays are shared with the Data, which other evaluations overwrite.
+    It has the attributes of the Data.  Of a ``regular`` one, in which all arms were eliminated as a
+    whole, only motion and contacts are copied; the other arrays are shared with the Data, which
+    other evaluations overwrite.
     """
 
     def __init__(self, data: Data) -> None:
@@ -96,7 +106,7 @@ class Snapshot:
         self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
         self.work, self.coupled = data.work, data.coupled
         if not self.regular:
-            self.work = _copied(data.work, ("rows", "L", "Y"))
+            self.work = _copied(data.work, ("rows", "M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 
@@ -393,19 +403,11 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     """
     state = state.copy()
     place_state(data, t, state)
-    b, layout, status, found = data.arrays, data.model.layout, OK, np.empty(6)
+    b, layout, found = data.arrays, data.model.layout, np.empty(6)
     if data.model.effects.states:
-        status = evaluate_state(data.struct, 0.0, 0.0)
-        if status == OK:
-            b.inner[:] = data.effect_states()
-    if status == OK:
-        status = evaluate_and_check(data.struct, found)
-    if status != OK:
-        try:
-            data.reraise()
-        except SolverError as error:  # from the dense solver, which has no names
-            raise SolverError(lost_contact_text(data) or str(error)) from error
-        raise SolverError(failure_text(data, status))
+        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+        b.inner[:] = data.effect_states()
+    require_ok(data, evaluate_and_check(data.struct, found))
     arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
     qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(data)
     forces = layout.split_contacts(b.force.copy())

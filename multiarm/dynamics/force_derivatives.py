@@ -32,6 +32,7 @@ from multiarm.dynamics.equations import (
     passive_forces,
     update_kinematics,
 )
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
@@ -78,8 +79,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     differences = Differences(laws=len(constants.control), order=4)
     applied = np.zeros((layout.nv + e, slopes.shape[1]))
     status = differentiate_forces(data.struct, differences, follows, differs, closed_loop, applied)
-    if status != OK:
-        data.reraise()
+    require_ok(data, status)
     return applied[:, : 2 * layout.nv + e]
 
 

@@ -32,12 +32,12 @@ from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
+from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector
-from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.notation import count_of
@@ -133,15 +133,13 @@ def _solve(
     """Torques for a desired motion, at a state that has just been evaluated."""
     b, layout = data.arrays, data.model.layout
     free, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     force = _contact_forces(ev, b.inertia @ desired - h_o, internal_forces, basis)
     qdd, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
-    residuals = np.zeros(2)
     for i, name in enumerate(layout.names):
         d, r = (slice(at[i], at[i + 1]) for at in (layout.dofs, layout.rows))
         M = read_inertia(b.pointers[i], d.stop - d.start)
-        W = data.work.Y[i, : d.stop - d.start, : r.stop - r.start]
+        W = data.work.W[i, : d.stop - d.start, : r.stop - r.start]
         A, a = _desired_motion(data.model, name, ev, desired, relative[name])
         qdd[d], left = _nearest(M, A, a, posture[name])
         if left > 1e-7 * (1.0 + np.max(np.abs(a), initial=0.0)):
@@ -149,23 +147,18 @@ def _solve(
                 f"arm '{name}' ({count_of(len(M), 'joint')}) misses it by {left:.3g} m/s^2, rad/s^2"
             )
         torque[d] = M @ qdd[d] - free[d] - W @ force[r]
-        balance = M @ qdd[d] - free[d] - torque[d] - W @ force[r]
-        gap = b.Wo[r] @ desired + W.T @ qdd[d] - c[r]
-        residuals = np.maximum(residuals, [np.max(np.abs(balance)), np.max(np.abs(gap))])
     if faults:
         raise SolverError(
             "the wanted motion is not possible: " + "; ".join(faults) + "; leave the relative "
             "motion of such an arm free (`relative_acceleration={arm: None}`), or ask for another "
             "motion"
         )
-    on_object = b.inertia @ desired - h_o - b.Wo.T @ force
+    acceleration, forces = np.append(desired, qdd), np.append(h_o, free + torque)
     return InverseDynamics(
         torques=layout.split_joints(torque),
         contact_forces=layout.split_contacts(force),
         joint_accelerations=layout.split_joints(qdd),
-        residuals=Residuals(
-            float(residuals[0]), float(np.max(np.abs(on_object))), float(residuals[1])
-        ),
+        residuals=residuals_of(data, acceleration, forces, force, c),
     )
 
 

@@ -129,7 +129,7 @@ def link_motion(pointers, gravity, row):
 
 @inlined
 def arm_rows(i, struct, model, data, work):
-    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``).
+    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W``.
 
     ``model, data, work`` are the views of ``struct``.
     """
@@ -137,7 +137,7 @@ def arm_rows(i, struct, model, data, work):
     first = work.rows[i]
     m = work.rows[i + 1] - first
     J = floats_at(data.pointers[i, J_AT], 6 * d)  # column by column
-    x_o, Y, wrench = vec(data.body, ORIGIN_AT), work.Y[i], data.wrench
+    x_o, W, wrench = vec(data.body, ORIGIN_AT), work.W[i], data.wrench
     write_rows(
         first, m, data.arms[i], data.body, data.relative, model.codes, model.geometry,
         data.contacts, struct, i, data.functions.row,
@@ -152,7 +152,7 @@ def arm_rows(i, struct, model, data, work):
         force, moment = scale(-1.0, e), sub(cross(e, p), couple)
         if m < LANES:
             for j in range(d):
-                Y[j, k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
+                W[j, k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
         else:
             wrench[0, k], wrench[1, k], wrench[2, k] = force
             wrench[3, k], wrench[4, k], wrench[5, k] = moment
@@ -168,14 +168,14 @@ def arm_rows(i, struct, model, data, work):
 @inlined
 def write_columns(i, k, d, J, wrench, work):
     """Four columns of ``W``, contacts ``k`` to ``k + 3``, in SIMD packs."""
-    N, Y = wrench.shape[1], work.Y
+    N, W = wrench.shape[1], work.W
     w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
     w3, w4, w5 = (
         load_pack(wrench, 3 * N + k),
         load_pack(wrench, 4 * N + k),
         load_pack(wrench, 5 * N + k),
     )
-    at = i * Y.shape[1] * Y.shape[2] + k
+    at = i * W.shape[1] * W.shape[2] + k
     for j in range(d):
         a = broadcast(J[6 * j]) * w0 + broadcast(J[6 * j + 1]) * w1 + broadcast(J[6 * j + 2]) * w2
         b = (
@@ -183,8 +183,8 @@ def write_columns(i, k, d, J, wrench, work):
             + broadcast(J[6 * j + 4]) * w4
             + broadcast(J[6 * j + 5]) * w5
         )
-        store_pack(Y, at, a + b)
-        at += Y.shape[2]
+        store_pack(W, at, a + b)
+        at += W.shape[2]
 
 
 @inlined
@@ -195,19 +195,18 @@ def write_joint_rows(model, data, work):
         side, geometry = model.geometry[row, SIDE], model.geometry[row]
         data.contacts[row, GAP] = geometry[WEIGHT] * side * (data.angles[joint] - geometry[RADIUS])
         data.contacts[row, GAP_RATE] = side * data.v[joint]
-        work.Y[i, joint - work.dofs[i], row - work.rows[i]] = side
+        work.W[i, joint - work.dofs[i], row - work.rows[i]] = side
 
 
 @inlined
 def load_inertia(i, data, work):
-    """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.L``."""
+    """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.M``."""
     d = work.dofs[i + 1] - work.dofs[i]
     stride = data.pointers[i, M_STRIDE]
-    M = floats_at(data.pointers[i, M_AT], d * stride)
-    L = work.L[i]
+    inertia, M = floats_at(data.pointers[i, M_AT], d * stride), work.M[i]
     for a in range(d):
         for b in range(a + 1):
-            L[a, b] = M[a * stride + b]
+            M[a, b] = inertia[a * stride + b]
 
 
 def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:

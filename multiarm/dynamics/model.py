@@ -45,6 +45,7 @@ from multiarm.dynamics.arrays import (
 )
 from multiarm.dynamics.callbacks import NO_CONTROL, DenseSolver, PythonControl, UserCallback
 from multiarm.dynamics.effect_kernels import EffectProgram
+from multiarm.dynamics.guards import Guards, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork, make_work
@@ -103,6 +104,9 @@ class Model:
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
     # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
+    # those that only report: limits, patches, drives; in a run that opens contacts its modes have
+    # further ones
+    guards: Guards = field(default_factory=lambda: make_guards(()))
 
     __dir__ = public_names
 
@@ -272,6 +276,8 @@ class Data:
     arrays : Variables
     work, coupled : NodeWork, CoupledWork
         Workspace of the node algorithm, and of its coupled system.
+    guards : Guards
+        Those that only report.
     effects : list of EffectData
         What every effect kernel reads and writes.
     callbacks : dict of str to GuardedCall
@@ -299,6 +305,7 @@ class Data:
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
+        self.guards = Guards(*(column.copy() for column in model.guards))
         arrays = make_variables(
             model.constants,
             self._pointers(),
@@ -382,7 +389,7 @@ class Data:
     def _make_struct(self, constants: Constants | None = None) -> np.ndarray:
         effects = [effect.struct for effect in self.effects]
         constants = self.model.constants if constants is None else constants
-        return system_struct(constants, self.arrays, self.work, self.coupled, effects)
+        return system_struct(constants, self.arrays, self.work, self.coupled, self.guards, effects)
 
     def _connect_control(self) -> None:
         if self.model.python_control is not None:
@@ -452,8 +459,7 @@ class Data:
         b.places[:] = self.model.pair_places
         b.coordinates[:] = np.nan
         b.tips[:] = 0.0
-        b.margins[:] = np.nan
-        b.event_count[0] = 0
+        reset_guards(self.guards)
         b.status.rank = b.status.coupled_arms = 0
         b.status.ambiguous = False
         b.status.residual = b.status.imbalance = 0.0
@@ -518,9 +524,13 @@ class Data:
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.reraise()
+        if self._base is not None:  # whose rows the time loop evaluates, too
+            self._base.reraise()
 
     def forgive(self) -> None:
         """Ignore the exception of a callback, and clear the flag."""
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.error = None
+        if self._base is not None:
+            self._base.forgive()

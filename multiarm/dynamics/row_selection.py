@@ -122,12 +122,12 @@ class RowSelection:
         data = self.data
         selected = self._recent.value(rows.tobytes(), lambda: self._prepare(rows))
         # no result of other rows is left; columns of W beyond an arm's rows are zero
-        for array in (*selected.variables.values(), selected.work.Y):
+        for array in (*selected.variables.values(), selected.work.W):
             array.fill(0.0)
         for array, content in selected.contents:
             array[:] = content
         data.struct[selected.places] = selected.sizes
-        data.work.factored[0] = 0
+        data.work.by_arm[0] = 0
         data.take_rows(selected.model, selected.variables, selected.work, selected.coupled)
 
     def _prepare(self, rows: np.ndarray) -> Selected:

@@ -32,6 +32,7 @@ class StatusCode(IntEnum):
     NOT_CONVERGED = -18  # the equations of an implicit step
     EVENT = -19  # lies within the step just made, which was not accepted
     STOPPED = -20  # the run reached its stop
+    GUARD_FIRED = -21  # one that only reports, in the step just made
 
 
 # Numba reads them as constants.
@@ -53,3 +54,4 @@ STIFF = int(StatusCode.STIFF)
 NOT_CONVERGED = int(StatusCode.NOT_CONVERGED)
 EVENT = int(StatusCode.EVENT)
 STOPPED = int(StatusCode.STOPPED)
+GUARD_FIRED = int(StatusCode.GUARD_FIRED)

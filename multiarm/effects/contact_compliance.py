@@ -21,6 +21,7 @@ import numpy as np
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
@@ -32,7 +33,6 @@ class Springs(NamedTuple):
     """Compliant contacts, s of them."""
 
     rows: Ints1  # (2,) address and size of the struct with their rows
-    owners: Ints1  # arms, or the surroundings
     stiffness: Floats1  # [N/m]
     damping: Floats1  # [N s/m]
     active: Ints1  # which act now; the mode of the contacts writes them
@@ -51,17 +51,14 @@ def add_contact_compliance(address, size, at, _t):
     update_rows(own)
     _, rows, work = open_system(own)
     power = 0.0
-    for s in range(springs.owners.size):
-        i, rate = springs.owners[s], rows.contacts[s, GAP_RATE]
+    for s in range(force.size):
+        rate = rows.contacts[s, GAP_RATE]
         force[s] = 0.0
         if springs.active[s] != 0:
             gap = rows.contacts[s, GAP]
             force[s] = -(springs.stiffness[s] * gap + springs.damping[s] * rate)
-        for k in range(6):
-            data.h_o[k] += rows.Wo[s, k] * force[s]
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
-            data.h[work.dofs[i] + j] += work.Y[i, j, s - work.rows[i]] * force[s]
         power += force[s] * rate
+    add_contact_forces(work, rows.Wo, work.W, force, data.h_o, data.h)
     set_power(struct, at, power)
     return 0
 
@@ -73,11 +70,11 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
         rows = data.view(data.model.select(springs.rows))
         own.rows[:] = rows.struct.ctypes.data, rows.struct.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
-        return {}
+        # surfaces of the user may fail in these rows
+        return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}
 
     arrays = Springs(
         rows=np.zeros(2, dtype=np.int64),
-        owners=springs.owners,
         stiffness=springs.stiffness,
         damping=springs.damping,
         active=springs.always,

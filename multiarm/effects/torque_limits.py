@@ -19,6 +19,9 @@ from multiarm.jit.kernels import cfunc, clear
 from multiarm.jit.structs import Floats1, struct_at
 from multiarm.scene import effort_limit_of
 
+# Smaller margins are roundings, as a part of the limit.
+ROUNDING = 1e-9
+
 
 class TorqueLimits(NamedTuple):
     """Limits of the drives, each (n,) [N m, N]."""
@@ -37,7 +40,7 @@ def limit_torques(address, size, at, _t):
     torque, drives = open_data(struct).torque, open_limits(struct, at)
     for j in range(torque.size):
         command, limit = abs(torque[j]), drives.limits[j]
-        drives.margins[j] = command - (1.0 + 1e-9) * limit  # less is a rounding error
+        drives.margins[j] = command - limit
         if command > limit:
             torque[j] = math.copysign(limit, torque[j])
     return 0
@@ -58,7 +61,8 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of limited drives."""
     limits = context.stacked(spec, effort_limit_of, default=math.inf)
     margins = np.full_like(limits, -math.inf)
-    watched = tuple(("margins", int(j)) for j in np.flatnonzero(np.isfinite(limits)))
+    limited = map(int, np.flatnonzero(np.isfinite(limits)))
+    watched = tuple(("margins", j, ROUNDING * float(limits[j])) for j in limited)
     return [
         EffectKernel(
             "torque_limits",

@@ -16,12 +16,17 @@ from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import constraint_matrix, contact_places
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
-from multiarm.dynamics.evaluation import Evaluation, Residuals, Snapshot, rows_by_owner
-from multiarm.dynamics.kinematics import read_inertia
+from multiarm.dynamics.evaluation import (
+    Evaluation,
+    Residuals,
+    Snapshot,
+    residuals_of,
+    rows_by_owner,
+)
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.event_detection import touching_constraints
@@ -79,8 +84,7 @@ def mode_at(data: Data, t: float, state: State) -> Mode:
     if decision.trouble:
         raise SolverError(decision.trouble)
     mode = modes.enter(decision.choice, decision.directions)
-    if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
-        mode.data.reraise()
+    require_ok(mode.data, evaluate_state(mode.data.struct, 0.0, 0.0))
     start_guards(mode.data.struct)
     if np.any(mode.guards.value < -mode.guards.threshold):
         mode.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
@@ -102,7 +106,7 @@ def evaluate_mode(data: Data, mode: Mode, t: float, state: State) -> Evaluation:
     forces, unique = _all_forces(full, mode)
     residuals = _residuals(full, mode, forces, own.residuals.constraint)
     contact_places(full, state)
-    update_rows(closed.struct)
+    require_ok(closed, update_rows(closed.struct))
     unilateral, layout = modes.unilateral, full.model.layout
     doing: dict[str, list[str]] = {}
     for constraint, does in zip(unilateral.constraints, mode.choice.states, strict=True):
@@ -147,25 +151,17 @@ def _columns(full: Data) -> np.ndarray:
 
     Coordinates are scaled by the square root of their inertia, rows to constraint length.
     """
-    update_kinematics(full.struct)
+    require_ok(full, update_kinematics(full.struct))
     return constraint_matrix(full)
 
 
 def _residuals(full: Data, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
     """Residuals of the equations of motion with the forces of all rows."""
-    b, work = mode.data.arrays, full.work
-    if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
-        mode.data.reraise()
-    q_o, qdd, h, h_o = b.q_o.copy(), b.qdd.copy(), b.h.copy(), b.h_o.copy()
-    update_kinematics(full.struct)
+    b = mode.data.arrays
+    require_ok(mode.data, evaluate_state(mode.data.struct, 0.0, 0.0))
+    forces_without_contacts = b.generalised_forces.copy()
+    require_ok(full, update_kinematics(full.struct))
     pushing = forces.copy()
-    pushing[mode.arrays.springs] = 0.0  # these are in h and h_o already
-    arm = 0.0
-    for i in range(len(full.model.arm_names)):
-        d = slice(work.dofs[i], work.dofs[i + 1])
-        r = slice(work.rows[i], work.rows[i + 1])
-        W = work.Y[i, : d.stop - d.start, : r.stop - r.start]
-        M = read_inertia(full.arrays.pointers[i], d.stop - d.start)
-        arm = max(arm, float(np.max(np.abs(M @ qdd[d] - h[d] - W @ pushing[r]))))
-    on_object = b.inertia @ q_o - h_o - full.arrays.Wo.T @ pushing
-    return Residuals(arm, float(np.max(np.abs(on_object))), constraint)
+    pushing[mode.arrays.springs] = 0.0  # these are among the generalised forces already
+    residuals = residuals_of(full, b.acceleration, forces_without_contacts, pushing, full.arrays.c)
+    return replace(residuals, constraint=constraint)  # open contacts move as they like

@@ -14,21 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_coupled, open_data, open_system
-from multiarm.dynamics.equations import (
-    imbalance,
-    renew_kinematics,
-    update_rows,
-    write_wrenches,
-)
+from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
+from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
     FIRED,
-    QUIET,
     Guards,
     accept_guards,
-    guard_value,
-    judge_guard,
+    judge_guards,
     open_guards,
+    write_values,
 )
+from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
@@ -105,24 +101,11 @@ def solve_held(address, size, _a, _b):
     mode = open_mode(struct_at(data.modes.mode, 0))
     data.status.ambiguous = 0
     if mode.numbers.stressed:
-        add_prestress(mode, data.Wo, work.Y, data, work)
+        add_contact_forces(work, data.Wo, work.W, mode.prestress, data.h_o, data.h)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.numbers.stressed:
         restore_forces(mode, data)
     return status
-
-
-@kernel
-def add_prestress(mode, on_object, on_arms, data, work):
-    """Add the generalised forces of ``mode.prestress`` to the right-hand sides."""
-    for i in range(work.dofs.size - 1):
-        d0, first = work.dofs[i], work.rows[i]
-        for k in range(first, work.rows[i + 1]):
-            force = mode.prestress[k]
-            for l in range(6):  # noqa: E741
-                data.h_o[l] += on_object[k, l] * force
-            for j in range(work.dofs[i + 1] - d0):
-                data.h[d0 + j] += on_arms[i, j, k - first] * force
 
 
 @kernel
@@ -139,10 +122,9 @@ def solve_sliding(address, size, _a, _b):
     model, data, work = open_system(struct)
     own = struct_at(data.modes.mode, 0)
     mode, slides, reactions = open_mode(own), open_slides(own), open_reactions(own)
-    slow = mode.numbers.slow
-    write_reactions(data, work, mode.Wr, slides, slow, reactions)
+    write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
     if mode.numbers.stressed:
-        add_prestress(mode, mode.Wr, reactions.Yr, data, work)
+        add_contact_forces(work, mode.Wr, reactions.Wr, mode.prestress, data.h_o, data.h)
     data.status.imbalance = 0.0
     coupled = open_coupled(struct)
     coupled.status.arms = 0
@@ -153,10 +135,7 @@ def solve_sliding(address, size, _a, _b):
     else:
         status = solve_reactions(data, work, mode, reactions, False)
         if status == OK and not data.status.imbalance <= IMBALANCE_BOUND:
-            status = renew_kinematics(struct)
-            if status == OK:
-                write_reactions(data, work, mode.Wr, slides, slow, reactions)
-                status = solve_reactions(data, work, mode, reactions, True)
+            status = solve_reactions(data, work, mode, reactions, True)
         if status != OK:
             return status
         data.status.ambiguous = 1 if reactions.status.motions > 0 else 0
@@ -177,7 +156,7 @@ def solve_sliding(address, size, _a, _b):
 @kernel
 def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
-    work.factored[0] = 1
+    work.by_arm[0] = 1
     failed = eliminate_with_reactions(reactions, data.Wo, mode.Wr, data.inertia, couple_all)
     if failed >= 0:
         return failed
@@ -185,7 +164,7 @@ def solve_reactions(data, work, mode, reactions, couple_all):
         reactions, data.Wo, mode.Wr, data.h_o, data.h, data.c, data.q_o,
         data.qdd, data.force,
     )  # fmt: skip
-    data.status.imbalance = imbalance(data, work, mode.Wr)
+    data.status.imbalance = imbalance(data, mode.Wr)
     return OK
 
 
@@ -214,49 +193,37 @@ def record_forces(address, size, _t, _b):
 
 
 @kernel
-def write_values(own, data):
-    """Kinematics of all rows, and the values of all guards; ``own`` is the mode's struct."""
-    struct = struct_at(data.modes.full, 0)
-    update_rows(struct)
-    guards, slides, contacts = open_guards(own), open_slides(own), open_data(struct).contacts
-    for g in range(guards.kind.size):
-        guards.value[g] = guard_value(guards, g, slides, data, contacts)
-
-
-@cfunc
-def write_guards(address, size, _a, _b):
-    """Write the values of all guards at the state evaluated last."""
-    data = open_data(struct_at(address, size))
-    write_values(struct_at(data.modes.mode, 0), data)
-    return CALLBACK_FAILED if data.status.failed else OK
+def write_mode_guards(struct: INTS):
+    """Kinematics of all rows, and the values of a mode's guards at the state evaluated last."""
+    data = open_data(struct)
+    rows = struct_at(data.modes.full, 0)
+    update_rows(rows)
+    model, full, _ = open_system(rows)
+    write_values(open_guards(struct_at(data.modes.mode, 0)), struct, data, model, full)
 
 
 @cfunc
 def check_guards(address, size, begin, end):
     """Check all guards at the end of a step; ``FIRED`` when one of them reports an event."""
-    data = open_data(struct_at(address, size))
-    own = struct_at(data.modes.mode, 0)
-    write_values(own, data)
+    struct = struct_at(address, size)
+    write_mode_guards(struct)
+    data = open_data(struct)
     if data.status.failed:
         return OK  # the time loop checks the flag
-    guards, numbers = open_guards(own), open_mode(own).numbers
-    contacts = open_data(struct_at(data.modes.full, 0)).contacts
+    own = struct_at(data.modes.mode, 0)
+    numbers = open_mode(own).numbers
     numbers.begin, numbers.end = begin, end
-    events = 0
-    for g in range(guards.kind.size):
-        guards.result[g] = judge_guard(guards, g, contacts, end - begin)
-        events += 1 if guards.result[g] != QUIET else 0
-    if events > 0 and not numbers.muted:
+    if judge_guards(open_guards(own), end - begin) > 0 and not numbers.muted:
         return FIRED
     numbers.muted = False
-    begin_step(own, contacts)
+    begin_step(own, open_data(struct_at(data.modes.full, 0)).contacts)
     return OK
 
 
 @kernel
 def begin_step(own, contacts):
     """Make the end of a step the beginning of the next one."""
-    accept_guards(open_guards(own), contacts)
+    accept_guards(open_guards(own))
     follow_slip(open_slides(own), open_mode(own).numbers.slow, contacts)
 
 
@@ -266,6 +233,5 @@ def start_guards(struct: INTS):
     data = open_data(struct)
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
-    own = struct_at(data.modes.mode, 0)
-    write_values(own, data)
-    begin_step(own, open_data(struct_at(data.modes.full, 0)).contacts)
+    write_mode_guards(struct)
+    begin_step(struct_at(data.modes.mode, 0), open_data(struct_at(data.modes.full, 0)).contacts)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,9 @@ from multiarm.dynamics.guards import (
     REST_GUARD,
     SLIP_GUARD,
     SPRING_GUARD,
+    Guard,
     Guards,
+    make_guards,
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import Recent, Room, RowSelection
@@ -51,17 +52,6 @@ REST = 1e-9
 
 # Effects whose arrays a mode writes.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
-
-
-class Guard(NamedTuple):
-    """A guard of one constraint, see :mod:`multiarm.dynamics.guards`."""
-
-    kind: int
-    watched: int
-    parameter: float = 0.0
-    threshold: float = 0.0
-    tangents: tuple[int, int] = (-1, -1)
-    sign: int = 1
 
 
 @dataclass(frozen=True)
@@ -215,8 +205,8 @@ class Modes:
         if mode.slides.row.size:
             assert self._tangents is not None and self._reactions is not None
             self._tangents.select(np.concatenate([[t, t + 1] for t in mode.slides.tangent_of_all]))
-            Yr = self._reactions.resize(self.data, self._struct)
-            functions.solve, solver.reactions = address_of(solve_sliding), (mode.arrays.Wr, Yr)
+            Wr = self._reactions.resize(self.data, self._struct)
+            functions.solve, solver.reactions = address_of(solve_sliding), (mode.arrays.Wr, Wr)
 
     def _prepare(self, choice: Choice) -> tuple[Mode, np.ndarray]:
         """The mode of a choice, and its part of the struct."""
@@ -226,12 +216,13 @@ class Modes:
     def _make(self, choice: Choice) -> Mode:
         rows = np.array(sorted([*self.unilateral.bilateral, *choice.rows]), dtype=np.int64)
         sliding = choice.sliding(self.unilateral.constraints)
+        slides = self._slides(choice, rows, sliding)
         return Mode(
             choice,
             self.data,
             self._arrays(choice, rows),
-            self._slides(choice, rows, sliding),
-            self._guards(choice, rows, sliding),
+            slides,
+            self._guards(choice, rows, sliding, slides),
         )
 
     def _arrays(self, choice: Choice, rows: np.ndarray) -> ModeArrays:
@@ -267,11 +258,12 @@ class Modes:
             speed=np.zeros(count),
         )
 
-    def _guards(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> Guards:
+    def _guards(
+        self, choice: Choice, rows: np.ndarray, sliding: list[int], slides: Slides
+    ) -> Guards:
         place = {int(row): k for k, row in enumerate(rows)}
+        ground = len(self.full.model.arm_names)
         guards: list[Guard] = []
-        owners: list[int] = []
-        patches: list[np.ndarray] = []
         for u, constraint in enumerate(self.unilateral.constraints):
             patch = patch_of(self.full.model, constraint)
             of_constraint = _guards(u, constraint, choice, place, sliding, self.slow)
@@ -281,36 +273,9 @@ class Modes:
                     Guard(SPRING_GUARD, constraint.row, constraint.lag, GAP_THRESHOLD, sign=sign)
                 ]
             elif patch is not None:
-                of_constraint = _patch_guards(u, constraint, choice, of_constraint)
-            guards += of_constraint
-            owners += [u] * len(of_constraint)
-            patches += [
-                patch if guard.kind == PATCH_GUARD and patch is not None else np.zeros(18)
-                for guard in of_constraint
-            ]
-        g = len(guards)
-        integers = {
-            name: np.array([getattr(guard, name) for guard in guards], dtype=np.int64)
-            for name in ("kind", "watched", "sign")
-        }
-        numbers = {
-            name: np.array([getattr(guard, name) for guard in guards], dtype=float)
-            for name in ("parameter", "threshold")
-        }
-        tangents = [guard.tangents for guard in guards]
-        return Guards(
-            **integers,
-            **numbers,
-            tangents=np.array(tangents, dtype=np.int64).reshape(-1, 2),
-            constraint=np.array(owners, dtype=np.int64),
-            patch=np.array(patches).reshape(-1, 18),
-            value=np.zeros(g),
-            before=np.zeros(g),
-            rate=np.zeros(g),
-            least=np.full(g, np.inf),
-            armed=np.zeros(g, dtype=np.int64),
-            result=np.zeros(g, dtype=np.int64),
-        )
+                of_constraint = _patch_guards(u, constraint, choice, of_constraint, ground, patch)
+            guards += [guard._replace(constraint=u) for guard in of_constraint]
+        return make_guards(guards, slides.direction)
 
 
 class _Reactions:
@@ -329,20 +294,27 @@ class _Reactions:
         self._room = Room({name: getattr(own, name) for name in shapes})
         self._recent: Recent[tuple[np.ndarray, np.ndarray, np.ndarray]] = Recent()
         self.work = own._replace(
-            dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
+            dofs=work.dofs,
+            rows=work.rows,
+            levers=work.levers,
+            M=work.M,
+            W=work.W,
+            L=work.L,
+            Y=work.Y,
+            y=work.y,
         )
 
     def resize(self, data: Data, struct: np.ndarray) -> np.ndarray:
         """Write the sizes for the rows of the data into a mode's struct; the arms' reactions."""
         counts = tuple(np.diff(data.model.layout.rows).tolist())
-        Yr, places, sizes = self._recent.value(counts, lambda: self._prepare(counts))
+        Wr, places, sizes = self._recent.value(counts, lambda: self._prepare(counts))
         struct[places] = sizes
-        return Yr
+        return Wr
 
     def _prepare(self, counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The arms' reactions for numbers of rows; places of sizes in the struct, and sizes."""
         arrays = self._room.arrays(reaction_shapes(self._dofs, list(counts)))
-        return arrays["Yr"], *reaction_sizes(arrays)
+        return arrays["Wr"], *reaction_sizes(arrays)
 
 
 def _view(full: Data, rows: Sequence[int]) -> Data:
@@ -392,8 +364,8 @@ def _guards(
     row = place.get(constraint.row, -1)
     if constraint.kind == DRY_JOINT:
         if state.moves:
-            sign = 1.0 if state == ContactState.FORWARD else -1.0
-            return [Guard(RATE_GUARD, constraint.joint, sign, still)]
+            sign = 1 if state == ContactState.FORWARD else -1
+            return [Guard(RATE_GUARD, constraint.joint, threshold=still, sign=sign)]
         limit = FORCE_THRESHOLD * constraint.bound
         return [Guard(HOLD_GUARD, row, constraint.bound, limit)] if row >= 0 else []
     if state == ContactState.OPEN:
@@ -402,7 +374,7 @@ def _guards(
         return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
     side, guards = choice.side(u), []
     if not constraint.bilateral or u in sliding:
-        guards.append(Guard(PUSH_GUARD, row, side, FORCE_THRESHOLD))
+        guards.append(Guard(PUSH_GUARD, row, threshold=FORCE_THRESHOLD, sign=int(side)))
     if state == ContactState.STICKING:
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
@@ -414,16 +386,29 @@ def _guards(
     ):
         guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
     elif u in sliding:
-        guards.append(Guard(SLIP_GUARD, sliding.index(u), threshold=still))
+        s, t = sliding.index(u), constraint.tangents
+        guards.append(Guard(SLIP_GUARD, s, threshold=still, tangents=(t[0], t[1])))
     return guards
 
 
 def _patch_guards(
-    u: int, constraint: Constraint, choice: Choice, guards: list[Guard]
+    u: int,
+    constraint: Constraint,
+    choice: Choice,
+    guards: list[Guard],
+    body: int,
+    patch: np.ndarray,
 ) -> list[Guard]:
-    """The guards of a contact that is on its patch, over it, off it or below it."""
+    """The guards of a contact that is on its patch on a body, over it, off it or below it."""
     off = u in choice.off_patch
-    edge = Guard(PATCH_GUARD, constraint.row, threshold=GAP_THRESHOLD, sign=-1 if off else 1)
+    edge = Guard(
+        PATCH_GUARD,
+        constraint.row,
+        threshold=GAP_THRESHOLD,
+        sign=-1 if off else 1,
+        body=body,
+        patch=patch,
+    )
     if off:
         return [edge]
     if u in choice.below_patch:  # a spring without damping: its extension is the gap

@@ -19,11 +19,10 @@ from multiarm.dynamics.equations import (
     update_kinematics,
     update_rows,
 )
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.bounds import DEPENDENT
-from multiarm.dynamics.status import OK
-from multiarm.errors import SolverError
 from multiarm.events.modes import Modes
 
 
@@ -35,8 +34,8 @@ class RowDynamics:
 
     def update(self) -> None:
         """Kinematics of all rows."""
-        _require(update_kinematics(self.bare.struct), self.bare)
-        update_rows(self.full.struct)
+        require_ok(self.bare, update_kinematics(self.bare.struct))
+        require_ok(self.full, update_rows(self.full.struct))
 
     @property
     def rates(self) -> np.ndarray:
@@ -58,7 +57,7 @@ class RowDynamics:
             i = int(np.searchsorted(layout.rows, row, side="right")) - 1
             matrix[k, :6] = full.arrays.Wo[row]
             joints = layout.of_arm(i)
-            matrix[k, joints] = full.work.Y[i, : joints.stop - joints.start, row - layout.rows[i]]
+            matrix[k, joints] = full.work.W[i, : joints.stop - joints.start, row - layout.rows[i]]
         return matrix
 
     def response(self, jacobian: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
@@ -98,8 +97,8 @@ class RowDynamics:
         if ahead > 0.0:
             b.time.now += ahead
             b.configuration[:] = retracted(data.model.layout, here, ahead * b.velocity)
-        _require(evaluate_state(data.struct, 0.0, 0.0), data)
-        update_rows(self.full.struct)
+        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+        require_ok(self.full, update_rows(self.full.struct))
         free = self.jacobian(rows) @ b.acceleration + self.full.arrays.contacts[rows, GAP_BIAS]
         if ahead > 0.0:
             b.time.now, b.configuration[:] = now, here
@@ -131,13 +130,7 @@ def depends_on_held_rows(response: np.ndarray, jacobian: np.ndarray) -> bool:
 def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
     """Accelerations (velocities) of object and joints due to forces (impulses), (6 + n,)."""
     b = data.arrays
-    _require(update_kinematics(data.struct), data)
+    require_ok(data, update_kinematics(data.struct))
     b.generalised_forces[:], b.c[:] = force, 0.0
-    _require(solve_constrained(data.struct), data)
+    require_ok(data, solve_constrained(data.struct))
     return b.acceleration.copy()
-
-
-def _require(status: int, data: Data) -> None:
-    if status != OK:
-        data.reraise()
-        raise SolverError(f"the motion at an event could not be evaluated (status {status})")

@@ -64,7 +64,7 @@ def write_direction(slides, s, slow, first, second):
 
 @kernel
 def write_reactions(data, work, Wr, slides, slow, reactions):
-    """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Yr``."""
+    """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Wr``."""
     struct = struct_at(data.modes.tangents, 0)
     update_rows(struct)
     _, sideways, tangents = open_system(struct)
@@ -74,7 +74,7 @@ def write_reactions(data, work, Wr, slides, slow, reactions):
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             for a in range(work.rows[i + 1] - work.rows[i]):
-                reactions.Yr[i, j, a] = work.Y[i, j, a]
+                reactions.Wr[i, j, a] = work.W[i, j, a]
     for s in range(slides.row.size):
         row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
         rates = sideways.contacts[t, GAP_RATE], sideways.contacts[t + 1, GAP_RATE]
@@ -84,8 +84,8 @@ def write_reactions(data, work, Wr, slides, slow, reactions):
             Wr[row, k] -= first * sideways.Wo[t, k] + second * sideways.Wo[t + 1, k]
         column, tangent = row - work.rows[i], t - tangents.rows[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
-            pull = first * tangents.Y[i, j, tangent] + second * tangents.Y[i, j, tangent + 1]
-            reactions.Yr[i, j, column] -= pull
+            pull = first * tangents.W[i, j, tangent] + second * tangents.W[i, j, tangent + 1]
+            reactions.Wr[i, j, column] -= pull
 
 
 @kernel

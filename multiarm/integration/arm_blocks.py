@@ -215,9 +215,8 @@ def acts_locally(step):
 
 @kernel
 def is_regular(struct):
-    """Whether the last evaluation has eliminated all arms, and left their matrices."""
-    _, _, work = open_system(struct)
-    return open_coupled(struct).status.arms == 0 and work.factored[0] == 0
+    """Whether the last evaluation has eliminated every arm as a whole."""
+    return open_coupled(struct).status.arms == 0
 
 
 # --- derivatives ---------------------------------------------------------------------------------
@@ -312,7 +311,7 @@ def differentiate_carrying(struct, blocks):
     if status != OK:
         return status
     for i in range(blocks.counts.size):
-        d0, r0, dF, W = work.dofs[i], work.rows[i], equations.dF[i], work.Y[i]
+        d0, r0, dF, W = work.dofs[i], work.rows[i], equations.dF[i], work.W[i]
         n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
         at = arm_columns(n, False)
         for c in range(at.velocities):

@@ -25,7 +25,8 @@ import math
 from multiarm.dynamics.arrays import open_coupled, open_system
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.solver_monitor import believable, constraint_residual
+from multiarm.dynamics.residuals import constraint_residual
+from multiarm.dynamics.solver_monitor import believable
 from multiarm.dynamics.status import OK
 from multiarm.integration.projection import greatest, project
 from multiarm.jit.kernels import cfunc, clear, copy, kernel

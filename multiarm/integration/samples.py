@@ -12,18 +12,13 @@ A quaternion of a tip has the sign with which it continues that of the sample be
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from multiarm.contacts.joint import SINGLE_TURN, write_relative
+from multiarm.contacts.joint import unwrapped, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
 from multiarm.dynamics.arrays import TIP_WIDTH, open_system
-from multiarm.dynamics.equations import (
-    kinetic_energy,
-    largest,
-    potential_energy,
-    write_wrenches,
-)
+from multiarm.dynamics.contact_forces import write_wrenches
+from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
 from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
@@ -92,7 +87,7 @@ def write_free(model, data, out):
         write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
         for k in range(first, last):
             out[k] = rates[model.free[k, 0]]
-            out[count + k] = unwrapped(model, data, i, k, coordinates)
+            out[count + k] = continued(model, data, i, k, coordinates)
 
 
 @kernel
@@ -121,17 +116,14 @@ def follow_joints(model, data):
             continue
         write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
         for k in range(first, last):
-            x = unwrapped(model, data, i, k, coordinates)
-            data.coordinates[i, model.free[k, 0]] = x
+            data.coordinates[i, model.free[k, 0]] = continued(model, data, i, k, coordinates)
 
 
 @inlined
-def unwrapped(model, data, i, k, coordinates):
-    """Coordinate ``k``, of arm ``i``; a single angle continues past pi from the last step's."""
-    x, before = coordinates[model.free[k, 1]], data.coordinates[i, model.free[k, 0]]
-    if model.free[k, 1] >= SINGLE_TURN and before == before:
-        x += 2.0 * math.pi * round((before - x) / (2.0 * math.pi))
-    return x
+def continued(model, data, i, k, coordinates):
+    """Coordinate ``k``, of arm ``i``, as it continues that of the last step."""
+    place = model.free[k, 1]
+    return unwrapped(coordinates[place], data.coordinates[i, model.free[k, 0]], place)
 
 
 def sample_columns(channels: Sequence[Channel]) -> Columns:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.arrays import open_data, open_reports
 from multiarm.dynamics.coordinates import load_chart, store_chart, write_chart_slope
 from multiarm.dynamics.equations import finite
 from multiarm.dynamics.guards import follow_stage, open_guards
@@ -206,11 +206,13 @@ def slope_at(step, t, z, slope):
 
 @inlined
 def stage_slope(step, t, z, slope):
-    """:func:`slope_at` at a stage, whose forces the guards of a mode watch; returns a status."""
+    """:func:`slope_at` at a stage, whose forces the guards watch; returns a status."""
     status = slope_at(step, t, z, slope)
-    data = open_data(step.system)
-    if status == OK and data.functions.guards != 0:
-        follow_stage(open_guards(struct_at(data.modes.mode, 0)), data.force)
+    if status == OK:
+        struct, data = step.system, open_data(step.system)
+        follow_stage(open_reports(struct), struct, data.force)
+        if data.functions.guards != 0:
+            follow_stage(open_guards(struct_at(data.modes.mode, 0)), struct, data.force)
     return status
 
 

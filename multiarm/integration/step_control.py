@@ -101,6 +101,7 @@ class Clock(Numbers):
     lowest_rank: Int
     highest_rank: Int
     solver_changes: Int  # of rank or of deficient arms, that Python has not logged yet
+    reports: Int  # guards that report an event in the last step, that Python has not logged yet
     retry_steps: Int  # steps still to be made with projected stages
     stiff_steps: Int  # steps limited by stiffness
     smooth_steps: Int  # later steps that were not

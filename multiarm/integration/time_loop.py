@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.arrays import open_data, open_reports, open_system
 from multiarm.dynamics.coordinates import (
     chart_places,
     copy_works,
@@ -35,6 +35,7 @@ from multiarm.dynamics.status import (
     DIVERGED,
     EVENT,
     FINISHED,
+    GUARD_FIRED,
     NOT_FINITE,
     OK,
     SOLVER_CHANGED,
@@ -43,7 +44,7 @@ from multiarm.dynamics.status import (
     STOPPED,
 )
 from multiarm.integration.dense_output import interpolate, prepare_dense
-from multiarm.integration.monitors import update_monitors
+from multiarm.integration.monitors import check_reports
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
 from multiarm.integration.samples import follow_joints, write_sample
@@ -65,7 +66,7 @@ from multiarm.integration.step_control import (
     view_clock,
     view_settings,
 )
-from multiarm.jit.kernels import INT, INTS, NUMBER, TABLE, clear, copy, inlined, kernel, unlocked
+from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -111,6 +112,8 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
                 if clock.solver_changes > 0:
                     clock.solver_changes = 0
                     return SOLVER_CHANGED
+                if clock.reports > 0:
+                    return GUARD_FIRED
                 continue
         count_evaluations(step, clock)
         if status in (CALLBACK_FAILED, EVENT) or not settings.adaptive:
@@ -130,11 +133,11 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
 
 
 @kernel
-def start_monitors(struct: INTS, t: NUMBER):
-    """Store joint coordinates, monitors and the solution at the start of a run, at time ``t``."""
+def start_monitors(struct: INTS):
+    """Store joint coordinates, guards that report, and the solution at the start of a run."""
     model, data, _ = open_system(struct)
     follow_joints(model, data)
-    update_monitors(struct, t, t)
+    check_reports(struct, 0.0)
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
 
@@ -249,6 +252,7 @@ def try_step(arrays, clock, settings, h):
     """Stages and error estimate of one step; returns (status, error in units of the tolerance)."""
     method, step = open_step(arrays)
     t, stage, data = clock.t, step.stage, open_data(step.system)
+    begin_stages(open_reports(step.system))
     if data.functions.guards != 0:
         begin_stages(open_guards(struct_at(data.modes.mode, 0)))
     stage.alpha, stage.beta = gains(settings, h)
@@ -308,7 +312,7 @@ def complete_step(method, step, clock, settings, h, end):
         for i in range(data.places.shape[0]):
             copy(data.located[i], data.places[i])
     follow_joints(model, data)
-    update_monitors(struct, t, end)
+    clock.reports = check_reports(struct, h)
     count_solution(struct, clock)
     if settings.adaptive and math.isfinite(method.stability):
         detect_stiffness(method, step, clock, h, end)
@@ -322,7 +326,7 @@ def complete_step(method, step, clock, settings, h, end):
     due = sample_time(clock, settings, clock.sample) if clock.sample < clock.samples else math.inf
     store_chart(data, step.base_next, step.z_next)
     copy_works(data, step.z_new, step.z_next)
-    if due < end - 1e-9 * h:
+    if due < end - 1e-9 * h or clock.reports > 0:
         status = prepare_dense(method, step, t, h)
         if status != OK:
             return status

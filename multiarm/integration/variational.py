@@ -46,6 +46,7 @@ from multiarm.arms.terms import M_AT, M_STRIDE
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data
@@ -92,7 +93,7 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
         coriolis=places,
         begin=np.zeros(layout.nq),
         Wo=np.zeros((rows, 6)),
-        W=np.zeros_like(data.work.Y),
+        W=np.zeros_like(data.work.W),
         inertia=np.zeros((3, 3)),
         start=np.zeros(size),
         push=np.zeros(size),
@@ -147,7 +148,7 @@ def begin_step(step, work, t, h):
         copy(data.Wo[k], work.Wo[k])
     for i in range(data.pointers.shape[0]):
         for j in range(node.dofs[i + 1] - node.dofs[i]):
-            copy(node.Y[i, j], work.W[i, j])
+            copy(node.W[i, j], work.W[i, j])
     for k in range(work.xi.size):
         work.xi[k] = step.z[velocity + k] + 0.5 * h * step.k[0, velocity + k]
     return OK
@@ -308,22 +309,9 @@ def momentum_residual(step, work, h):
     write_chart_rate(turn, spin, momentum[3:6])
     for k in range(momentum.size):
         momentum[k] = work.start[k] + work.push[k] - momentum[k]
-    add_impulses(data, work, node, momentum)
+    first = chart_places(data).joints
+    add_contact_forces(node, work.Wo, work.W, work.impulse, momentum[:first], momentum[first:])
     copy(momentum, data.generalised_forces)
-
-
-@kernel
-def add_impulses(data, work, node, out):
-    """Add the change of the momenta by contact impulses."""
-    first_joint = chart_places(data).joints
-    for i in range(node.dofs.size - 1):
-        d0, first = node.dofs[i], node.rows[i]
-        for k in range(first, node.rows[i + 1]):
-            s = work.impulse[k]
-            for a in range(6):
-                out[a] += work.Wo[k, a] * s
-            for j in range(node.dofs[i + 1] - d0):
-                out[first_joint + d0 + j] += work.W[i, j, k - first] * s
 
 
 @kernel
@@ -333,7 +321,8 @@ def end_step(step, work, t, h):
     places, z, new, momentum = chart_places(data), step.z, step.z_new, work.momentum
     for k in range(momentum.size):
         momentum[k] = work.start[k] + 2.0 * work.push[k]
-    add_impulses(data, work, node, momentum)
+    first = chart_places(data).joints
+    add_contact_forces(node, work.Wo, work.W, work.impulse, momentum[:first], momentum[first:])
     displace(work, data, h, t + h)
     status = update_kinematics(step.system)
     step.stage.evaluations += 1

@@ -38,9 +38,7 @@ def _environment() -> Environment:
     )
     environment.filters |= {
         "count_of": count_of,
-        "heading": heading,
         "number": number,
-        "thousands": "{:,}".format,
         "unbroken": unbroken,
         "value_text": value_text,
     }

@@ -237,7 +237,8 @@ def _not_zero(vector: tuple[float, ...]) -> tuple[float, ...]:
     return vector
 
 
-def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+def rising(ends: tuple[float, float]) -> tuple[float, float]:
+    """The ends of a range; a fault unless the first is smaller."""
     if not ends[0] < ends[1]:
         raise fault(f"must run from a smaller to a larger number, got [{ends[0]:g}, {ends[1]:g}]")
     return ends
@@ -290,7 +291,7 @@ Direction = Annotated[Vec3, AfterValidator(_not_zero)]
 Range = Annotated[
     tuple[Number, Number],
     list_of("must be a list of two numbers, from and to", 2),
-    AfterValidator(_rising),
+    AfterValidator(rising),
 ]
 
 

@@ -47,10 +47,10 @@ import numpy as np
 
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError
 from multiarm.notation import number
 from multiarm.results.trajectory import ENERGIES, Trajectory
@@ -337,8 +337,7 @@ def _work_on_gaps(run: Trajectory) -> float:
 def _momentum(data: Data, state: State) -> np.ndarray:
     """Generalised momenta M v, shape (6 + n,)."""
     place_state(data, 0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    require_ok(data, update_kinematics(data.struct))
     layout, momentum = data.model.layout, np.zeros(state.velocity.size)
     momentum[layout.of_frames] = data.arrays.inertia @ state.object_twist
     for i, (a, b) in enumerate(pairwise(layout.dofs)):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.coordinates import read_chart
-from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
+from multiarm.dynamics.failures import failure_text, lost_contact_text
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import (
@@ -25,6 +25,7 @@ from multiarm.dynamics.status import (
     CALLBACK_FAILED,
     DIVERGED,
     EVENT,
+    GUARD_FIRED,
     LARGE_CORRECTION,
     NOT_CONVERGED,
     NOT_FINITE,
@@ -35,10 +36,10 @@ from multiarm.dynamics.status import (
 )
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
 from multiarm.integration.methods import stepping_of
-from multiarm.integration.monitors import collect_events
 from multiarm.integration.time_loop import advance, observe
 from multiarm.jit.structs import struct_of
 from multiarm.simulation.event_handling import EventHandler
+from multiarm.simulation.guard_log import log_reports
 from multiarm.simulation.setup import Run, set_tolerance
 from multiarm.tableaus import METHODS
 
@@ -46,7 +47,7 @@ FOR_STIFF_SCENES = "rodas5p"
 # Steps after which a trial shows how long the steps of that method are.
 TRIAL_STEPS = 16
 # Reasons to return after which the loop is called again.
-GOES_ON = (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF)
+GOES_ON = (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, GUARD_FIRED, STIFF)
 
 
 class Driver:
@@ -73,7 +74,6 @@ class Driver:
         """
         run, events, fault = self.run, self.events, ""
         reason = advance(run.stepping.struct, run.clock.struct, self._settings, run.block, budget)
-        collect_events(run.data, run.log)
         if events is not None and reason in (EVENT, STOPPED):
             self.event_stops += 1
             fault = events.handle(run, reason == STOPPED)
@@ -86,6 +86,10 @@ class Driver:
             run.solver_log.reset(run.data)  # unilateral contacts have their own events
         elif reason == SOLVER_CHANGED:
             run.solver_log.collect(run.data, run.clock.t, state_of(run, run.data.model.layout))
+        if reason in (SOLVER_CHANGED, GUARD_FIRED) and run.clock.reports:
+            log_reports(run.data, run.stepping, run.clock, run.log)
+            if run.data.arrays.status.failed:
+                reason = CALLBACK_FAILED
         return reason, fault
 
     def observe(self, row: np.ndarray) -> int:

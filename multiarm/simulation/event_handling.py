@@ -17,24 +17,23 @@ from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
-from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.failures import failure_text, require_ok
 from multiarm.dynamics.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.event_detection import (
-    GuardValues,
     closed_constraints,
-    first_event,
     off_patch_constraints,
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.kernels import start_guards
+from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
+from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import gains
@@ -135,8 +134,9 @@ class EventHandler:
         """Locate the first event in the last step, and let the loop stop there."""
         numbers, guards, t = self.mode.arrays.numbers, self.mode.guards, run.clock.t
         begin, end = numbers.begin, numbers.end
-        struct = run.data.struct
-        probe = GuardValues(struct, run.stepping.struct, self.mode, begin, end)
+        probe = GuardValues(
+            run.data.struct, run.stepping.struct, write_mode_guards, guards, begin, end
+        )
         theta, changed = first_event(probe, guards.result.copy(), guards.threshold)
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted
@@ -234,9 +234,8 @@ class EventHandler:
         b = bare.arrays
         load_chart(step.z, step.base, b)
         b.time.now = run.clock.t
-        if update_kinematics(bare.struct) != OK:
-            bare.reraise()
-        update_rows(self.modes.full.struct)
+        require_ok(bare, update_kinematics(bare.struct))
+        require_ok(self.modes.full, update_rows(self.modes.full.struct))
 
     def _of_guards(self, pending: Pending) -> tuple[np.ndarray, np.ndarray]:
         """Kinds and constraints of the guards of an event."""

@@ -25,12 +25,12 @@ from typing import Literal
 import numpy as np
 
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.evaluation import Evaluation, failure_text
+from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.distribution import ForceFamily, forces_for, smallest_load
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.bounds import RANK_TOLERANCE
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
@@ -124,16 +124,13 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
 def _contact_matrices(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
     """``W_o`` (6, N) and ``W`` (n, N) of all rows, open ones too."""
     data.set_state(0.0, state)
-    status = update_kinematics(data.struct)
-    if status != OK:
-        data.reraise()
-        raise SolverError(failure_text(data, status))
+    require_ok(data, update_kinematics(data.struct))
     layout = data.model.layout
     W = np.zeros((layout.joints, layout.contacts))
     for i in range(len(layout.names)):
         joints, rows = slice(*layout.dofs[i : i + 2]), slice(*layout.rows[i : i + 2])
         shape = joints.stop - joints.start, rows.stop - rows.start
-        W[joints, rows] = data.work.Y[i, : shape[0], : shape[1]]
+        W[joints, rows] = data.work.W[i, : shape[0], : shape[1]]
     return data.arrays.Wo.T.copy(), W
 
 

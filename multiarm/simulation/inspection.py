@@ -30,14 +30,12 @@ from multiarm.dynamics.evaluation import (
     Residuals,
     constraint_matrix,
     contact_terms,
-    failure_text,
 )
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
-from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.notation import count_of
@@ -393,7 +391,4 @@ def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
 def _place_at_start(data: Data, system: System) -> None:
     """Write the kinematics of the start into the data."""
     data.set_state(0.0, system.initial_state())
-    status = update_kinematics(data.struct)
-    if status != OK:
-        data.reraise()
-        raise SolverError(failure_text(data, status))
+    require_ok(data, update_kinematics(data.struct))

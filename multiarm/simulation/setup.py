@@ -12,8 +12,8 @@ from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.coordinates import chart_places
-from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -38,6 +38,7 @@ from multiarm.scene import RunSpec
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import causes_of_events, method_fault
+from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS
 
@@ -219,10 +220,11 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         step.stage.gap = settings.gap_tolerance
         _first_slope(task, stepping)
         step.stage.gap = -1.0
-    start_monitors(data.struct, begin)
+    start_monitors(data.struct)
     log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)
+    log_start(data, log, begin)
     if settings.adaptive:
         first_length = _first_length(task, stepping)
     step.stage.evaluations = 0  # statistics begin with the first step
@@ -344,7 +346,7 @@ def _place(task: Task, step: Step) -> tuple[State, StartReport]:
         if task.spec.stabilization.kind == "projection":
             begin, report = project_start(data, system.scene, task.state)
     place_state(data, task.begin, begin)
-    _require(update_kinematics(data.struct), data)
+    require_ok(data, update_kinematics(data.struct))
     begin_chart(data.struct, step.base, step.z)
     return begin, report
 
@@ -361,13 +363,7 @@ def _evaluate_start(task: Task, stepping: Stepping) -> None:
 def _first_slope(task: Task, stepping: Stepping) -> None:
     """Evaluate the beginning; a failure there is an error, not a result."""
     step = stepping.step
-    _require(write_slope(stepping.struct, task.begin, step.z, step.slope), task.data)
-
-
-def _require(status: int, data: Data) -> None:
-    if status != OK:
-        data.reraise()
-        raise SolverError(failure_text(data, status))
+    require_ok(task.data, write_slope(stepping.struct, task.begin, step.z, step.slope))
 
 
 def _first_length(task: Task, stepping: Stepping) -> float:

@@ -11,6 +11,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.status import OK
 from multiarm.results.event_log import EventLog
 
 LOSES_DIRECTION, HAS_IT_AGAIN = "loses a direction", "has it again"
@@ -41,7 +42,8 @@ class SolverLog:
             in_words = self._added < 100  # a description takes as long as many steps
             if in_words:
                 data.move_to(state)  # the kinematics in the data may be those of another state
-                update_kinematics(data.struct)
+                # a callback that fails here ends the run at the next step
+                in_words = update_kinematics(data.struct) == OK
             other = changed[lost[changed] != self._lost[changed]] if in_words else []
             words = lost_motions(data, [data.model.arm_names[i] for i in other])
             for i in map(int, changed):
@@ -89,6 +91,6 @@ def _nearest(data: Data, i: int) -> str:
     work, d = data.work, data.model.layout.dofs[i + 1] - data.model.layout.dofs[i]
     m = data.model.layout.rows[i + 1] - data.model.layout.rows[i]
     inertia = read_inertia(data.arrays.pointers[i], d)
-    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.Y[i, :d, :m])
+    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))

@@ -21,6 +21,7 @@ from multiarm.arms.arm import Arm
 from multiarm.contacts.kernel import GAP
 from multiarm.control.laws import harmonic, unpack_harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.joint_damping import JointDamping
@@ -293,7 +294,7 @@ def largest_gap(system: System, state: State) -> float:
     """Largest gap of a contact [m]."""
     with system.borrow() as data:
         data.set_state(0.0, state)
-        update_kinematics(data.struct)
+        require_ok(data, update_kinematics(data.struct))
         return float(np.max(np.abs(data.arrays.contacts[:, GAP]), initial=0.0))
 
 

@@ -119,7 +119,7 @@ class Point:
     gap_rate_m_per_s: float | None = None
     energy_J: float | None = None  # largest error of the energy balance
     used: str = ""  # the integrator, where the program chose it
-    motion: Motion | None = None  # until the errors are those from the checked reference
+    course: Motion | None = None  # until the errors are those from the checked reference
 
     def error(self, quantity: str) -> float | None:
         """The error of a quantity (``reference.QUANTITIES``); None where there is no result."""
@@ -129,10 +129,10 @@ class Point:
 
     def judged(self, reference: Reference) -> Point:
         """The point with its errors, which a first reference tells for the time being."""
-        if self.motion is None:
+        if self.course is None:
             return self
-        errors = self.motion.errors(reference.motion)
-        return replace(self, errors=errors, motion=self.motion if reference.first else None)
+        errors = self.course.errors(reference.motion)
+        return replace(self, errors=errors, course=self.course if reference.first else None)
 
     def again(self, wall_time_s: float | None) -> Point:
         """The point after one more run; the fastest one counts."""
@@ -161,7 +161,7 @@ def run_ours(system: System, setting: Setting, limit_s: float) -> Point:
         gap_rate_m_per_s=float(np.max(run.velocity_drift)),
         energy_J=float(np.max(np.abs(run.energy_balance))),
         used=statistics["integrator"],
-        motion=Motion.of(run),
+        course=Motion.of(run),
     )
 
 
@@ -191,7 +191,7 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Po
         steps=clock.steps,
         evaluations=clock.evaluations,
         gap_m=max(largest_gap(system, sample.state) for sample in samples),
-        motion=Motion(np.array([sample.state.position for sample in samples])),
+        course=Motion(np.array([sample.state.position for sample in samples])),
     )
 
 
@@ -246,7 +246,7 @@ class Study:
             }
             for key, point in self.points.items()
         ]
-        table = pandas.DataFrame(rows).drop(columns=["errors", "motion"])
+        table = pandas.DataFrame(rows).drop(columns=["errors", "course"])
         table = table.astype(dict.fromkeys(NUMBERS, float))
         series = {name: place for place, name in enumerate(table["series"].unique())}
         order = pandas.DataFrame(
@@ -267,7 +267,7 @@ class Study:
             {**vars(point), "setting": point.setting._asdict()} for point in self.points.values()
         ]
         for point in points:
-            del point["motion"]
+            del point["course"]
         about = {key: getattr(self, key) for key in ("scene", "machine", "refusals", "left_out")}
         about["wall_time_s"] = self.wall_time_s
         return plain({**about, "reference": known, "points": points})
@@ -388,7 +388,7 @@ class _Measurement:
             self.report(0.0, 0.0, f"first reference: {setting.text}")
             before = clock()
             point = run_ours(self.system, setting, FIRST_PATIENCE)
-            if point.motion is None:
+            if point.course is None:
                 break
             points.append(point)
             ends = clock() + TIGHTER_TAKES * (clock() - before)
@@ -397,7 +397,7 @@ class _Measurement:
         if len(points) < 2:
             return None
         coarse, fine = points[-2:]
-        assert coarse.motion is not None and fine.motion is not None, "both have a result"
+        assert coarse.course is not None and fine.course is not None, "both have a result"
         assert fine.wall_time_s is not None and fine.steps is not None
         check, about = (
             {
@@ -408,8 +408,8 @@ class _Measurement:
             for point in (coarse, fine)
         )
         self.study.reference = Reference(
-            fine.motion,
-            difference(coarse.motion, fine.motion),
+            fine.course,
+            difference(coarse.course, fine.course),
             self.system.scene.run.duration / max(1, fine.steps),
             fine.wall_time_s,
             {**about, "check": check},

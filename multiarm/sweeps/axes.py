@@ -10,19 +10,20 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.faults import fault, listed, shown
-from multiarm.scene.values import Number, Positive, Spec, number_list
+from multiarm.scene import parse_path
+from multiarm.scene.faults import Parts, fault, shown
+from multiarm.scene.values import Number, OneOf, Positive, Range, Spec, list_of, rising
 
-__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "is_integer", "paths_of", "plain_value"]
+__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "is_integer", "plain_value"]
 
 
 def plain_value(value: Any) -> Any:
@@ -47,100 +48,63 @@ def is_integer(value: Any) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def _integer(least: int, value: Any) -> int:
+def _whole(value: Any) -> Any:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if not is_integer(value):
         raise fault(f"must be a whole number, got {shown(value)}")
-    if value < least:
-        raise fault(f"must be at least {least}, got {value}")
     return int(value)
 
 
 # Values that an axis may have, and its largest whole number: up to there floats are exact.
 MOST_VALUES, LARGEST = 10**6, 2**53
 
-
-Count = Annotated[int, Field(ge=1), BeforeValidator(partial(_integer, 1))]
-NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(partial(_integer, 0))]
-
-
-def items(value: Any) -> list[Any]:
-    """A list of at least one value."""
-    value = plain_value(value)
-    if not isinstance(value, list) or not value:
-        raise fault(f"must be a list of at least one value, got {shown(value)}")
-    return value
+Count = Annotated[int, Field(ge=1), BeforeValidator(_whole)]
+NonNegativeCount = Annotated[int, Field(ge=0), BeforeValidator(_whole)]
+_ValueCount = Annotated[int, Field(ge=1, le=MOST_VALUES), BeforeValidator(_whole)]
+_Whole = Annotated[int, Field(ge=-LARGEST, le=LARGEST), BeforeValidator(_whole)]
+_Spaced = Annotated[
+    tuple[Number, Number, _ValueCount], list_of("must be [first, last, how many]", 3)
+]
 
 
-def spaced(value: Any) -> list[Any]:
-    """First value, last value and number of values."""
-    value = items(value)
-    if len(value) != 3:
-        raise fault(f"must be [first, last, how many], got {shown(value)}")
-    try:
-        count = _integer(1, value[2])
-    except Exception as error:
-        raise fault(f"how many values there are, the third entry, {error}") from None
-    if count > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {count:,}")
-    return [*number_list(value[:2]), count]
+def _exponents(numbers: tuple) -> tuple:
+    if max(abs(numbers[0]), abs(numbers[1])) > 300.0:
+        raise fault(f"are exponents of ten, of at most 300, got {shown(numbers)}")
+    return numbers
 
 
-def exponents(value: Any) -> list[Any]:
-    """First exponent of ten, last one and number of values."""
-    value = spaced(value)
-    if max(abs(value[0]), abs(value[1])) > 300.0:
-        raise fault(f"are exponents of ten, of at most 300, got {shown(value)}")
-    return value
+def _in_ratio(numbers: tuple) -> tuple:
+    """The numbers, of which the first two are bounds of values with equal ratios."""
+    first, last = numbers[:2]
+    if not (first > 0.0 and last > 0.0):
+        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(numbers)}")
+    if not 0.0 < last / first < math.inf:
+        raise fault(f"spans more than floats have room for, got {shown(numbers)}")
+    return numbers
 
 
-def in_ratio(value: list[Any]) -> list[Any]:
-    """The list, whose first two numbers are bounds of values with equal ratios."""
-    if not (value[0] > 0.0 and value[1] > 0.0):
-        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
-    if not 0.0 < value[1] / value[0] < math.inf:
-        raise fault(f"spans more than floats have room for, got {shown(value)}")
-    return value
-
-
-def counted(value: Any) -> list[int]:
-    """Arguments of Python's range."""
-    value = items(value)
-    if len(value) > 3 or not all(map(is_integer, value)):
+def _with_values(arguments: tuple[int, ...]) -> tuple[int, ...]:
+    if len(arguments) not in (1, 2, 3) or arguments[2:] == (0,) or not range(*arguments):
         raise fault(
-            f"must be whole numbers [stop], [start, stop] or [start, stop, step] as Python's range "
-            f"takes them, got {shown(value)}; of other numbers make a 'linspace'"
+            "must be [stop], [start, stop] or [start, stop, step] as Python's range takes them, "
+            f"with at least one value, got {shown(arguments)}"
         )
-    if max(map(abs, value)) > LARGEST:
-        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
-    numbers = () if value[2:] == [0] else range(*value)
-    if len(numbers) > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {len(numbers):,}")
-    if not numbers:
-        raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
-    return value
+    if len(range(*arguments)) > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*arguments)):,}")
+    return arguments
 
 
-def bounds(value: Any) -> list[float]:
-    """The lowest and the highest value."""
-    value = items(value)
-    if len(value) != 2:
-        raise fault(f"must be [lowest, highest], got {shown(value)}")
-    low, high = number_list(value)
-    if not low < high:
-        raise fault(f"the lowest must be below the highest, got {shown(value)}")
-    return [low, high]
-
-
-def whole_bounds(value: Any) -> list[int]:
-    """The lowest and the highest value, both whole numbers."""
-    low, high = bounds(value)
-    if not (low.is_integer() and high.is_integer()):
-        raise fault(f"must be whole numbers, got {shown(value)}; of others make it 'uniform'")
-    if max(abs(low), abs(high)) > LARGEST:
-        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
-    return [int(low), int(high)]
+_WholeRange = Annotated[
+    tuple[_Whole, _Whole],
+    list_of("must be whole numbers [lowest, highest]", 2),
+    AfterValidator(rising),
+]
+_Values = Annotated[
+    list[Any],
+    list_of("must be a list of at least one value", least=1),
+    BeforeValidator(plain_value),
+]
 
 
 class NormalSpec(Spec):
@@ -192,7 +156,7 @@ QUANTILES: dict[str, Callable[[Any, float], Any]] = {
 """Kinds whose values are random: the quantile Q(u), a share u in (0, 1) of all values is below."""
 
 
-class AxisSpec(Spec):
+class AxisSpec(OneOf):
     """The values of an axis; exactly one of these keys.
 
     Attributes
@@ -219,40 +183,23 @@ class AxisSpec(Spec):
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
-    values: Annotated[list[Any] | None, BeforeValidator(items)] = None
-    linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None
-    logspace: Annotated[list[Any] | None, BeforeValidator(exponents)] = None
-    geomspace: Annotated[
-        list[Any] | None, BeforeValidator(lambda value: in_ratio(spaced(value)))
-    ] = None
-    range: Annotated[list[int] | None, BeforeValidator(counted)] = None
-    rows: Annotated[list[Any] | None, BeforeValidator(items)] = None
-    uniform: Annotated[list[float] | None, BeforeValidator(bounds)] = None
-    loguniform: Annotated[
-        list[float] | None, BeforeValidator(lambda value: in_ratio(bounds(value)))
-    ] = None
+    values: _Values | None = None
+    linspace: _Spaced | None = None
+    logspace: Annotated[_Spaced, AfterValidator(_exponents)] | None = None
+    geomspace: Annotated[_Spaced, AfterValidator(_in_ratio)] | None = None
+    range: Annotated[tuple[_Whole, ...], AfterValidator(_with_values)] | None = None
+    rows: _Values | None = None
+    uniform: Range | None = None
+    loguniform: Annotated[Range, AfterValidator(_in_ratio)] | None = None
     normal: NormalSpec | None = None
     lognormal: LogNormalSpec | None = None
-    integers: Annotated[list[int] | None, BeforeValidator(whole_bounds)] = None
-    choice: Annotated[list[Any] | None, BeforeValidator(items)] = None
-
-    @model_validator(mode="after")
-    def _one_of_them(self) -> Self:
-        known = type(self).model_fields
-        keys = [key for key in known if key in self.model_fields_set]
-        if len(keys) != 1:
-            raise fault(
-                f"must be a list of values or a table with one of {', '.join(known)}; got "
-                f"{listed(keys) if keys else 'nothing'}"
-            )
-        if self.content is None:
-            raise fault(f"'{self.name}' is empty; write its values after the colon")
-        return self
+    integers: _WholeRange | None = None
+    choice: _Values | None = None
 
     @property
     def name(self) -> str:
-        """The key."""
-        return next(iter(self.model_fields_set))
+        """The key that is there."""
+        return next(name for name, content in self if content is not None)
 
     @property
     def content(self) -> Any:
@@ -277,16 +224,27 @@ class AxisSpec(Spec):
 
     def written(self) -> Any:
         """The axis as in a sweep file."""
-        return self.values if self.values is not None else self.model_dump(exclude_unset=True)
+        written = self.model_dump(mode="json", include={self.name})
+        return written.get("values", written)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Axis:
     """The values of one path of the scene, or of several that vary together."""
 
-    paths: tuple[str, ...]
     written: str  # the key in the sweep file
     spec: AxisSpec
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The paths in the key: one, or several separated by commas."""
+        parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", self.written)
+        return tuple(part.strip() for part in parts)
+
+    @property
+    def parts(self) -> tuple[Parts, ...]:
+        """The keys and numbers of each path."""
+        return tuple(map(parse_path, self.paths))
 
     @property
     def drawn(self) -> bool:
@@ -303,9 +261,3 @@ class Axis:
         value = self.spec.value(place)
         values = value if self.spec.rows is not None else [value] * len(self.paths)
         return dict(zip(self.paths, values, strict=True))
-
-
-def paths_of(key: str) -> tuple[str, ...]:
-    """The paths in a key of ``over``: one, or several separated by commas."""
-    parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", key)
-    return tuple(part.strip() for part in parts)

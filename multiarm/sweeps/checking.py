@@ -10,7 +10,9 @@ from __future__ import annotations
 import re
 from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from multiarm.errors import Fault, MultiarmError, SceneError
 from multiarm.scene import REGISTRIES, NamedCode, Scene, parse_path, value_at
@@ -23,11 +25,9 @@ from multiarm.scene.code import (
 )
 from multiarm.scene.faults import Parts, fault_at, place, shown
 from multiarm.sweeps.axes import Axis
+from multiarm.sweeps.spec import SweepSpec
 
-if TYPE_CHECKING:
-    from multiarm.sweeps.spec import SweepSpec
-
-__all__ = ["axis_faults", "axis_words", "quantity_faults", "sweep_code", "value_faults", "words"]
+__all__ = ["plan_faults", "quantity_faults", "sweep_code", "value_faults", "words"]
 
 # A value that names a function; an address such as package:// has no name after the colon.
 _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
@@ -40,11 +40,13 @@ MOST_RUNS = 1_000_000
 """Of one sweep."""
 
 
-def axis_faults(spec: SweepSpec) -> list[Fault]:
-    """Faults of the axes that do not depend on the scene."""
-    faults = []
-    for axis in spec.axes:
-        faults += [fault_at(("over", axis.written), problem) for problem in _axis_problems(axis)]
+def plan_faults(spec: SweepSpec) -> list[Fault]:
+    """Faults of the axes, and of their combination, that do not depend on the scene."""
+    faults = [
+        fault_at(("over", axis.written), problem)
+        for axis in spec.axes
+        for problem in _axis_problems(axis)
+    ]
     paths = [path for axis in spec.axes for path in axis.paths]
     for path in sorted({path for path in paths if paths.count(path) > 1}):
         faults.append(fault_at(("over", path), "stands twice in the sweep; keep one of the two"))
@@ -65,11 +67,8 @@ def axis_faults(spec: SweepSpec) -> list[Fault]:
             "their number with 'repeat'"
         )
         faults.append(fault_at(("sampling",), problem))
-    count = spec.repeat
-    for axis in steps[:1] if spec.combine == "zip" else steps:
-        count *= axis.count
-    if count > MOST_RUNS:
-        problem = f"makes {count:,} runs; at most {MOST_RUNS:,} are possible"
+    if spec.count > MOST_RUNS:
+        problem = f"makes {spec.count:,} runs; at most {MOST_RUNS:,} are possible"
         faults.append(fault_at(("over",), problem))
     return faults
 
@@ -89,7 +88,7 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[Fault]:
             reason = str(error)
         if reason:
             faults.append(fault_at(("keep",), reason))
-    names = [quantity.name for quantity in spec.quantities()]
+    names = [column.key for column in spec.of_group("quantities")]
     for name in sorted({name for name in names if names.count(name) > 1}):
         problem = f"{name!r} stands twice; give one of them another 'name'"
         faults.append(fault_at(("keep",), problem))
@@ -103,13 +102,10 @@ def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
     used = {*words(scene.model_dump(mode="json"))}
     classes = [(sort, name) for sort in REGISTRIES for name in sort.names() if name not in used]
     for axis in spec.axes:
-        at = ("over", axis.written)
-        texts = axis_words(axis)
+        at, texts = ("over", axis.written), {*words([axis.spec.written(), axis.parts])}
         code += [NamedCode.user_class(at, sort, name) for sort, name in classes if name in texts]
-        for text in sorted(texts):
-            if _FUNCTION.fullmatch(text):
-                function = located(CodeReference(text), scene.folder)
-                code.append(NamedCode.function(at, function))
+        for text in sorted(filter(_FUNCTION.fullmatch, texts)):
+            code.append(NamedCode.function(at, located(CodeReference(text), scene.folder)))
     return code
 
 
@@ -124,27 +120,24 @@ def words(value: Any) -> Iterator[str]:
             yield from words(item)
 
 
-def axis_words(axis: Axis) -> set[str]:
-    """All strings in the paths and values of an axis."""
-    return {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
-
-
 def value_faults(scene: Scene, spec: SweepSpec) -> list[Fault]:
     """Faults of paths and values in a scene, without axes that are faulty whatever the scene.
 
     Of computed values only the first wrong one is reported.
     """
-    axes = tuple(axis for axis in spec.axes if not any(_axis_problems(axis)))
-    faults: dict[tuple[Hashable, ...], Fault] = {}
+    axes = [axis for axis in spec.axes if not any(_axis_problems(axis))]
+    faults: dict[Hashable, Fault] = {}
     for entries in _trials(axes, spec.combine == "zip"):
+        trial = dict(zip(axes, entries, strict=True))
         values: dict[str, Any] = {}
-        for axis, entry in zip(axes, entries, strict=True):
+        for axis, entry in trial.items():
             values |= axis.at(entry)
         try:
             scene.replace(values)
         except SceneError as error:
             for fault in error.faults:
-                faults.setdefault(*_at_its_axis(scene, fault, axes, entries))
+                in_sweep = _in_sweep(scene, fault, trial, values)
+                faults.setdefault((in_sweep.parts, fault.parts), in_sweep)
     return list(faults.values())
 
 
@@ -154,69 +147,58 @@ def _axis_problems(axis: Axis) -> Iterator[str]:
             parse_path(path)
         except SceneError as error:
             yield from (fault.problem for fault in error.faults)
-    if axis.spec.rows is None:
-        return
     width = len(axis.paths)
-    for k, row in enumerate(axis.spec.rows):
+    for k, row in enumerate(axis.spec.rows or ()):
         if not isinstance(row, list) or len(row) != width:
             yield f"rows[{k}] must be a list of {width}, a value for each path, got {shown(row)}"
 
 
-def _trials(axes: tuple[Axis, ...], zipped: bool) -> Iterator[list[Any]]:
+def _trials(axes: list[Axis], zipped: bool) -> Iterator[list[Any]]:
     """Entries of all axes: the first ones, the last ones, and those of each axis in turn."""
-    steps = [k for k, axis in enumerate(axes) if not axis.drawn]
-    shortest = min((axes[k].count for k in steps), default=1)
+    shortest = min((axis.count for axis in axes if not axis.drawn), default=1)
     options: list[list[Any]] = [
         list(TAILS) if axis.drawn else _some(shortest if zipped else axis.count) for axis in axes
     ]
     first = [entries[0] for entries in options]
     yield first
     yield [entries[-1] for entries in options]
-    together = [steps] if zipped and steps else [[k] for k in steps]
-    together += [[k] for k, axis in enumerate(axes) if axis.drawn]
-    for group in together:
-        for entry in options[group[0]][1:]:
-            yield [entry if k in group else default for k, default in enumerate(first)]
+    for k, axis in enumerate(axes):
+        together = [zipped and not (axis.drawn or second.drawn) for second in axes]
+        if True in together[:k]:
+            continue  # tried with an earlier axis
+        for entry in options[k][1:]:
+            yield [entry if j == k or together[j] else default for j, default in enumerate(first)]
 
 
 def _some(count: int) -> list[int]:
     """Indices below the count, evenly spread, with the first and the last."""
-    if count <= TRIED:
-        return list(range(count))
-    return sorted({round(k * (count - 1) / (TRIED - 1)) for k in range(TRIED)})
+    return np.linspace(0, count - 1, min(count, TRIED), dtype=int).tolist()
 
 
-def _at_its_axis(
-    scene: Scene, fault: Fault, axes: tuple[Axis, ...], entries: list[Any]
-) -> tuple[tuple[Hashable, ...], Fault]:
-    """The fault at the place in the sweep that causes a fault of the scene, and a key of it.
-
-    Equal keys are one fault, which several values cause.
-    """
+def _in_sweep(
+    scene: Scene, fault: Fault, trial: Mapping[Axis, Any], values: Mapping[str, Any]
+) -> Fault:
+    """A fault of the scene at the place in the sweep that causes it."""
     where, problem = fault.parts, fault.problem
     causes = [
-        (parse_path(path), axis, entry, path)
-        for axis, entry in zip(axes, entries, strict=True)
-        for path in axis.paths
-        if _meet(parse_path(path), where)
+        (parts, axis, path)
+        for axis in trial
+        for path, parts in zip(axis.paths, axis.parts, strict=True)
+        if parts[: len(where)] == where[: len(parts)]  # one place contains the other
     ]
     if not causes:
-        tried = ", ".join(
-            f"{path} = {shown(value)}"
-            for axis, entry in zip(axes, entries, strict=True)
-            for path, value in axis.at(entry).items()
-        )
-        return (fault,), fault_at(("over",), f"no scene is made by {tried}: {fault}")
-    at, axis, entry, path = max(causes, key=lambda cause: len(cause[0]))
-    written = ("over", axis.written)
-    if len(where) <= len(at) and not _leads_somewhere(scene, path):
-        return (at, problem), fault_at(written, problem)
-    if len(where) > len(at):
-        problem = f"its {place(where[len(at) :], '').removeprefix('.')}: {problem}"
+        tried = ", ".join(f"{path} = {shown(value)}" for path, value in values.items())
+        return fault_at(("over",), f"no scene is made by {tried}: {fault}")
+    parts, axis, path = max(causes, key=lambda cause: len(cause[0]))
+    written: Parts = ("over", axis.written)
+    below = where[len(parts) :]
+    if not below and not _leads_somewhere(scene, path):
+        return fault_at(written, problem)
+    if below:
+        problem = f"its {place(below, '').removeprefix('.')}: {problem}"
     if axis.spec.name == "values":
-        return (at, where, entry), fault_at((*written, entry), problem)
-    value = shown(axis.at(entry)[path])
-    return (at, where), fault_at((*written, axis.spec.name), f"the value {value}: {problem}")
+        return fault_at((*written, trial[axis]), problem)
+    return fault_at((*written, axis.spec.name), f"the value {shown(values[path])}: {problem}")
 
 
 def _leads_somewhere(scene: Scene, path: str) -> bool:
@@ -226,9 +208,3 @@ def _leads_somewhere(scene: Scene, path: str) -> bool:
     except SceneError:
         return False
     return True
-
-
-def _meet(path: Parts, where: Parts) -> bool:
-    """Whether one place contains the other or equals it."""
-    common = min(len(path), len(where))
-    return path[:common] == where[:common]

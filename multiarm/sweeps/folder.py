@@ -2,7 +2,7 @@
 
     x.sweep/
         scene.yaml, sweep.yaml      what was run
-        about.json                  fingerprint, number of runs, columns, versions, files
+        about.json                  what else decides on its numbers: versions, files, functions
         parts/*.parquet             rows of finished runs, in the order in which they ended
 
 The folder is made under a temporary name and renamed.  A writer appends to a part of its own by
@@ -15,124 +15,91 @@ writers do each other no harm.
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 import secrets
 import shutil
-import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import pandas
 import pyarrow as pa
 from pandas.api.types import is_object_dtype
 from pyarrow import parquet
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from multiarm.errors import SweepError
 from multiarm.results.files import atomic_file, resolved
 from multiarm.results.sinks import provenance
-from multiarm.scene.faults import fault, place
-from multiarm.sweeps.plan import SweepPlan
+from multiarm.scene import dump_scene
+from multiarm.scene.faults import counted, place
+from multiarm.sweeps.plan import SweepPlan, program_version
+from multiarm.sweeps.spec import Column, SweepSpec, parse_sweep
 
 if TYPE_CHECKING:
     from multiarm.sweeps.run import Row
 
-__all__ = ["About", "Column", "PartWriter", "create", "is_sweep", "read_about", "read_rows"]
+__all__ = [
+    "PartWriter",
+    "Stored",
+    "create",
+    "is_sweep",
+    "read",
+    "read_rows",
+    "without_mixed_types",
+]
 
-ABANDONED = 3600.0
-"""[s] An unfinished part that is older was left by a writer that was killed."""
 PART_ROWS = 1024
 """Rows of a part, at least, before its writer begins the next one."""
-
-
-class Column(BaseModel):
-    """A column of a sweep's table.
-
-    Attributes
-    ----------
-    name : str
-        In the table; a path or quantity, prefixed if another column has this name.
-    group : str
-        "fixed", "values", "quantities" or "measured"; the last may differ when a run is repeated.
-    key : str
-        The path or the quantity.
-    unit, words : str
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str
-    group: Literal["fixed", "values", "quantities", "measured"]
-    key: str
-    unit: str = ""
-    words: str
-
-
-FIXED = (
-    Column(name="run", group="fixed", key="run", words="number of the run, from 1 on"),
-    Column(name="status", group="fixed", key="status", words="how it ended"),
-    Column(name="message", group="fixed", key="message", words="why it did not complete"),
-)
-MEASURED = (
-    Column(
-        name="wall_time", group="measured", key="wall_time", unit="s", words="time that it took"
-    ),
-    Column(name="worker", group="measured", key="worker", words="computer and process that ran it"),
-)
-_TYPES = {
-    "run": pa.int64(), "status": pa.string(), "message": pa.string(),
-    "wall_time": pa.float64(), "worker": pa.string(),
-}  # fmt: skip
-
-
-def _of_a_table(columns: tuple[Column, ...]) -> tuple[Column, ...]:
-    names = [column.name for column in columns]
-    if len(set(names)) < len(names) or not {*FIXED, *MEASURED}.issubset(columns):
-        raise fault("must have run, status, message, wall_time and worker, and no name twice")
-    return columns
+DIFFERENT_LINES = 6
+"""Of a text, in a message, at most."""
 
 
 class About(BaseModel):
-    """What the folder says of its sweep, besides the texts of scene and sweep."""
+    """What decides on the numbers of the runs, besides the texts of scene and sweep."""
 
     model_config = ConfigDict(frozen=True)
 
     format: Literal["multiarm sweep"] = "multiarm sweep"
-    version: Literal[3] = 3
-    fingerprint: str
-    count: Annotated[int, Field(strict=True, ge=0)]
-    columns: Annotated[tuple[Column, ...], AfterValidator(_of_a_table)]
-    folder: str
+    version: Literal[4] = 4
+    folder: str  # where relative paths of the scene start
     files: dict[str, str]
+    functions: list[str]
     provenance: dict[str, Any]
 
-    def of_group(self, group: str) -> list[Column]:
-        """The columns of a group."""
-        return [column for column in self.columns if column.group == group]
+
+@dataclass(frozen=True)
+class Stored:
+    """The folder of a sweep, and what it says of it."""
+
+    path: Path
+    about: About
+    scene: str
+    text: str
+    spec: SweepSpec
+
+    def differences(self, plan: SweepPlan) -> list[str]:
+        """Differences to a plan that change the motion of its runs."""
+        lines = [
+            *_changed_lines("scene", self.scene, dump_scene(plan.scene)),
+            *_changed_lines("sweep", self.text, plan.spec.text()),
+        ]
+        there, here = self.about.provenance.get("version", "of unknown version"), program_version()
+        if not lines and there != here:
+            lines = [f"it was begun by multiarm {there}, this is {here}"]
+        files = self.about.files.items() ^ plan.files.items()
+        changed = sorted({name for name, _ in files})
+        return [*lines, *(f"the file '{name}' has changed, or is missing" for name in changed)]
 
 
-def columns_of(plan: SweepPlan) -> tuple[Column, ...]:
-    """The columns of a sweep's table."""
-    taken = {column.name for column in (*FIXED, *MEASURED)}
-    values = [
-        Column(
-            name=f"$.{path}" if path in taken else path,
-            group="values", key=path, words="value in the scene",
-        )
-        for path in plan.paths
-    ]  # fmt: skip
-    taken |= {column.name for column in values}
-    quantities = [
-        Column(
-            name=f"quantity {quantity.name}" if quantity.name in taken else quantity.name,
-            group="quantities", key=quantity.name, unit=quantity.unit, words=quantity.words,
-        )
-        for quantity in plan.quantities
-    ]  # fmt: skip
-    return (*FIXED, *values, *quantities, *MEASURED)
+def _changed_lines(what: str, there: str, here: str) -> list[str]:
+    lines = difflib.unified_diff(there.splitlines(), here.splitlines(), n=0, lineterm="")
+    lines = (line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---"))
+    return counted([f"{what}: {line}" for line in lines], DIFFERENT_LINES, "\n").splitlines()
 
 
 def is_sweep(path: Path) -> bool:
@@ -140,7 +107,7 @@ def is_sweep(path: Path) -> bool:
     return (path / "about.json").is_file() and (path / "parts").is_dir()
 
 
-def create(path: Path, plan: SweepPlan) -> About:
+def create(path: Path, plan: SweepPlan) -> None:
     """Make the folder of a sweep, without rows; one that is there is replaced.
 
     Raises
@@ -153,30 +120,31 @@ def create(path: Path, plan: SweepPlan) -> About:
             f"'{path}' exists and is not the folder of a sweep: choose another name, or remove it"
         )
     about = About(
-        fingerprint=plan.fingerprint,
-        count=plan.count,
-        columns=columns_of(plan),
         folder=str(plan.scene.folder),
         files=plan.files,
+        functions=plan.functions,
         provenance={key: value for key, value in provenance("").items() if key != "scene"},
     )
+    texts = {
+        "scene.yaml": dump_scene(plan.scene),
+        "sweep.yaml": plan.spec.text(),
+        "about.json": about.model_dump_json(indent=1),
+    }
     partial = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
     with _on_disk(path):
         try:
             (partial / "parts").mkdir(parents=True)
-            texts = {"scene.yaml": plan.scene_text, "sweep.yaml": plan.text}
-            for name, text in {**texts, "about.json": about.model_dump_json(indent=1)}.items():
+            for name, text in texts.items():
                 (partial / name).write_text(text, encoding="utf-8", errors="surrogateescape")
             if path.exists():
                 shutil.rmtree(path)
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    return about
 
 
-def read_about(path: str | os.PathLike) -> tuple[Path, About, dict[str, str]]:
-    """The folder of a sweep, what it says of it, and the texts of scene and sweep.
+def read(path: str | os.PathLike) -> Stored:
+    """The folder of a sweep, without its rows.
 
     Raises
     ------
@@ -194,12 +162,12 @@ def read_about(path: str | os.PathLike) -> tuple[Path, About, dict[str, str]]:
     if not is_sweep(folder):
         raise SweepError(f"'{folder}' is not the folder of a sweep: it has no 'about.json'")
     try:
-        texts = {
-            name: (folder / f"{name}.yaml").read_text(encoding="utf-8", errors="surrogateescape")
-            for name in ("scene", "sweep")
-        }
-        raw = (folder / "about.json").read_text(encoding="utf-8", errors="surrogateescape")
+        scene, text, raw = (
+            (folder / name).read_text(encoding="utf-8", errors="surrogateescape")
+            for name in ("scene.yaml", "sweep.yaml", "about.json")
+        )
         about = About.model_validate(json.loads(raw))
+        return Stored(folder, about, scene, text, parse_sweep(text))
     except ValidationError as error:
         first = error.errors()[0]
         if first["loc"] in (("format",), ("version",)):
@@ -209,12 +177,28 @@ def read_about(path: str | os.PathLike) -> tuple[Path, About, dict[str, str]]:
                 "(--fresh, in Python resume=False)"
             ) from None
         raise _damaged(folder / "about.json", f"{place(first['loc'])}: {first['msg']}") from None
+    except SweepError as error:
+        raise SweepError(error.faults, source=str(folder / "sweep.yaml")) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise _damaged(folder, str(error)) from error
-    return folder, about, texts
+        raise _damaged(folder, error) from error
 
 
-def read_rows(folder: Path, about: About) -> pandas.DataFrame:
+_TYPES = {
+    "run": pa.int64(), "status": pa.string(), "message": pa.string(),
+    "wall_time": pa.float64(), "worker": pa.string(),
+}  # fmt: skip
+_NULLABLE = {
+    pa.float64(): pandas.Float64Dtype(), pa.string(): pandas.StringDtype(),
+    pa.int64(): pandas.Int64Dtype(),
+}  # fmt: skip
+
+
+def _field(column: Column, type_: pa.DataType | None = None) -> pa.Field:
+    metadata = {"unit": column.unit, "description": column.words, "kind": column.group}
+    return pa.field(column.name, type_ or _TYPES.get(column.name, pa.float64()), metadata=metadata)
+
+
+def read_rows(stored: Stored) -> pandas.DataFrame:
     """The rows of finished runs, in their order, without the values that vary.
 
     Index: run.  Columns: status, message, the quantities, wall_time, worker; a missing entry is
@@ -225,9 +209,9 @@ def read_rows(folder: Path, about: About) -> pandas.DataFrame:
     SweepError
         A part is damaged.
     """
-    schema = _schema(about, {})
+    schema = pa.schema(map(_field, (c for c in stored.spec.columns if c.group != "values")))
     tables = [schema.empty_table()]
-    for part in sorted((folder / "parts").glob("*.parquet")):
+    for part in sorted((stored.path / "parts").glob("*.parquet")):
         try:
             tables.append(parquet.read_table(part, columns=schema.names).cast(schema))
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -237,30 +221,26 @@ def read_rows(folder: Path, about: About) -> pandas.DataFrame:
             ) from error
     rows = pa.concat_tables(tables).to_pandas(types_mapper=_NULLABLE.get)
     rows = rows.drop_duplicates("run").set_index("run").sort_index()
-    if len(rows) and not 1 <= rows.index[0] <= rows.index[-1] <= about.count:
-        raise _damaged(folder, f"its runs are not among 1 to {about.count}")
+    if len(rows) and not 1 <= rows.index[0] <= rows.index[-1] <= stored.spec.count:
+        raise _damaged(stored.path, f"its runs are not among 1 to {stored.spec.count}")
     return rows
 
 
 class PartWriter:
-    """Appends rows to a sweep.
+    """Appends rows to the folder of a plan.
 
-    Parameters
-    ----------
-    folder : Path
-    about : About
-    plan : SweepPlan
-        Its values are written beside the rows where Arrow has a type for them, so that other
-        programs have them too.
+    The values of the runs are written beside the rows where Arrow has a type for them, so that
+    other programs have them too.
     """
 
-    def __init__(self, folder: Path, about: About, plan: SweepPlan) -> None:
-        self._folder, self._plan = folder, plan
-        self._values = {column.key: column.name for column in about.of_group("values")}
-        self._quantities = {column.key: column.name for column in about.of_group("quantities")}
-        types = {self._values[path]: _arrow_type(plan.table[path].tolist()) for path in plan.paths}
-        self._schema = _schema(about, types)
+    def __init__(self, folder: Path, plan: SweepPlan) -> None:
+        self._folder, self._columns = folder, plan.spec.columns
+        self._values = {path: _arrow(plan.table[path].tolist()) for path in plan.paths}
         self._writer, self._number = secrets.token_hex(4), 0
+        self._schema = pa.schema(
+            _field(column, self._values[column.key].type if column.group == "values" else None)
+            for column in self._columns
+        )
         self._part = self._schema.empty_table()
 
     def append(self, rows: Sequence[Row]) -> None:
@@ -281,72 +261,40 @@ class PartWriter:
             self._number, self._part = self._number + 1, self._schema.empty_table()
 
     def _written(self, row: Row) -> dict[str, Any]:
-        values = self._plan.table.loc[row.run]
-        written = {column.name: getattr(row, column.key) for column in (*FIXED, *MEASURED)}
-        written |= {name: row.quantities[key] for key, name in self._quantities.items()}
-        for path, name in self._values.items():
-            as_text = pa.types.is_string(self._schema.field(name).type)
-            written[name] = str(values[path]) if as_text else values[path]
-        return written
+        values = {path: array[row.run - 1].as_py() for path, array in self._values.items()}
+        facts = vars(row)
+        cells = {"fixed": facts, "values": values, "quantities": row.quantities, "measured": facts}
+        return {column.name: cells[column.group].get(column.key) for column in self._columns}
 
 
 def without_mixed_types(table: pandas.DataFrame) -> pandas.DataFrame:
     """The table with texts in columns for whose values Arrow has no type."""
-    mixed = {
-        name: table[name].map(str)
+    columns = {
+        name: _arrow(table[name].tolist()).to_pylist()
         for name in table
-        if is_object_dtype(table[name]) and pa.types.is_string(_arrow_type(table[name]))
+        if is_object_dtype(table[name])
     }
-    return table.assign(**mixed)
+    return table.assign(**columns)
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove what killed writers have left of parts; live ones write theirs in a moment."""
-    for partial in (folder / "parts").glob(".*.part"):
-        with suppress(FileNotFoundError):
-            if partial.stat().st_mtime < time.time() - ABANDONED:
-                partial.unlink()
-
-
-_NULLABLE = {
-    pa.float64(): pandas.Float64Dtype(), pa.string(): pandas.StringDtype(),
-    pa.int64(): pandas.Int64Dtype(),
-}  # fmt: skip
-
-
-def _schema(about: About, values: Mapping[str, pa.DataType]) -> pa.Schema:
-    """The columns of a part, with unit and description; of the varied values those given."""
-    return pa.schema(
-        pa.field(
-            column.name,
-            _TYPES.get(column.name) or values.get(column.name, pa.float64()),
-            metadata={"unit": column.unit, "description": column.words, "kind": column.group},
-        )
-        for column in about.columns
-        if column.group != "values" or column.name in values
-    )
-
-
-def _arrow_type(values: Iterable[Any]) -> pa.DataType:
-    """The type that leaves values as they are; text where there is none."""
-    values = list(values)
+def _arrow(values: list[Any]) -> pa.Array:
+    """The values in the type that leaves them as they are; as texts where there is none."""
     try:
         array = pa.array(values)
+        kind = array.type
+        while pa.types.is_list(kind):
+            kind = kind.value_type
+        exact = pa.types.is_primitive(kind) or pa.types.is_string(kind)
+        if exact and array.to_pylist() == values:
+            return array
     except (pa.ArrowException, OverflowError):
-        return pa.string()
-    kind = array.type
-    while pa.types.is_list(kind):
-        kind = kind.value_type
-    exact = pa.types.is_primitive(kind) or pa.types.is_string(kind)
-    return array.type if exact and array.to_pylist() == values else pa.string()
+        pass
+    return pa.array(map(str, values))
 
 
 def _write_whole(path: Path, table: pa.Table) -> None:
     """Write a part under a temporary name, force it to the disk, and replace the earlier part."""
-    with (
-        atomic_file(path, path.with_name(f".{path.name}.part")) as partial,
-        partial.open("wb") as file,
-    ):
+    with atomic_file(path) as partial, partial.open("wb") as file:
         parquet.write_table(table, file)
         file.flush()
         os.fsync(file.fileno())
@@ -369,7 +317,7 @@ def _on_disk(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _damaged(path: Path, why: str) -> SweepError:
+def _damaged(path: Path, why: object) -> SweepError:
     return SweepError(
         f"'{path}' is damaged or was cut short ({_first_line(why)}): copy it again or repeat the "
         "sweep"

@@ -15,10 +15,10 @@ The last two are SciPy's; every grid point has its own sample, keyed by the seed
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
+import inspect
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,14 +28,15 @@ import numpy as np
 import pandas
 
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import Scene, dump_scene, load_scene
+from multiarm.results.sinks import provenance
+from multiarm.scene import Scene, load_scene
 from multiarm.scene.code import CodeReference
 from multiarm.sweeps.axes import is_integer
-from multiarm.sweeps.checking import axis_faults, axis_words, quantity_faults, value_faults, words
-from multiarm.sweeps.quantities import Quantity
-from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
+from multiarm.sweeps.checking import plan_faults, quantity_faults, value_faults, words
+from multiarm.sweeps.quantities import UserQuantity
+from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 
-__all__ = ["SweepPlan", "make_plan", "plan_of", "program_version", "require_run"]
+__all__ = ["SweepPlan", "make_plan", "program_version"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,6 @@ class SweepPlan:
 
     scene: Scene  # with the sweep's entries of `run`
     spec: SweepSpec
-    quantities: tuple[Quantity, ...]  # outputs of every run, besides its wall time
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -59,23 +59,13 @@ class SweepPlan:
     @property
     def count(self) -> int:
         """Number of runs."""
-        return len(self.table)
-
-    @cached_property
-    def text(self) -> str:
-        """The sweep as canonical YAML."""
-        return self.spec.text()
-
-    @cached_property
-    def scene_text(self) -> str:
-        """The scene as YAML."""
-        return dump_scene(self.scene)
+        return self.spec.count
 
     @cached_property
     def words(self) -> frozenset[str]:
         """All strings in the scene, and in the paths and values of the sweep."""
-        named = words(self.scene.model_dump(mode="json"))
-        return frozenset(named).union(*map(axis_words, self.spec.axes))
+        axes = [[axis.spec.written(), axis.parts] for axis in self.spec.axes]
+        return frozenset(words([self.scene.model_dump(mode="json"), axes]))
 
     @cached_property
     def files(self) -> dict[str, str]:
@@ -84,69 +74,50 @@ class SweepPlan:
         Runs give other numbers when such a file changes.  Robots by name belong to installed
         packages, whose versions are in the provenance.
         """
-        digests: dict[str, str] = {}
-        for text in self.words:
-            name = os.path.expanduser(CodeReference(text).file or text)
-            place = os.path.join(self.scene.folder, name)
-            if os.path.isfile(place):
-                path = Path(place).resolve()
-                digests[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
-        return dict(sorted(digests.items()))
+        names = (os.path.expanduser(CodeReference(text).file or text) for text in self.words)
+        places = (os.path.join(self.scene.folder, name) for name in names)
+        paths = sorted({Path(place).resolve() for place in places if os.path.isfile(place)})
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     @cached_property
-    def fingerprint(self) -> str:
-        """Digest of all that decides on the numbers of the runs.
-
-        Version of the program, scene, sweep, functions, and the files that they name.
-        """
-        parts = [
-            program_version(),
-            self.scene_text,
-            self.text,
-            *(quantity.digest for quantity in self.quantities),
-            *(f"{path} {digest}" for path, digest in self.files.items()),
-        ]
-        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+    def functions(self) -> list[str]:
+        """SHA-256 of the source text of each quantity's function; empty where there is none."""
+        entries = (entry for entry in self.spec.keep if isinstance(entry, UserQuantity))
+        return [_digest(entry.function) for entry in entries]
 
     def values(self, run: int) -> dict[str, Any]:
-        """Path -> value in the scene of a run.
-
-        Raises
-        ------
-        SweepError
-            When there is no such run.
-        """
-        require_run(run, self.count)
+        """Path -> value in the scene of a run; raises a SweepError when there is no such run."""
+        if not is_integer(run) or not 1 <= run <= self.count:
+            raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
         return self.table.loc[run].to_dict()
 
     def scene_of(self, run: int) -> Scene:
-        """The scene of a run.
-
-        Raises
-        ------
-        SweepError
-            When there is no such run.
-        SceneError
-            When its values make no valid scene.
-        """
+        """The scene of a run; raises a SceneError when its values make no valid scene."""
         return self.scene.replace(self.values(run))
+
+
+def _digest(function: Callable | CodeReference) -> str:
+    try:
+        if not isinstance(function, CodeReference):
+            text = inspect.getsource(function)
+        else:
+            text = function.file.read_text(encoding="utf-8") if function.file else ""
+    except (OSError, TypeError, ValueError):
+        return ""  # typed in at a prompt, or made by other means
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def planned_values(spec: SweepSpec) -> pandas.DataFrame:
     """The values of all runs: a row for each, a column for each path."""
-    in_turn = [axis for axis in spec.axes if not axis.drawn]
-    places = [range(axis.count) for axis in in_turn]
-    zipped = spec.combine == "zip" and bool(in_turn)
-    points = list(zip(*places, strict=True)) if zipped else list(itertools.product(*places))
-    quantiles = samples(spec, len(points))
+    counts = [range(axis.count) for axis in spec.axes if not axis.drawn]
+    zipped = spec.combine == "zip" and bool(counts)
+    points = list(zip(*counts, strict=True) if zipped else itertools.product(*counts))
+    grid = np.array(points, dtype=int).reshape(len(points), len(counts))
+    in_turn = iter(np.repeat(grid, spec.repeat, axis=0).T.tolist())
+    quantiles = iter(samples(spec, len(points)).T.tolist())
     columns: dict[str, list[Any]] = {}
     for axis in spec.axes:
-        if axis.drawn:
-            u = quantiles[:, sum(earlier.drawn for earlier in spec.axes[: spec.axes.index(axis)])]
-            rows = [axis.at(share) for share in u.tolist()]
-        else:
-            k = in_turn.index(axis)
-            rows = [axis.at(point[k]) for point in points for _ in range(spec.repeat)]
+        rows = [axis.at(place) for place in next(quantiles if axis.drawn else in_turn)]
         columns |= {path: [row[path] for row in rows] for path in axis.paths}
     runs = pandas.RangeIndex(1, len(points) * spec.repeat + 1, name="run")
     return pandas.DataFrame(columns, index=runs, dtype=object)
@@ -199,15 +170,20 @@ def make_plan(
         of enumerated ones, and the median and both tails of drawn ones.  A run whose scene turns
         out to be invalid later has status "failed".
     """
+    if isinstance(scene, (str, os.PathLike)):
+        scene = load_scene(os.fspath(scene))
     if not isinstance(scene, Scene):
-        scene = load_scene(_path_of(scene))
+        raise SweepError(
+            f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system "
+            "has its scene as `system.scene`)"
+        )
     source = str(over) if isinstance(over, (str, os.PathLike)) else None
     data, folder = read_sweep(over, changes)
     spec, faults = examined(data, folder)
     if spec is not None:
         # a function that is named in Python may lie in any folder
         within = None if source is None or "keep" in changes else folder
-        faults += [*axis_faults(spec), *quantity_faults(spec, within)]
+        faults += [*plan_faults(spec), *quantity_faults(spec, within)]
         try:  # faults of `run` have the same place in the sweep as in the scene
             scene = scene.replace({f"run.{key}": value for key, value in spec.run.items()})
         except SceneError as error:
@@ -215,41 +191,9 @@ def make_plan(
         faults += value_faults(scene, spec)
     if spec is None or faults:
         raise SweepError(faults, source=source)
-    return SweepPlan(scene, spec, spec.quantities())
-
-
-def plan_of(scene: Scene, text: str) -> SweepPlan:
-    """The plan of a stored sweep, from its scene and its text.
-
-    It was checked when it was made; user-defined functions may be missing now.
-
-    Raises
-    ------
-    SweepError
-        When the text was written by another version and cannot be read.
-    """
-    spec = parse_sweep(text)
-    return SweepPlan(scene, spec, spec.quantities())
-
-
-def require_run(run: Any, count: int) -> None:
-    """Raise a SweepError unless this is the number of one of so many runs."""
-    if not is_integer(run) or not 1 <= run <= count:
-        raise SweepError(f"there is no run {run}; runs are 1 to {count}")
+    return SweepPlan(scene, spec)
 
 
 def program_version() -> str:
     """The version of multiarm."""
-    try:
-        return importlib.metadata.version("multiarm")
-    except importlib.metadata.PackageNotFoundError:  # a checkout that is not installed
-        return "not installed"
-
-
-def _path_of(scene: Any) -> Any:
-    if isinstance(scene, (str, os.PathLike)):
-        return scene
-    raise SweepError(
-        f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system has "
-        "its scene as `system.scene`)"
-    )
+    return provenance("")["version"]

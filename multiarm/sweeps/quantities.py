@@ -6,123 +6,133 @@ Built-in quantities are listed in :data:`KNOWN`.  Any user function is another o
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from itertools import groupby
 from numbers import Real
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
 from multiarm.errors import USER_FAULTS
 from multiarm.results.limit_use import largest_shares
-from multiarm.scene.code import CodeReference, load_function
+from multiarm.scene.code import UserFunction, function_text, load_function
 from multiarm.scene.control import quintic
+from multiarm.scene.faults import fault, shown
+from multiarm.scene.values import Spec
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
-__all__ = ["KNOWN", "MEASURED", "Quantity", "digest", "measure"]
+__all__ = ["KNOWN", "MEASURED", "UserQuantity", "measure"]
 
 MEASURED = "wall_time"
 """May be listed among the quantities; every record has it anyway, as it is not reproducible."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One number of every run."""
+def _column(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][\w.\-]*", value):
+        raise fault(
+            f"{shown(value)} cannot name a quantity; use letters, digits, '_', '-' and '.', with "
+            "a letter first (names become columns of tables)"
+        )
+    return value
 
-    name: str
-    unit: str
-    words: str  # description
-    # the user's function, or its place
-    function: Callable[[Trajectory], Any] | CodeReference | None = None
-    key: str | None = None  # of the table that the function returns
-    digest: str = ""  # of the function's source text
+
+Column = Annotated[str, BeforeValidator(_column)]
+
+
+class UserQuantity(Spec):
+    """A user-defined function of a run's trajectory.
+
+    Attributes
+    ----------
+    function : callable or str
+        ``f(trajectory) -> number``, or its place: ``file.py:name``, ``package.module:name``.
+    name : str, optional
+        Of the quantity; by default the function's name.
+    gives : list of str, optional
+        The function returns a table with these names; each is a quantity ``name.entry``.
+    unit, words : str
+        Unit and description of the number.
+    """
+
+    function: UserFunction = Field(description="file.py:name of a function of the trajectory")
+    name: Column | None = None
+    gives: Annotated[tuple[Column, ...], Field(min_length=1)] | None = None
+    unit: str = "1"
+    words: str = ""
+
+    @property
+    def title(self) -> str:
+        """Its name, or that of the function."""
+        last = re.split(r"[:.]", function_text(self.function))[-1]
+        return self.name or re.sub(r"\W", "", last) or "quantity"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its numbers."""
+        if self.gives is None:
+            return (self.title,)
+        return tuple(f"{self.title}.{entry}" for entry in self.gives)
+
+    def numbers(self, trajectory: Trajectory, load: Callable[[Any], Callable]) -> dict[str, float]:
+        """Its numbers of a completed run, by name; raises ValueError where there are none."""
+        try:
+            output = load(self.function)(trajectory)
+        except USER_FAULTS as error:
+            problem = f"quantity {self.title!r} raised {type(error).__name__}: {error}"
+            raise ValueError(problem) from error
+        if self.gives is None:
+            return {self.title: _number(output, self.title)}
+        if not isinstance(output, Mapping):
+            raise ValueError(
+                f"quantity {self.title!r} must give a table of numbers, it gave {output!r:.60}"
+            )
+        if set(output) != set(self.gives):
+            raise ValueError(
+                f"quantity {self.title!r} gave {', '.join(map(str, output)) or 'nothing'}; its "
+                f"'gives' lists {', '.join(sorted(self.gives))}"
+            )
+        return {
+            name: _number(output[entry], f"{self.title} [{entry}]")
+            for name, entry in zip(self.names, self.gives, strict=True)
+        }
 
 
 def measure(
-    quantities: Sequence[Quantity], trajectory: Trajectory
+    keep: Sequence[str | UserQuantity],
+    trajectory: Trajectory,
+    load: Callable[[Any], Callable] = load_function,
 ) -> tuple[dict[str, float | None], str]:
     """The quantities of a completed run by name, and the errors of user-defined functions.
 
-    A number is None where it is not defined for this run, or its function failed.
+    A number is None where it is not defined for this run, or its function failed; ``load`` loads
+    the functions that are named.
     """
     numbers: dict[str, float | None] = {}
     faults = []
-    for function, group in groupby(
-        quantities, lambda quantity: (quantity.function, quantity.digest)
-    ):
-        members = list(group)
-        try:
-            numbers |= _measured(function[0], members, trajectory)
-        except _Fault as fault:
-            faults.append(str(fault))
-            numbers |= dict.fromkeys([quantity.name for quantity in members])
+    for entry in keep:
+        if isinstance(entry, UserQuantity):
+            try:
+                numbers |= entry.numbers(trajectory, load)
+            except ValueError as error:
+                faults.append(str(error))
+                numbers |= dict.fromkeys(entry.names)
+        elif entry != MEASURED:
+            numbers[entry] = KNOWN[entry].function(trajectory)
     return numbers, "; ".join(faults)
-
-
-def digest(function: Callable | str) -> str:
-    """A digest of the function's source text; empty if the text is not available."""
-    try:
-        if isinstance(function, str):
-            file = CodeReference(function).file
-            text = "" if file is None else file.read_text(encoding="utf-8")
-        else:
-            text = inspect.getsource(function)
-    except (OSError, TypeError, ValueError):
-        return ""  # typed in at a prompt, or made by other means
-    return hashlib.sha256(text.encode()).hexdigest()[:16] if text else ""
-
-
-class _Fault(Exception):
-    """An error of a user-defined function."""
-
-
-def _measured(
-    function: Callable | CodeReference | None, members: list[Quantity], trajectory: Trajectory
-) -> dict[str, float | None]:
-    if function is None:
-        return {member.name: KNOWN[member.name].function(trajectory) for member in members}
-    key = members[0].key
-    name = members[0].name if key is None else members[0].name.removesuffix(f".{key}")
-    try:
-        output = _loaded(function, members[0].digest)(trajectory)
-    except USER_FAULTS as error:
-        raise _Fault(f"quantity {name!r} raised {type(error).__name__}: {error}") from error
-    if key is None:
-        return {member.name: _number(output, member.name) for member in members}
-    if not isinstance(output, Mapping):
-        raise _Fault(f"quantity {name!r} must give a table of numbers, it gave {output!r:.60}")
-    keys = {member.key for member in members}
-    if set(output) != keys:
-        raise _Fault(
-            f"quantity {name!r} gave {', '.join(map(str, output)) or 'nothing'}; its 'gives' lists "
-            f"{', '.join(map(str, sorted(map(str, keys))))}"
-        )
-    return {
-        member.name: _number(output[member.key], f"{name} [{member.key}]") for member in members
-    }
 
 
 def _number(value: Any, name: str) -> float:
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     if not isinstance(value, (Real, np.bool_)):
-        raise _Fault(f"quantity {name!r} must give a number, it gave {value!r:.60}")
+        raise ValueError(f"quantity {name!r} must give a number, it gave {value!r:.60}")
     if not math.isfinite(value):
-        raise _Fault(f"quantity {name!r} gave {float(value)}, which is not finite")
+        raise ValueError(f"quantity {name!r} gave {float(value)}, which is not finite")
     return float(value)
-
-
-@lru_cache(maxsize=64)
-def _loaded(function: Callable | CodeReference, _digest: str) -> Callable:
-    """The function; a file with another digest is read again."""
-    return load_function(function)
 
 
 # --- built-in quantities --------------------------------------------------------------------------

@@ -6,7 +6,6 @@ simulated again when it is requested, and is the same bit for bit.
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 import re
@@ -21,14 +20,15 @@ import pandas
 
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.sweeps.folder import About, Column, read_about, read_rows
-from multiarm.sweeps.plan import SweepPlan, plan_of, program_version, require_run
+from multiarm.sweeps.folder import read, read_rows
+from multiarm.sweeps.plan import SweepPlan
+from multiarm.sweeps.spec import Column
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 
-__all__ = ["Failure", "Spread", "Sweep", "SweepSummary", "differences", "load_sweep"]
+__all__ = ["Failure", "Spread", "Sweep", "SweepSummary", "load_sweep"]
 
 
 class Sweep:
@@ -47,9 +47,10 @@ class Sweep:
     """
 
     def __init__(self, path: str | os.PathLike, code: bool = False):
-        self.path, self._about, self._texts = read_about(path)
+        self._stored = read(path)
+        self._rows = read_rows(self._stored)
         self._code = code
-        self._rows = read_rows(self.path, self._about)
+        self.path = self._stored.path
 
     __dir__ = public_names
 
@@ -64,7 +65,7 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of planned runs."""
-        return self._about.count
+        return self._stored.spec.count
 
     @property
     def complete(self) -> bool:
@@ -79,40 +80,39 @@ class Sweep:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns of the table: run, status, message, values, quantities, wall time, worker."""
-        return self._about.columns
+        return self._stored.spec.columns
 
     @property
     def paths(self) -> tuple[str, ...]:
         """Paths in the scene that vary."""
-        return tuple(column.key for column in self._about.of_group("values"))
+        return tuple(column.key for column in self._stored.spec.of_group("values"))
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """Outputs of each run."""
-        return tuple(column.key for column in self._about.of_group("quantities"))
+        return tuple(column.key for column in self._stored.spec.of_group("quantities"))
 
     @property
     def provenance(self) -> Mapping[str, Any]:
         """Version, computer and time of the start."""
-        return dict(self._about.provenance)
+        return dict(self._stored.about.provenance)
 
     @cached_property
     def scene(self) -> Scene:
         """The scene that is varied."""
         from multiarm.scene import parse_scene
 
-        text, folder = self._texts["scene"], self._about.folder
-        return parse_scene(text, folder, self._code)
+        return parse_scene(self._stored.scene, self._stored.about.folder, self._code)
 
     @property
     def text(self) -> str:
         """The sweep as YAML."""
-        return self._texts["sweep"]
+        return self._stored.text
 
     @cached_property
     def plan(self) -> SweepPlan:
         """The plan: values of each run."""
-        return plan_of(self.scene, self.text)
+        return SweepPlan(self.scene, self._stored.spec)
 
     @cached_property
     def status_counts(self) -> dict[str, int]:
@@ -130,7 +130,7 @@ class Sweep:
         values = self.plan.table.loc[self._rows.index]
         complete = values.notna().all()
         table = self._rows.copy()
-        for column in self._about.of_group("values"):
+        for column in self._stored.spec.of_group("values"):
             cells = values[column.key]  # objects: None stays what the sweep gave
             table[column.name] = cells.infer_objects() if complete[column.key] else cells
         table = table.reset_index()
@@ -140,7 +140,7 @@ class Sweep:
 
     def summary(self) -> SweepSummary:
         """How the runs ended and how each quantity spreads."""
-        quantities = self._about.of_group("quantities")
+        quantities = self._stored.spec.of_group("quantities")
         return SweepSummary(
             count=self.count,
             done=len(self),
@@ -185,14 +185,14 @@ class Sweep:
         """
         from multiarm.sweeps.run import simulate_run
 
-        require_run(run, self.count)
-        differs = differences(self._about, self._texts, self.plan)
+        scene = self.scene_of(run)
+        differs = self._stored.differences(self.plan)
         if differs:
             warnings.warn(
                 f"this run may give other numbers than its row has: {'; '.join(differs)}",
                 stacklevel=2,
             )
-        return simulate_run(self.plan, run)
+        return simulate_run(scene, self.plan.spec.certificate)
 
 
 def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
@@ -213,29 +213,6 @@ def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
     return Sweep(path, code)
 
 
-def differences(about: About, texts: Mapping[str, str], plan: SweepPlan) -> list[str]:
-    """Differences between a stored sweep and a plan that change the numbers of runs, as text."""
-    differs = [
-        *_changed_lines("scene", texts["scene"], plan.scene_text),
-        *_changed_lines("sweep", texts["sweep"], plan.text),
-    ]
-    there, here = about.provenance.get("version", "of unknown version"), program_version()
-    if not differs and there != here:
-        differs = [f"it was begun by multiarm {there}, this is {here}"]
-    for name in sorted({*about.files, *plan.files}):
-        if about.files.get(name) != plan.files.get(name):
-            differs.append(f"the file '{name}' has changed, or is missing")
-    return differs
-
-
-def _changed_lines(what: str, there: str, here: str) -> list[str]:
-    lines = difflib.unified_diff(there.splitlines(), here.splitlines(), n=0, lineterm="")
-    changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
-    shown = [f"{what}: {line}" for line in changed[:6]]
-    more = len(changed) - len(shown)
-    return [*shown, f"{what}: and {count_of(more, 'more line')}"] if more > 0 else shown
-
-
 # --- the summary ----------------------------------------------------------------------------------
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -247,30 +224,21 @@ _NUMBER = re.compile(r"\d[\d.]*(?:e[-+]?\d+)?")
 
 @dataclass(frozen=True)
 class Spread:
-    """Statistics of a quantity over the runs that have it.
+    """Statistics of a quantity over the runs that have it; None if no run has it.
 
-    Attributes
-    ----------
-    name, unit, words : str
-    count : int
-        Runs that have it.
-    smallest, largest, mean : float or None
-        None if no run has it, or it is beyond the range of floats.
-    smallest_run, largest_run : int or None
-        The first runs with these values.
-    quantiles : dict
-        Level, 0 to 1 -> value.
+    A number beyond the range of floats is None too.
     """
 
     name: str
     unit: str
     words: str
-    count: int
+    count: int  # runs that have it
     smallest: float | None = None
-    smallest_run: int | None = None
+    smallest_run: int | None = None  # the first run with this value
     largest: float | None = None
     largest_run: int | None = None
     mean: float | None = None
+    # level, 0 to 1 -> value
     quantiles: dict[float, float | None] = field(default_factory=lambda: dict.fromkeys(LEVELS))
 
 
@@ -286,27 +254,14 @@ class Failure:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """A summary of a sweep.
+    """How the runs of a sweep ended, and how each quantity spreads."""
 
-    Attributes
-    ----------
-    count, done : int
-        Planned and finished runs.
-    statuses : dict
-        Status -> runs.
-    wall_time : float
-        [s] Sum over all runs.
-    spreads : tuple of Spread
-    failures : tuple of Failure
-        Messages of runs that did not complete, at most 8 different ones.
-    """
-
-    count: int
-    done: int
-    statuses: dict[str, int]
-    wall_time: float
+    count: int  # planned runs
+    done: int  # finished ones
+    statuses: dict[str, int]  # status -> runs
+    wall_time: float  # [s] of all runs together
     spreads: tuple[Spread, ...]
-    failures: tuple[Failure, ...]
+    failures: tuple[Failure, ...]  # the first few different messages of runs that did not complete
 
     def figures(self) -> dict[str, Any]:
         """The summary as JSON data."""
@@ -320,8 +275,6 @@ def _spread(cells: pandas.Series, column: Column) -> Spread:
     numbers = cells.dropna().astype(float) + 0.0  # -0.0 becomes 0.0
     if numbers.empty:
         return Spread(column.name, column.unit, column.words, count=0)
-    with np.errstate(invalid="ignore"):  # between infinite values
-        quantiles = np.quantile(numbers, LEVELS).tolist()
     return Spread(
         column.name,
         column.unit,
@@ -331,17 +284,9 @@ def _spread(cells: pandas.Series, column: Column) -> Spread:
         smallest_run=int(numbers.idxmin()),
         largest=_finite(numbers.max()),
         largest_run=int(numbers.idxmax()),
-        mean=_mean(numbers),
-        quantiles=dict(zip(LEVELS, map(_finite, quantiles), strict=True)),
+        mean=_finite(numbers.mean()),
+        quantiles={level: _finite(numbers.quantile(level)) for level in LEVELS},
     )
-
-
-def _mean(numbers: pandas.Series) -> float | None:
-    """The mean, from a sum that is rounded once; None if that exceeds the range of floats."""
-    try:
-        return _finite(math.fsum(numbers) / len(numbers))
-    except (OverflowError, ValueError):  # too large; of infinite values with both signs
-        return None
 
 
 def _failures(rows: pandas.DataFrame) -> tuple[Failure, ...]:

@@ -11,9 +11,11 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
+from uuid import uuid4
 
 from threadpoolctl import threadpool_limits
 
@@ -22,12 +24,12 @@ from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.files import printable
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import REGISTRIES, Scene, parse_scene
-from multiarm.scene.code import is_reference
+from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene
+from multiarm.scene.code import is_reference, load_function
 from multiarm.simulation.certified import INTERRUPTED
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
-from multiarm.sweeps.quantities import Quantity, measure
+from multiarm.sweeps.quantities import UserQuantity, measure
 
 __all__ = ["Context", "Row", "lost_run", "prepare", "run", "simulate_run"]
 
@@ -37,22 +39,22 @@ class Context:
     """What all runs of a sweep share; it is sent to the workers."""
 
     scene: str  # as YAML text
-    quantities: tuple[Quantity, ...]
+    folder: str  # where relative paths of the scene, and of values in it, start
+    keep: tuple[str | UserQuantity, ...]
     certificate: bool  # check runs of some accuracy
     version: str  # of multiarm: another one may give other numbers
     # user classes that were registered in the process that began the sweep, and where
-    classes: tuple[tuple[str, type], ...] = ()
-    folder: str | None = None  # where relative paths of the scene, and of values in it, start
-    # unique to each call of `multiarm.sweep`: files that the scene names may have changed since an
-    # earlier call, whose compiled scene a worker may still hold
-    session: str = ""
+    classes: tuple[tuple[str, type], ...]
+    # a worker may still hold the scene of an earlier sweep, whose files may have changed since
+    session: str = field(default_factory=lambda: uuid4().hex)
 
     @classmethod
-    def of(cls, plan: SweepPlan, session: str = "") -> Context:
+    def of(cls, plan: SweepPlan) -> Context:
         """The context of a plan."""
         return cls(
-            scene=plan.scene_text,
-            quantities=plan.quantities,
+            scene=dump_scene(plan.scene),
+            folder=str(plan.scene.folder),
+            keep=plan.spec.keep,
             certificate=plan.spec.certificate,
             version=program_version(),
             classes=tuple(
@@ -61,37 +63,19 @@ class Context:
                 for name, kind in registry.registered.items()
                 if name in plan.words and not is_reference(name)  # files are read by each worker
             ),
-            folder=str(plan.scene.folder),
-            session=session,
         )
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a sweep stores of one run.
+    """What a sweep stores of one run."""
 
-    Attributes
-    ----------
-    run : int
-        Its number, from 1 on.
-    status : str
-        "completed" or "failed", the latter also if a user-defined quantity raised an error.
-    message : str
-        Why it did not complete.
-    quantities : dict
-        Name -> number; None if the run failed, or where the quantity is not defined.
-    wall_time : float
-        [s]
-    worker : str
-        Computer and process.
-    """
-
-    run: int
-    status: str
-    message: str
-    quantities: dict[str, float | None]
-    wall_time: float
-    worker: str
+    run: int  # its number, from 1 on
+    status: str  # "completed" or "failed", the latter also if a user's quantity raised an error
+    message: str  # why it did not complete
+    quantities: dict[str, float | None]  # by name; none of a run that could not be measured
+    wall_time: float  # [s]
+    worker: str  # computer and process
 
 
 def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
@@ -104,74 +88,96 @@ def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
     KeyboardInterrupt
         When Ctrl-C was pressed: a part of a run is no result.
     """
-    here = program_version()
-    if context.version != here:
-        raise SweepError(
-            f"worker {_worker()} has multiarm {here}, the sweep was begun by "
-            f"{context.version}; install the same version everywhere: others may give other numbers"
-        )
-    prepare(context)  # loads the libraries whose threads are limited below
+    base = prepare(context)  # loads the libraries whose threads are limited below
     began = time.perf_counter()
     numbers: dict[str, float | None] = {}
     try:
         with threadpool_limits(1):  # workers share the processors already
-            trajectory = _simulated(context, values)
+            trajectory = _simulated(context, base, values)
         status, message = trajectory.status, trajectory.message
         if status == "completed":
-            numbers, fault = measure(context.quantities, trajectory)
+            numbers, fault = measure(context.keep, trajectory, base.load)
             status, message = ("failed", fault) if fault else (status, message)
     except MultiarmError as error:
         status, message = "failed", f"the run could not begin: {error}"
     except USER_FAULTS as error:  # user-defined functions and effects may raise anything
         status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
     wall_time = time.perf_counter() - began
-    return _row(context, number, status, message, numbers, wall_time, _worker())
+    return Row(number, status, printable(message), numbers, wall_time, _worker())
 
 
-def lost_run(context: Context, number: int) -> Row:
+def lost_run(number: int) -> Row:
     """The row of a run whose workers died every time."""
     message = (
         "its worker died every time: the process was ended, by lack of memory perhaps, or broke "
         "down in compiled code"
     )
-    return _row(context, number, "failed", message, {}, 0.0, "")
+    return Row(number, "failed", message, {}, 0.0, "")
 
 
-def _row(
-    context: Context, number: int, status: str, message: str,
-    numbers: Mapping[str, float | None], wall_time: float, worker: str,
-) -> Row:  # fmt: skip
-    quantities = {quantity.name: numbers.get(quantity.name) for quantity in context.quantities}
-    return Row(number, status, printable(message), quantities, wall_time, worker)
-
-
-def simulate_run(plan: SweepPlan, number: int) -> Trajectory:
-    """Simulate one run of a plan as a worker does; returns all samples.
+def simulate_run(scene: Scene, certificate: bool) -> Trajectory:
+    """Simulate the scene of a run as a worker does; returns all samples.
 
     Raises
     ------
     MultiarmError
         When it cannot begin.
     """
-    # not cached: files that it names may have changed
-    system = compile_system(plan.scene_of(number))
+    system = compile_system(scene)
     with threadpool_limits(1):
-        return simulate(system, certificate=plan.spec.certificate)
+        return simulate(system, certificate=certificate)
 
 
-def prepare(context: Context) -> None:
+@dataclass(frozen=True)
+class Base:
+    """What a worker makes its runs from."""
+
+    session: str
+    scene: Scene
+    system: System | None  # None if it compiles only with a run's values
+    load: Callable[[Any], Callable]  # of functions that are named, once each
+
+
+# Clusters run several threads in a process, and the arrays of a system serve one thread.
+_memory = threading.local()
+
+
+def prepare(context: Context) -> Base:
     """Compile the scene of a sweep in this process and load the libraries of a run.
 
     Raises
     ------
     SceneError
         When the scene cannot be read here.
+    SweepError
+        When this worker has another version of multiarm.
     """
-    _base(context)
+    base: Base | None = getattr(_memory, "base", None)
+    if base is not None and base.session == context.session:
+        return base
+    here = program_version()
+    if context.version != here:
+        raise SweepError(
+            f"worker {_worker()} has multiarm {here}, the sweep was begun by "
+            f"{context.version}; install the same version everywhere: others may give other numbers"
+        )
+    registries = {registry.group: registry for registry in REGISTRIES}
+    for group, kind in context.classes:
+        registries[group].add(kind)
+    scene = parse_scene(context.scene, context.folder)
+    system: System | None = None
+    try:
+        system = compile_system(scene)
+        # compiles or loads whatever the first use of it needs
+        short = min(scene.run.duration, scene.run.output_step)
+        _raise_interrupt(simulate(system, short, certificate=False))
+    except USER_FAULTS:
+        pass  # every run that has this fault reports it
+    _memory.base = Base(context.session, scene, system, cache(load_function))
+    return _memory.base
 
 
-def _simulated(context: Context, values: Mapping[str, Any]) -> Trajectory:
-    base = _base(context)
+def _simulated(context: Context, base: Base, values: Mapping[str, Any]) -> Trajectory:
     system = compile_system(base.scene.replace(values), like=base.system)
     trajectory = simulate(system, certificate=context.certificate)
     _raise_interrupt(trajectory)
@@ -187,39 +193,6 @@ def _raise_interrupt(trajectory: Trajectory) -> None:
     """Raise if Ctrl-C ended the run: then there is no result."""
     if trajectory.status == INTERRUPTED:
         raise KeyboardInterrupt
-
-
-@dataclass(frozen=True)
-class _Base:
-    """The scene of a sweep and its system; None if it compiles only with a run's values."""
-
-    scene: Scene
-    system: System | None
-
-
-# The scene that a worker compiled last.  Clusters run several threads in a process, and the arrays
-# of a system serve one thread.
-_memory = threading.local()
-
-
-def _base(context: Context) -> _Base:
-    """The compiled scene; a short run compiles or loads whatever the first use of it needs."""
-    key = context.scene, context.session, context.classes
-    if getattr(_memory, "key", None) == key:
-        return _memory.base
-    registries = {registry.group: registry for registry in REGISTRIES}
-    for group, kind in context.classes:
-        registries[group].add(kind)
-    scene = parse_scene(context.scene, context.folder)
-    system: System | None = None
-    try:
-        system = compile_system(scene)
-        short = min(scene.run.duration, scene.run.output_step)
-        _raise_interrupt(simulate(system, short, certificate=False))
-    except USER_FAULTS:
-        pass  # every run that has this fault reports it
-    _memory.key, _memory.base = key, _Base(scene, system)
-    return _memory.base
 
 
 def _worker() -> str:

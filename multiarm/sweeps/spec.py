@@ -5,29 +5,31 @@ This module checks the text only; :mod:`multiarm.sweeps.checking` checks it agai
 
 from __future__ import annotations
 
+import math
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import yaml
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 
 from multiarm.errors import Fault, SceneError, SweepError
-from multiarm.scene import STEPS_CHOSEN_BY, function_text
-from multiarm.scene.code import UserFunction, located
+from multiarm.scene import STEPS_CHOSEN_BY
+from multiarm.scene.code import located
 from multiarm.scene.faults import explain, fault, fault_at, shown, unknown
 from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import Spec
-from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
-from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity, digest
+from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, plain_value
+from multiarm.sweeps.quantities import KNOWN, MEASURED, UserQuantity
 
 __all__ = [
     "DEFAULT_KEEP",
+    "ENDING",
+    "FIXED",
+    "Column",
     "QuantityEntry",
     "SweepSpec",
-    "UserQuantity",
     "examined",
     "parse_sweep",
     "read_sweep",
@@ -44,59 +46,12 @@ DEFAULT_KEEP = (
 """Outputs of a sweep that names none."""
 
 
-def _column(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][\w.\-]*", value):
-        raise fault(
-            f"{shown(value)} cannot name a quantity; use letters, digits, '_', '-' and '.', with "
-            "a letter first (names become columns of tables)"
-        )
-    return value
-
-
-Column = Annotated[str, BeforeValidator(_column)]
-
-
-class UserQuantity(Spec):
-    """A user-defined function of a run's trajectory.
-
-    Attributes
-    ----------
-    function : callable or str
-        ``f(trajectory) -> number``, or its place: ``file.py:name``, ``package.module:name``.
-    name : str, optional
-        Of the quantity; by default the function's name.
-    gives : list of str, optional
-        The function returns a table with these names; each is a quantity ``name.entry``.
-    unit, words : str
-        Unit and description of the number.
-    """
-
-    function: UserFunction = Field(description="file.py:name of a function of the trajectory")
-    name: Column | None = None
-    gives: Annotated[tuple[Column, ...], Field(min_length=1)] | None = None
-    unit: str = "1"
-    words: str = ""
-
-    def quantities(self) -> list[Quantity]:
-        """The quantities that the function gives."""
-        function_name = re.sub(
-            r"\W", "", function_text(self.function).rpartition(":")[2].split(".")[-1]
-        )
-        name, text = self.name or function_name or "quantity", digest(self.function)
-        if self.gives is None:
-            return [Quantity(name, self.unit, self.words, self.function, None, text)]
-        return [
-            Quantity(f"{name}.{key}", self.unit, self.words, self.function, key, text)
-            for key in self.gives
-        ]
-
-
 def _entry(value: Any) -> Any:
     """A quantity by name, or a function: a table, the text that names it, or the function."""
+    if callable(value) or (isinstance(value, str) and ":" in value):
+        value = {"function": value}
     if isinstance(value, (Mapping, UserQuantity)):
         return TypeAdapter(UserQuantity).validate_python(value)
-    if callable(value) or (isinstance(value, str) and ":" in value):
-        return TypeAdapter(UserQuantity).validate_python({"function": value})
     if isinstance(value, str) and (value in KNOWN or value == MEASURED):
         return value
     names = [*KNOWN, MEASURED]
@@ -139,6 +94,27 @@ def _plain_table(value: Any) -> Any:
     return plain_value(value)
 
 
+class Column(NamedTuple):
+    """A column of a sweep's table."""
+
+    name: str  # in the table
+    group: str  # fixed, values, quantities, or measured: may differ when a run is repeated
+    key: str  # the path or the quantity
+    unit: str = ""
+    words: str = ""
+
+
+FIXED = (
+    Column("run", "fixed", "run", "", "number of the run, from 1 on"),
+    Column("status", "fixed", "status", "", "how it ended"),
+    Column("message", "fixed", "message", "", "why it did not complete"),
+)
+ENDING = (
+    Column("wall_time", "measured", "wall_time", "s", "time that it took"),
+    Column("worker", "measured", "worker", "", "computer and process that ran it"),
+)
+
+
 class SweepSpec(Spec):
     """A sweep as it is written.
 
@@ -176,18 +152,39 @@ class SweepSpec(Spec):
     @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes, in the order of the file."""
-        return tuple(Axis(paths_of(key), key, spec) for key, spec in self.over.items())
+        return tuple(Axis(key, spec) for key, spec in self.over.items())
 
-    def quantities(self) -> tuple[Quantity, ...]:
-        """The outputs, except the wall time, which every record has anyway."""
-        quantities: list[Quantity] = []
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        counts = [axis.count for axis in self.axes if not axis.drawn]
+        return self.repeat * math.prod(counts[:1] if self.combine == "zip" else counts)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the table; a path or quantity is prefixed if another has its name."""
+        taken = {column.name for column in (*FIXED, *ENDING)}
+        paths = [path for axis in self.axes for path in axis.paths]
+        values = [
+            Column(f"$.{path}" if path in taken else path, "values", path, "", "value in the scene")
+            for path in paths
+        ]
+        taken |= {column.name for column in values}
+        outputs: list[tuple[str, str, str]] = []
         for entry in self.keep:
             if isinstance(entry, UserQuantity):
-                quantities += entry.quantities()
+                outputs += [(name, entry.unit, entry.words) for name in entry.names]
             elif entry != MEASURED:
-                known = KNOWN[entry]
-                quantities.append(Quantity(entry, known.unit, known.words))
-        return tuple(quantities)
+                outputs.append((entry, *KNOWN[entry][:2]))
+        quantities = [
+            Column(f"quantity {key}" if key in taken else key, "quantities", key, unit, words)
+            for key, unit, words in outputs
+        ]
+        return (*FIXED, *values, *quantities, *ENDING)
+
+    def of_group(self, group: str) -> list[Column]:
+        """The columns of a group."""
+        return [column for column in self.columns if column.group == group]
 
     def text(self) -> str:
         """Canonical YAML that :func:`parse_sweep` reads back."""
@@ -201,8 +198,8 @@ class SweepSpec(Spec):
         )
 
 
-def parse_sweep(source: str | Mapping[str, Any], folder: Path | str | None = None) -> SweepSpec:
-    """The sweep that a YAML text or a table describes; paths of functions start at ``folder``.
+def parse_sweep(source: str | Mapping[str, Any]) -> SweepSpec:
+    """The sweep that a YAML text or a table describes.
 
     Raises
     ------
@@ -210,10 +207,9 @@ def parse_sweep(source: str | Mapping[str, Any], folder: Path | str | None = Non
         Naming every fault.
     """
     try:
-        data = parse_yaml(source) if isinstance(source, str) else source
+        spec, faults = examined(parse_yaml(source) if isinstance(source, str) else source)
     except SceneError as error:
         raise SweepError(error.faults) from None
-    spec, faults = examined(data, Path(folder or "."))
     if faults or spec is None:
         raise SweepError(faults)
     return spec
@@ -239,22 +235,29 @@ def read_sweep(
     """
     if source is None or isinstance(source, Mapping):
         data: Any = source or {}
+        folder = Path()
         if data and "over" not in data:
             data = {"over": data}
-        return _with(data, changes), Path()
-    try:
-        text = read_text(source, "sweep")
-    except SceneError as error:
-        raise SweepError(error.faults) from None
-    try:
-        data = parse_yaml(text)
-    except SceneError as error:
-        raise SweepError(error.faults, source=str(source)) from None
-    folder = Path(source).expanduser().parent
-    return _with(data, changes) if isinstance(data, Mapping) else data, folder
+    else:
+        path = None
+        try:
+            text = read_text(source, "sweep")
+            path = str(source)  # where the faults of the text are
+            data = parse_yaml(text)
+        except SceneError as error:
+            raise SweepError(error.faults, source=path) from None
+        folder = Path(source).expanduser().parent
+    if not isinstance(data, Mapping):
+        return data, folder
+    merged = {**data, **changes}
+    old, new = data.get("run"), changes.get("run")
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        replaced = STEPS_CHOSEN_BY if set(STEPS_CHOSEN_BY).intersection(new) else ()
+        merged["run"] = {**{k: v for k, v in old.items() if k not in replaced}, **new}
+    return merged, folder
 
 
-def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[Fault]]:
+def examined(data: Any, folder: Path = Path()) -> tuple[SweepSpec | None, list[Fault]]:
     """The sweep that a table describes, without its faulty parts, and the faults.
 
     The sweep is None if too little is valid. Relative paths of functions start at ``folder``.
@@ -263,37 +266,25 @@ def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[Fault]]:
         keys = ", ".join(SweepSpec.model_fields)
         problem = f"a sweep is a table with the keys {keys}; got {shown(data)}"
         return None, [fault_at((), problem)]
-    folder = folder.expanduser().resolve()
+    faults: list[Fault] = []
     reader = TypeAdapter(SweepSpec)
-    try:
-        return located(reader.validate_python(dict(data)), folder), []
-    except ValidationError as error:
-        faults = explain(error, SweepSpec)
-        valid = _without(data, [details["loc"] for details in error.errors()])
-    try:
-        return located(reader.validate_python(valid), folder), faults
-    except ValidationError:
-        return None, faults
+    for _ in range(2):
+        try:
+            return located(reader.validate_python(data), folder.expanduser().resolve()), faults
+        except ValidationError as error:
+            faults = faults or explain(error, SweepSpec)
+            data = _without(data, [details["loc"] for details in error.errors()])
+    return None, faults
 
 
-def _without(data: Mapping[str, Any], faults: Sequence[Sequence[Any]]) -> dict[str, Any]:
+def _without(data: Mapping[str, Any], places: Sequence[tuple]) -> dict[str, Any]:
     """A sweep's table without its faulty parts: single paths, single quantities, else keys."""
-    places = [tuple(loc) for loc in faults]
-    faulty_keys = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
-    valid = {key: value for key, value in data.items() if key not in faulty_keys}
+    faulty = {at[:2] if at[0] in ("over", "keep") else at[:1] for at in places}
+    valid = {key: value for key, value in data.items() if (key,) not in faulty}
     if isinstance(valid.get("over"), Mapping):
-        bad = {loc[1] for loc in places if loc[0] == "over" and len(loc) > 1}
-        valid["over"] = {k: v for k, v in _by_text(valid["over"]).items() if k not in bad}
+        over = _by_text(valid["over"]).items()
+        valid["over"] = {key: axis for key, axis in over if ("over", key) not in faulty}
     if isinstance(valid.get("keep"), (list, tuple)):
-        wrong = {loc[1] for loc in places if loc[0] == "keep" and len(loc) > 1}
-        valid["keep"] = [entry for k, entry in enumerate(valid["keep"]) if k not in wrong]
+        keep = enumerate(valid["keep"])
+        valid["keep"] = [entry for k, entry in keep if ("keep", k) not in faulty]
     return valid
-
-
-def _with(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    merged = {**data, **changes}
-    old, new = data.get("run"), changes.get("run")
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
-        replaced = STEPS_CHOSEN_BY if set(STEPS_CHOSEN_BY).intersection(new) else ()
-        merged["run"] = {**{k: v for k, v in old.items() if k not in replaced}, **new}
-    return merged

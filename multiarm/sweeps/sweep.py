@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
 from multiarm.results.files import resolved
 from multiarm.scene import Scene
-from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.axes import is_integer
-from multiarm.sweeps.folder import (
-    About,
-    PartWriter,
-    create,
-    is_sweep,
-    read_about,
-    read_rows,
-    remove_unfinished,
-)
+from multiarm.sweeps.folder import PartWriter, Stored, create, is_sweep, read, read_rows
 from multiarm.sweeps.plan import SweepPlan, make_plan
-from multiarm.sweeps.result import Sweep, differences, load_sweep
+from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.terminal.progress import SweepProgress as SweepBar
 from multiarm.terminal.progress import displayed
 
@@ -130,16 +121,14 @@ def sweep(
         # before the folder: if the cluster does not answer, earlier rows must not be lost
         connected(dask) if dask else nullcontext() as client,
     ):
-        folder, about = _folder(out, plan, resume)
-        finished = read_rows(folder, about).index
-        missing = plan.table.index.difference(finished)
-        batches = _rows(plan, missing.tolist(), workers, client)
-        if _fill(PartWriter(folder, about, plan), plan, len(finished), batches, show) == plan.count:
-            remove_unfinished(folder)
-    return load_sweep(folder, code=plan.scene.may_load_code)
+        stored = _folder(out, plan, resume)
+        missing = plan.table.index.difference(read_rows(stored).index).tolist()
+        rows = _rows(plan, missing, workers, client)
+        _fill(PartWriter(stored.path, plan), rows, plan.count - len(missing), plan.count, show)
+    return load_sweep(stored.path, code=plan.scene.may_load_code)
 
 
-def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> tuple[Path, About]:
+def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> Stored:
     """The folder of this sweep, which is made if there is none.
 
     Raises
@@ -149,21 +138,23 @@ def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> tuple[Path
     """
     folder = resolved(out, SweepError)
     if not (resume and is_sweep(folder)):
-        return folder, create(folder, plan)
-    folder, about, texts = read_about(folder)
-    differs = differences(about, texts, plan)
-    if about.fingerprint != plan.fingerprint:
-        lines = "\n  ".join(differs or ["the text of a function that gives a quantity"])
+        create(folder, plan)
+    stored = read(folder)
+    differs = stored.differences(plan)
+    if not differs and stored.about.functions != plan.functions:
+        differs = ["the text of a function that gives a quantity"]
+    if differs:
+        lines = "\n  ".join(differs)
         raise SweepError(
             f"'{folder}' holds another sweep; choose another folder, or begin again in this one "
             f"(--fresh, in Python resume=False). Differences (- there, + here):\n  {lines}"
         )
-    return folder, about
+    return stored
 
 
 def _rows(
     plan: SweepPlan, missing: list[int], workers: int | None, client: Client | None
-) -> Iterator[list[Row]]:
+) -> Iterator[Row]:
     """Rows of the missing runs, as they end."""
     from multiarm.jit.ahead import processors
     from multiarm.sweeps.executors import run_here, run_in_processes, run_on_cluster
@@ -171,7 +162,7 @@ def _rows(
 
     if not missing:
         return iter(())
-    context = Context.of(plan, session=uuid.uuid4().hex)
+    context = Context.of(plan)
     values = plan.table.loc[missing].to_dict("records")
     jobs = list(zip(missing, values, strict=True))
     if client is not None:
@@ -183,29 +174,45 @@ def _rows(
 
 
 def _fill(
-    writer: PartWriter,
-    plan: SweepPlan,
-    done: int,
-    batches: Iterator[list[Row]],
-    show: SweepProgress,
-) -> int:
-    """Append rows to the folder until all are there or Ctrl-C is pressed; returns how many are."""
+    writer: PartWriter, rows: Iterator[Row], done: int, count: int, show: SweepProgress
+) -> None:
+    """Append rows to the folder until all are there or Ctrl-C is pressed.
+
+    A thread writes, since the disk takes some milliseconds: each time all rows that wait.
+    """
     failed = 0
-    try:
-        show(done, plan.count, failed)
-        for rows in batches:
-            with deferred_interrupt() as interrupt:  # not while a part is written
-                writer.append(rows)
-            interrupt.deliver()
-            done += len(rows)
-            failed += sum(row.status != "completed" for row in rows)
-            show(done, plan.count, failed)
-    except KeyboardInterrupt:
-        pass  # the finished runs are in the folder
-    finally:
-        if isinstance(batches, Generator):
-            batches.close()
-    return done
+    waiting: SimpleQueue[Row | None] = SimpleQueue()
+    with ThreadPoolExecutor(1, "multiarm") as pool:
+        writing = pool.submit(_write, writer, waiting)
+        try:
+            show(done, count, failed)
+            for row in rows:
+                waiting.put(row)
+                done += 1
+                failed += row.status != "completed"
+                show(done, count, failed)
+                if writing.done():
+                    break  # the disk is full
+        except KeyboardInterrupt:
+            pass  # the finished runs are kept
+        finally:
+            waiting.put(None)
+            if isinstance(rows, Generator):
+                rows.close()
+    writing.result()
+
+
+def _write(writer: PartWriter, waiting: SimpleQueue[Row | None]) -> None:
+    """Append rows until None comes."""
+    last = False
+    while not last:
+        arrived = [waiting.get()]
+        while not waiting.empty():
+            arrived.append(waiting.get())
+        rows = [row for row in arrived if row is not None]
+        last = len(rows) < len(arrived)
+        if rows:
+            writer.append(rows)
 
 
 MOST_WORKERS = 1000

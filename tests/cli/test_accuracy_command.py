@@ -123,7 +123,6 @@ def test_a_terminal_shows_the_recommendation_so_far(monkeypatch):
     [
         ((), "Missing argument 'SCENE'"),
         ((SCENE, "--plot", "x.gif"), "--plot: 'x.gif' ends in none of .png, .svg, .pdf"),
-        ((SCENE, "--html", "nowhere/page.html"), "--html: cannot write"),
         ((SCENE, "--duration", "-1"), "duration"),
     ],
 )

@@ -398,7 +398,6 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
     ("words", "message"),
     [
         (("nowhere.yaml",), "no scene file at"),
-        (("SCENE", "--plot", "x.gif"), "--plot: 'x.gif' ends in none of .png, .svg, .pdf"),
         (("SCENE", "--html", "nowhere/page.html"), "--html: cannot write"),
         (("SCENE", "--json", "SCENE"), "is the file that is read"),
         (("SCENE", "--duration", "-1"), "duration"),

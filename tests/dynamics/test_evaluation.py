@@ -63,7 +63,7 @@ def other_state(system):
 def overwrite(system) -> None:
     """Leave nothing in the arrays that an evaluation writes."""
     data = data_of(system)
-    for array in (*data.arrays, *data.coupled, data.work.L, data.work.Y):
+    for array in (*data.arrays, *data.coupled, data.work.M, data.work.W):
         if isinstance(array, np.ndarray) and array is not data.arrays.pointers:
             array[:] = 0 if array.dtype == np.int64 else np.nan
     addresses = data.arrays.functions.struct.copy()

@@ -204,7 +204,7 @@ def test_only_the_arms_asked_for_are_looked_at():
 
 def test_words_for_a_null_vector_are_those_of_the_lost_direction():
     data = ur5(STRETCHED)
-    W = data.work.Y[0, :6, :6]
+    W = data.work.W[0, :6, :6]
     combination = np.linalg.svd(W)[2][-1:].T
     assert describe(data, "arm", combination) == lost_motions(data)["arm"]
     assert describe(data, "arm", -3.0 * combination) == lost_motions(data)["arm"]
@@ -290,7 +290,7 @@ def test_a_regular_posture_is_far_from_the_tolerance():
         object={"shape": {"sphere": 0.1}, "mass": 1.0},
     )  # fmt: skip
     data = placed(scene)
-    W = data.work.Y[0, :7, :6]
+    W = data.work.W[0, :7, :6]
     weakest = np.linalg.svd(W)[2][-1:].T
     assert lost_motions(data) == {"arm": ()}
     assert np.linalg.norm(W @ weakest) > 0.0

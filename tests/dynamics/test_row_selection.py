@@ -76,8 +76,8 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
         np.testing.assert_array_equal(data.arrays.contacts, full.arrays.contacts[rows])
         for k, row in enumerate(rows):
             i = int(np.searchsorted(bounds, row, side="right")) - 1
-            column = data.work.Y[i, : dofs[i + 1] - dofs[i], k - data.work.rows[i]]
-            expected = full.work.Y[i, : dofs[i + 1] - dofs[i], row - bounds[i]]
+            column = data.work.W[i, : dofs[i + 1] - dofs[i], k - data.work.rows[i]]
+            expected = full.work.W[i, : dofs[i + 1] - dofs[i], row - bounds[i]]
             np.testing.assert_allclose(column, expected, rtol=1e-14, atol=1e-15)
     assert alone > 0
 

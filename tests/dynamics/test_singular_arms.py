@@ -74,8 +74,8 @@ def eliminated(system):
     work = make_work(dofs, rows, [np.full(d, lever) for d in dofs])
     coupled = make_coupled(dofs, rows)
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
-        work.L[i, : dofs[i], : dofs[i]] = M
-        work.Y[i, : dofs[i], : rows[i]] = W
+        work.M[i, : dofs[i], : dofs[i]] = M
+        work.W[i, : dofs[i], : rows[i]] = W
     h, c = np.concatenate(system.h), np.concatenate(system.c)
     found = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
     status = solve_batched(work, object_rows(system), system.M_o, system.h_o, h, c, *found)

@@ -69,7 +69,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "scipy": (
         "contacts.unilateral",
         "grasp",
-        "events.event_detection",
+        "integration.event_location",
         "control.recorded",
         "dynamics.solver.dense",
         "assembly.collisions",

@@ -27,7 +27,7 @@ def test_guards_are_located_with_the_gains_of_the_step_in_which_they_fired(dry, 
     differences, first_event = [], event_handling.first_event
 
     def compare(values, results, levels):
-        checked = values._mode.guards.value.copy()
+        checked = values._guards.value.copy()
         differences.append(np.max(np.abs(values(1.0) - checked)) / np.max(np.abs(checked)))
         return first_event(values, results, levels)
 

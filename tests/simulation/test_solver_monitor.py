@@ -23,6 +23,7 @@ import multiarm as ma
 from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.residuals import constraint_residual
 from multiarm.dynamics.solver.bounds import (
     COUPLED_BELOW,
     LOST,
@@ -30,7 +31,6 @@ from multiarm.dynamics.solver.bounds import (
     REGAINED,
     RESIDUAL_BOUND,
 )
-from multiarm.dynamics.solver_monitor import constraint_residual
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import kernel
 from multiarm.problems import HARD_CASES, loops

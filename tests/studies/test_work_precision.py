@@ -414,7 +414,7 @@ class World:
         motion.positions[:, 0] += error
         return Point(
             about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853",
-            motion=motion,
+            course=motion,
         )  # fmt: skip
 
     def reference(self, *_) -> Reference:

@@ -34,8 +34,8 @@ def solve_by_node(system):
     dofs, rows = [m.shape[0] for m in system.M], [w.shape[1] for w in system.W]
     work = make_work(dofs, rows)
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
-        work.L[i, : dofs[i], : dofs[i]] = M
-        work.Y[i, : dofs[i], : rows[i]] = W
+        work.M[i, : dofs[i], : dofs[i]] = M
+        work.W[i, : dofs[i], : rows[i]] = W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
     q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
     h, c = np.concatenate(system.h), np.concatenate(system.c)

@@ -140,7 +140,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
     dofs, rows = np.diff(work.dofs), work.rows
     size = float(np.max(np.linalg.norm(b.Wo[:, 3:], axis=1)))
     W_o = [b.Wo[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
-    W = [work.Y[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
+    W = [work.W[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     system = System(
         M_o=b.inertia.copy(), h_o=b.h_o.copy(),
         M=[read_inertia(data_of(compiled).arrays.pointers[i], d) for i, d in enumerate(dofs)],

@@ -17,9 +17,10 @@ import numpy as np
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.sweeps.folder import PartWriter, create, is_sweep, read_about, read_rows
-from multiarm.sweeps.plan import SweepPlan, plan_of
+from multiarm.sweeps.folder import PartWriter, create, is_sweep, read, read_rows
+from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.run import Row
+from multiarm.sweeps.spec import parse_sweep
 
 NAMES = ("gap", "force", "never")
 FAILING = 13
@@ -43,7 +44,8 @@ keep:
 
 def stand_in_plan(count: int, seed: int = 3) -> SweepPlan:
     """A plan of so many runs."""
-    return plan_of(ma.load_scene(SCENES / "two_ur5_box.yaml"), TEXT.format(count=count, seed=seed))
+    scene = ma.load_scene(SCENES / "two_ur5_box.yaml")
+    return SweepPlan(scene, parse_sweep(TEXT.format(count=count, seed=seed)))
 
 
 def row_of(run: int, worker: str = "here") -> Row:
@@ -66,8 +68,7 @@ def opened(path: Path, plan: SweepPlan) -> tuple[PartWriter, list[int]]:
     """A writer that goes on with a folder, or begins it, and the runs that are there."""
     if not is_sweep(path):
         create(path, plan)
-    folder, about, _ = read_about(path)
-    return PartWriter(folder, about, plan), read_rows(folder, about).index.tolist()
+    return PartWriter(path, plan), read_rows(read(path)).index.tolist()
 
 
 def write_on(path: Path, plan: SweepPlan, order: int) -> None:

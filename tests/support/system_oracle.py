@@ -113,7 +113,7 @@ def balanced(system: System, loads: Loads) -> bool:
 def load_arms(system: System, work, columns: dict[str, list[np.ndarray]]) -> None:
     """Write the arms' inertias, and matrices of one column a contact, into ``work``."""
     for i, M in enumerate(system.M):
-        work.L[i, : len(M), : len(M)] = M
+        work.M[i, : len(M), : len(M)] = M
         for name, matrices in columns.items():
             getattr(work, name)[i, : len(M), : matrices[i].shape[1]] = matrices[i]
 
@@ -129,12 +129,12 @@ def solve_by_node(system: System) -> NodeSolution:
     dofs, rows = [len(M) for M in system.M], [W.shape[1] for W in system.W]
     work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
     loads, Wo = loads_of(system), np.ascontiguousarray(np.hstack(system.W_o).T)
-    load_arms(system, work, {"Y": system.W})
+    load_arms(system, work, {"W": system.W})
     eliminated = solve_batched(work, Wo, system.M_o, *loads) == OK
     if eliminated and balanced(system, loads):
         return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):
-        load_arms(system, work, {"Y": system.W})
+        load_arms(system, work, {"W": system.W})
         failed = eliminate_arms(work, Wo)
         if failed != OK or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
             raise ValueError("the node algorithm takes an inertia for indefinite")
@@ -160,7 +160,7 @@ def solve_by_reactions(system: System) -> NodeSolution:
     loads = loads_of(system)
     Wo, Wr = (np.ascontiguousarray(np.hstack(W).T) for W in (system.W_o, system.reaction_o))
     for couple_all in (False, True):
-        load_arms(system, work, {"Y": system.W, "Yr": system.reaction})
+        load_arms(system, work, {"W": system.W, "Wr": system.reaction})
         if eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all) >= 0:
             raise ValueError("the form with reactions takes an inertia for indefinite")
         solve_for_reactions(work, Wo, Wr, *loads)

@@ -34,7 +34,7 @@ from sweep_runs import (
 import multiarm as ma
 from multiarm.errors import SweepError
 from multiarm.sweeps import run as runs
-from multiarm.sweeps.executors import CHUNK_TIME, MOST_JOBS, Chunks, run_here, run_in_processes
+from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context, Row, simulate_run
 
@@ -63,13 +63,6 @@ def expected(plan):
     return repeatable(run_here(Context.of(plan), jobs_of(plan)))
 
 
-@pytest.fixture
-def functions(tmp_path):
-    file = tmp_path / "functions.py"
-    file.write_text(FUNCTIONS)
-    return file
-
-
 # --- a run --------------------------------------------------------------------------------------
 
 
@@ -94,7 +87,7 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
             "estimated_error": alone.certificate["estimated_error"]["position_m"],
         }
         assert expected[run - 1] == Row(run, alone.status, alone.message, quantities, 0.0, "")
-        again = simulate_run(plan, run)
+        again = simulate_run(plan.scene_of(run), certificate=True)
         np.testing.assert_array_equal(again.read("object/position"), alone.object_position)
     heights = {row.quantities["final_z"] for row in expected}
     assert len(heights) == 12  # so that a mix-up would be seen
@@ -106,12 +99,11 @@ def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
     assert repeatable(backwards) == expected
     lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
     between = [job for pair in zip(jobs_of(plan), jobs_of(lighter), strict=True) for job in pair]
-    mixed = [
-        runs.run(Context.of(plan if k % 2 == 0 else lighter), *job) for k, job in enumerate(between)
-    ]
+    contexts = Context.of(plan), Context.of(lighter)
+    mixed = [runs.run(contexts[k % 2], *job) for k, job in enumerate(between)]
     assert [same(row) for row in mixed[::2]] == expected
     assert mixed[0].quantities["final_z"] != mixed[1].quantities["final_z"]
-    alone = [runs.run(Context.of(plan, session=str(job[0])), *job) for job in jobs_of(plan, [1, 2])]
+    alone = [runs.run(Context.of(plan), *job) for job in jobs_of(plan, [1, 2])]
     assert list(map(same, alone)) == expected[:2]
 
 
@@ -119,7 +111,7 @@ def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
     shared, rows = Context.of(plan), []
 
     def carry_out(jobs):
-        rows.append([runs.run(shared, *job) for job in jobs])
+        rows.extend(runs.run(shared, *job) for job in jobs)
 
     halves = jobs_of(plan, range(1, 7)), jobs_of(plan, range(7, 13))
     threads = [threading.Thread(target=carry_out, args=(half,)) for half in halves]
@@ -136,12 +128,12 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 
     over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
     plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
-    rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
+    rows = list(run_here(Context.of(plan), jobs_of(plan)))
     assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
     assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
     assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
     assert rows[3].message.startswith("the run could not begin: ")
-    assert rows[3].quantities == {"steps": None, "fussy": None}
+    assert rows[3].quantities == {}
 
 
 def test_quantities_may_have_the_names_of_other_columns(scene, tmp_path):
@@ -160,10 +152,10 @@ def test_quantities_may_have_the_names_of_other_columns(scene, tmp_path):
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
     broken = scene.replace({GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
-    rows = [row for rows in run_here(Context.of(plan), jobs_of(plan)) for row in rows]
+    rows = list(run_here(Context.of(plan), jobs_of(plan)))
     assert [row.status for row in rows] == ["completed", "failed"]
     assert "does not satisfy the joint of arm 'left'" in rows[1].message
-    assert rows[1].quantities == {"steps": None}
+    assert rows[1].quantities == {}
 
 
 def test_another_version_of_the_program_is_refused(plan, monkeypatch):
@@ -173,70 +165,30 @@ def test_another_version_of_the_program_is_refused(plan, monkeypatch):
         runs.run(begun, *jobs_of(plan, [1])[0])
 
 
-# --- chunks -------------------------------------------------------------------------------------
-
-
-def timed(wall):
-    return Row(1, "completed", "", {}, wall, "here")
-
-
-def test_chunks_take_about_the_same_time_however_long_a_run_takes():
-    jobs = [(number, {}) for number in range(1, 20_001)]
-    assert len(next(Chunks(jobs, 1))) == 1
-    for wall in (1e-2, 10.0, 1e-6):
-        chunks = Chunks(jobs, 1)
-        chunks.learn([timed(wall)])
-        assert len(next(chunks)) == min(max(int(CHUNK_TIME / wall), 1), MOST_JOBS)
-    assert next(chunks)[0][0] == MOST_JOBS + 1
-
-
-def test_towards_the_end_chunks_become_short_so_that_workers_end_together():
-    chunks = Chunks([(number, {}) for number in range(1, 101)], 2)
-    chunks.learn([timed(0.01)])
-    sizes = [len(chunk) for chunk in chunks]
-    assert sum(sizes) == 100
-    assert sizes == sorted(sizes, reverse=True) and sizes[-1] == 1
-    # no chunk is longer than what is left after it makes for each worker
-    assert all(size <= max(1, sum(sizes[k:]) / 2) for k, size in enumerate(sizes))
-    assert sizes[0] == 12
-
-
 # --- processes ----------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_processes_give_the_same_rows(plan, expected):
-    batches = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert repeatable(batches) == expected
-    workers = {row.worker for rows in batches for row in rows}
+    rows = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
+    assert repeatable(rows) == expected
+    workers = {row.worker for row in rows}
     assert len(workers) == 2
     assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
 
 
 @pytest.mark.slow
-def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
-    plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
-    found = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert (functions.parent / "died").exists()
-    assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
-
-
-@pytest.mark.slow
-def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
-    over = {MASS: [5.0, 10.0, 20.0, 30.0]}
-    plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
-    found = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
-    assert found[2][1].startswith("its worker died every time")
-
-
-@pytest.mark.slow
-def test_a_single_run_that_kills_its_worker_does_not_kill_its_caller(scene, functions, tmp_path):
-    """Asked for two workers, and there is only one run: it still has a process of its own."""
-    asked = {"over": {MASS: [10.0]}, "keep": [f"{functions}:always"], "certificate": False}
-    found = ma.sweep(scene, asked, out=tmp_path / "one.sweep", workers=2, **RUN)
-    assert found.status_counts == {"failed": 1}
-    assert "its worker died every time" in found.table["message"][0]
+def test_runs_of_a_dead_worker_are_done_again_and_one_that_kills_every_worker_is_a_row(
+    scene, tmp_path
+):
+    """One worker is asked for: its runs have a process of their own all the same."""
+    (tmp_path / "own.py").write_text(FUNCTIONS)
+    keep = [f"{tmp_path}/own.py:{name}" for name in ("once", "always")]
+    plan = make_plan(scene, {MASS: [5.0, 10.0, 20.0, 30.0]}, keep=keep, run=RUN)
+    ended = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 1))
+    assert (tmp_path / "died").exists()
+    assert [ended[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
+    assert ended[2][1].startswith("its worker died every time")
 
 
 def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
@@ -277,12 +229,12 @@ def by_file(scene, tmp_path):
     return load_scene(tmp_path / "scene.yaml"), tmp_path / "own.urdf"
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, workers, tmp_path):
+@pytest.mark.slow
+def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, tmp_path):
     scene, _ = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
     asked = {"over": over, "certificate": False, "keep": ["final_z"]}
-    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=workers, **RUN)
+    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=2, **RUN)
     assert found.status_counts == {"completed": 2}
 
 
@@ -319,28 +271,6 @@ def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another
     assert found.trajectory(1).status == "completed"
 
 
-@pytest.mark.slow
-def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
-    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
-
-    class Pull(ma.Effect):
-        name = "pull"
-
-        class Spec(ma.Effect.Spec):
-            force: float = 0.0
-
-        def forces(self, t, state):
-            return ma.Loads(object_wrench=[0, 0, self.spec.force, 0, 0, 0])
-
-    ma.register_effect(Pull)
-    plan = make_plan(
-        scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
-    )
-    here = repeatable(run_here(Context.of(plan), jobs_of(plan)))
-    assert here[0].quantities != here[1].quantities
-    assert repeatable(run_in_processes(Context.of(plan), jobs_of(plan), 2)) == here
-
-
 CALLER = """
 from mechanics import ur5_pair
 from sweep_runs import jobs_of
@@ -350,8 +280,8 @@ from multiarm.sweeps.run import Context
 weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
-for rows in run_in_processes(Context.of(plan), jobs_of(plan), 2):
-    print(rows[0].worker.rpartition(":")[2], flush=True)
+for row in run_in_processes(Context.of(plan), jobs_of(plan), 2):
+    print(row.worker.rpartition(":")[2], flush=True)
 """
 
 

@@ -21,7 +21,7 @@ from multiarm.plots.sweep_figures import (
     sweep_overview,
     variable,
 )
-from multiarm.sweeps.folder import Column
+from multiarm.sweeps.spec import Column
 
 UNITS = {"gap": "m", "force": "N", "never": "J"}
 MASSES, DRAGS = [5.0, 10.0, 20.0], [0.01, 0.1, 1.0, 10.0]

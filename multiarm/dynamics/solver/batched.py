@@ -20,8 +20,7 @@ into :math:`-K`.  With :math:`u` the resulting rows,
     S = M_o - \sum_{\text{contacts}} \frac{1}{p_j}\, u_{jo}^T u_{jo},
 
 which are :math:`Y, G, Z` without the square roots of the pivots: a root takes as long as thirty
-products.  Back substitution gives accelerations and forces.  ``M`` and ``W`` are not overwritten in
-``work.L`` and ``work.Y``.
+products.  Back substitution gives accelerations and forces.
 
 A table has one row for each joint and each contact, and one for the solution.  Its columns are the
 joints, the contacts, the right-hand side, and the object's six directions.  Arms with fewer joints
@@ -67,7 +66,7 @@ def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
     Parameters
     ----------
     work : NodeWork
-        With the arms' inertias in ``L`` and their ``W`` in ``Y``, which are not overwritten.
+        With the arms' inertias ``M`` and their ``W``.
     Wo : (N, 6), object_inertia : (6, 6)
         The object's rows, arms stacked, and its inertia; world axes.
     h_o : (6,), h : (sum of joints,), c : (N,)
@@ -83,6 +82,7 @@ def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
         the arms must be eliminated one by one.  The pivots are in ``work.pivot``.
     """
     packs, n = work.packs, work.dofs.size - 1
+    work.by_arm[0] = 0
     if not least_pivot(work, Wo, h, c) > COUPLED_BELOW:
         return DEFICIENT
     work.pivot[n] = solve_node(work, object_inertia, h_o, q_o)
@@ -287,15 +287,15 @@ def fill_table(group, work, Wo, h, c, places, present):
     ``group, places, present`` are rows of ``work.groups``, ``work.places``, ``work.present``.
     """
     fill_joint_rows(group, work, h, places)
-    fill_contact_rows(group, work, Wo, c, places[LANES * work.L.shape[1] :], present)
+    fill_contact_rows(group, work, Wo, c, places[LANES * work.M.shape[1] :], present)
 
 
 @inlined
 def fill_joint_rows(group, work, h, places):
     """Write ``M``, ``W`` and ``h`` of four arms into their table."""
     d, m, stride = group[JOINTS], group[CONTACTS], LANES * group[WIDTH]
-    L, Y, packs = work.L, work.Y, work.packs
-    most, columns = Y.shape[1], Y.shape[2]
+    M, W, packs = work.M, work.W, work.packs
+    most, columns = W.shape[1], W.shape[2]
     a0, a1 = most * group[FIRST_ARM], most * group[FIRST_ARM + 1]
     a2, a3 = most * group[FIRST_ARM + 2], most * group[FIRST_ARM + 3]
     row = group[START]
@@ -303,12 +303,12 @@ def fill_joint_rows(group, work, h, places):
         at = row + LANES * j
         for k in range(j, d):
             o = k * most + j
-            value = gather_pack(L, a0 * most + o, a1 * most + o, a2 * most + o, a3 * most + o)
+            value = gather_pack(M, a0 * most + o, a1 * most + o, a2 * most + o, a3 * most + o)
             store_pack(packs, at, value)
             at += LANES
         for o in range(j * columns, j * columns + m):
-            y0, y1, y2, y3 = a0 * columns + o, a1 * columns + o, a2 * columns + o, a3 * columns + o
-            store_pack(packs, at, gather_pack(Y, y0, y1, y2, y3))
+            w0, w1, w2, w3 = a0 * columns + o, a1 * columns + o, a2 * columns + o, a3 * columns + o
+            store_pack(packs, at, gather_pack(W, w0, w1, w2, w3))
             at += LANES
         p = places[LANES * j : LANES * j + LANES]
         store_pack(packs, at, gather_pack(h, p[0], p[1], p[2], p[3]))

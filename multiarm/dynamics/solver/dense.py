@@ -35,9 +35,6 @@ class NodeSolution(NamedTuple):
     motion_unique: bool = True  # whether the accelerations are unique; may fail with friction only
     # arms whose contact forces take part in the undetermined motion
     loose_arms: tuple[int, ...] = ()
-    # largest constraint residual relative to the largest of its terms; beyond rounding where the
-    # constraints contradict each other
-    residual: float = 0.0
 
 
 def solve_dense(
@@ -103,7 +100,6 @@ def solve_dense(
             for i, own in enumerate(np.split(loose, bounds))
             if np.any(np.linalg.norm(own, axis=1) > PART_TOLERANCE)
         ),
-        residual=_residual([M_o, *M], constraint, right, x),
     )
 
 
@@ -140,34 +136,6 @@ def _moving(free: np.ndarray, size: int) -> np.ndarray:
     _, motion, vt = np.linalg.svd(free[:size], full_matrices=False)
     # constraints that are dependent up to rounding leave motions of sqrt(SYSTEM_TOLERANCE)
     return free[size:] @ vt[motion > 1e-5].T
-
-
-def _residual(
-    inertias: list[np.ndarray], constraint: np.ndarray, right: np.ndarray, x: np.ndarray
-) -> float:
-    """Largest ``W^T q - c`` relative to the largest of its terms.
-
-    Terms are ``c`` and the accelerations of object and arms without and by contact forces.
-    """
-    size = sum(len(inertia) for inertia in inertias)
-    bounds = np.cumsum([len(inertia) for inertia in inertias])[:-1]
-    loads = np.split(right[:size], bounds)
-    without = np.concatenate([_over(m, load) for m, load in zip(inertias, loads, strict=True)])
-    terms = [right[size:]]
-    for part in (slice(0, 6), slice(6, size)):  # object, arms
-        W = constraint[part]
-        terms += [W.T @ without[part], W.T @ (x[part] - without[part])]
-    largest = max(float(np.max(np.abs(term), initial=0.0)) for term in terms)
-    left = float(np.max(np.abs(constraint.T @ x[:size] - right[size:]), initial=0.0))
-    return left / largest if largest > 0.0 else 0.0
-
-
-def _over(inertia: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Acceleration without contacts; the smallest one where an inertia matrix is singular."""
-    try:
-        return np.linalg.solve(inertia, load)
-    except np.linalg.LinAlgError:
-        return np.linalg.lstsq(inertia, load, rcond=None)[0]
 
 
 def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:

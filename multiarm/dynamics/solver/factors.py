@@ -49,6 +49,14 @@ def factor_cholesky(A, n):
 
 
 @inlined
+def copy_block(source, n, m, out):
+    """Write ``source[:n, :m]`` into ``out``, a matrix of the same shape or another."""
+    for j in range(n):
+        for a in range(m):
+            out[j, a] = source[j, a]
+
+
+@inlined
 def forward_columns(L, Y, n, m):
     """Write ``L^-1 Y`` into ``Y`` (n, m), with the factor of :func:`factor_cholesky`."""
     for j in range(n):

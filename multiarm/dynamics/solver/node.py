@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
-from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns
+from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import LANES, aligned_zeros
@@ -70,12 +70,15 @@ class NodeWork(NamedTuple):
     # (n + 1,): first joint and first contact of each arm in the stacked vectors
     dofs: Ints1
     rows: Ints1
-    # inertias (n, d, d) (lower triangles; 1 on the diagonal beyond an arm's joints) and constraint
-    # matrices W (n, d, m); after an elimination arm by arm the factors, diagonals inverted
+    # (n, d, d), (n, d, m): inertias (lower triangles; 1 on the diagonal beyond an arm's joints) and
+    # constraint matrices, which the kinematics write and no solver changes
+    M: Floats3
+    W: Floats3
+    by_arm: Ints1  # (1,) whether the last system was eliminated arm by arm; else in packs
+    # of an elimination arm by arm (n, d, d), (n, d, m), (n, m, m), (n, m, 6); lower triangles,
+    # diagonals inverted
     L: Floats3
     Y: Floats3
-    factored: Ints1  # (1,) whether L and Y are the factors
-    # (n, m, m), (n, m, 6): the other factors; lower triangles, diagonals inverted
     G: Floats3
     Z: Floats3
     S: Floats2  # (6, 6) factor of the node matrix, lower triangle, diagonal inverted
@@ -105,15 +108,16 @@ def make_work(
     if levers is not None:
         for row, lever in zip(every_lever, levers, strict=True):
             row[: len(lever)] = lever
-    L = np.zeros((n, d, d))
-    for inertia, own in zip(L, dofs, strict=True):
+    M = np.zeros((n, d, d))
+    for inertia, own in zip(M, dofs, strict=True):
         inertia[range(own, d), range(own, d)] = 1.0
     tables, size = group_tables(dofs, rows, every_lever)
     return NodeWork(
         dofs=_starts(dofs),
         rows=_starts(rows),
-        L=L,
-        factored=np.zeros(1, dtype=np.int64),
+        M=M,
+        by_arm=np.zeros(1, dtype=np.int64),
+        L=np.zeros((n, d, d)),
         S=np.zeros((6, 6)),
         y=np.zeros(sum(dofs)),
         levers=every_lever,
@@ -127,7 +131,7 @@ def make_work(
 def work_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
     n, d, m = len(dofs), max(dofs), max(rows)
-    return {"Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(rows),)}
+    return {"W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(rows),)}
 
 
 def group_tables(
@@ -195,13 +199,15 @@ def mobility(L, n, levers):
 def eliminate_arm(i, work, Wo):
     """Factor arm ``i``; returns its ``NodeWork.pivot``, or ``NO_INERTIA``.
 
-    On entry ``work.L[i]`` holds the arm's inertia (lower triangle), ``work.Y[i]`` its ``W`` (one
-    column a contact) and ``Wo`` (sum of rows, 6) the object's rows; on return the factors.
+    ``work.M[i]`` is the arm's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
+    contact) and ``Wo`` (sum of rows, 6) the object's rows.
     """
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
     L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
+    copy_block(work.M[i], n, n, L)
+    copy_block(work.W[i], n, m, Y)
     inertia_pivot = factor_cholesky(L, n)
     if not inertia_pivot > 0.0:
         return NO_INERTIA
@@ -247,12 +253,12 @@ def add_to_node(i, work):
 
 @kernel
 def eliminate_arms(work, Wo):
-    """Factor all arms, one after the other; the data are on entry as in :func:`eliminate_arm`.
+    """Factor all arms, one after the other, from what :func:`eliminate_arm` describes.
 
     Returns ``OK``, or the number of the arm whose inertia failed.  The pivots are left in
     ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
     """
-    work.factored[0] = 1
+    work.by_arm[0] = 1
     for i in range(work.dofs.size - 1):
         work.pivot[i] = eliminate_arm(i, work, Wo)
         if work.pivot[i] == NO_INERTIA:

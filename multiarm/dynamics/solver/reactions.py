@@ -34,7 +34,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLING_TOLERANCE, MOBILITY_WEIGHT
-from multiarm.dynamics.solver.factors import factor_cholesky, factor_lu, forward_columns
+from multiarm.dynamics.solver.factors import (
+    copy_block,
+    factor_cholesky,
+    factor_lu,
+    forward_columns,
+)
 from multiarm.dynamics.solver.node import NO_INERTIA, mobility, node_backward, node_forward
 from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
 from multiarm.jit.kernels import copy, inlined, kernel
@@ -65,6 +70,10 @@ class ReactionWork(NamedTuple):
     dofs: Ints1
     rows: Ints1
     levers: Floats2
+    # (n, d, d), (n, d, m): inertias (lower triangles), W and W~; none of them is changed
+    M: Floats3
+    W: Floats3
+    Wr: Floats3
     # (n, d, d), (n, d, m): factors of the inertias (lower triangles, diagonals inverted); L^-1 W,
     # L^-1 W~
     L: Floats3
@@ -115,6 +124,7 @@ class ReactionWork(NamedTuple):
     left: Floats1
     right: Floats1
     unloaded: Floats1  # (6,) the object's acceleration without contacts
+    without_friction: Floats2  # (m, m) factor of ``Y^T Y`` of an arm
     # scratch (6,), (m,), (m, 6)
     six: Floats1
     contacts: Floats1
@@ -125,9 +135,9 @@ def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
     """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; all levers are 1."""
     n, d, D = len(dofs), max(dofs), sum(dofs)
     shapes = {
-        "L": (n, d, d), "levers": (n, d), "Lo": (6, 6), "Ls": (6, 6), "node": (6, 6),
-        "node_pivots": (6,), "coupled": (n,), "undetermined": (n,), "pivot": (n + 1,),
-        "stiffness": (6, 6), "y": (D,), "unloaded": (6,), "six": (6,),
+        "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (6, 6), "Ls": (6, 6),
+        "node": (6, 6), "node_pivots": (6,), "coupled": (n,), "undetermined": (n,),
+        "pivot": (n + 1,), "stiffness": (6, 6), "y": (D,), "unloaded": (6,), "six": (6,),
         **reaction_shapes(dofs, rows),
     }  # fmt: skip
     whole = {"K_pivots", "node_pivots", "coupled", "undetermined", "place"}
@@ -145,13 +155,14 @@ def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ..
     """Shapes of the arrays that depend on the contacts."""
     n, d, m, D, N = len(dofs), max(dofs), max(rows), sum(dofs), sum(rows)
     return {
-        "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m), "K_pivots": (n, m),
+        "W": (n, d, m), "Wr": (n, d, m), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m),
+        "K_pivots": (n, m),
         "arm_scale": (N,), "arm_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
         "U": (N, 6 + D), "Ur": (N, 6 + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
         "sigma_r": (N,), "core": (N, N), "core_V": (N, N), "core_left": (N, N),
         "core_left_V": (N, N), "core_sigma": (N,), "null_force": (N, N + 6),
-        "null_constraint": (N, N + 6), "z": (N,), "left": (N,), "right": (N,), "contacts": (m,),
-        "six_columns": (m, 6),
+        "null_constraint": (N, N + 6), "z": (N,), "left": (N,), "right": (N,),
+        "without_friction": (m, m), "contacts": (m,), "six_columns": (m, 6),
     }  # fmt: skip
 
 
@@ -161,10 +172,10 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
 
     With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
-    On entry ``work.L[i]`` holds the arms' inertias (lower triangles), ``work.Y[i]`` and
-    ``work.Yr[i]`` their ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the
-    object's rows.  An arm fails when its inertia is not positive definite (``NO_INERTIA`` is left
-    in ``work.pivot``) or its numbers are not finite, the object likewise.
+    ``work.M[i]`` are the arms' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
+    ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the object's rows.  An arm
+    fails when its inertia is not positive definite (``NO_INERTIA`` is left in ``work.pivot``) or
+    its numbers are not finite, the object likewise.
     """
     n = work.coupled.size
     for k in range(6):
@@ -199,6 +210,9 @@ def factor_arm(i, work):
     first = work.rows[i]
     m = work.rows[i + 1] - first
     L, Y, Yr, K = work.L[i], work.Y[i], work.Yr[i], work.K[i]
+    copy_block(work.M[i], n, n, L)
+    copy_block(work.W[i], n, m, Y)
+    copy_block(work.Wr[i], n, m, Yr)
     if not factor_cholesky(L, n) > 0.0:
         return NO_INERTIA
     forward_columns(L, Y, n, m)
@@ -330,7 +344,7 @@ def add_without_friction(i, work, Wo):
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
-    G, Z = work.core, work.six_columns  # the core is computed later
+    G, Z = work.without_friction, work.six_columns
     gram(work.Y[i], work.Y[i], n, m, G)
     factor_cholesky(G, m)
     for a in range(m):
@@ -346,7 +360,7 @@ def add_without_friction(i, work, Wo):
 
 @kernel
 def solve_for_reactions(work, Wo, Wr, h_o, h, c, q_o, q, force):
-    """Solve the eliminated system for one right-hand side; the relative residual.
+    """Solve the eliminated system for one right-hand side.
 
     Parameters
     ----------
@@ -381,7 +395,7 @@ def solve_for_reactions(work, Wo, Wr, h_o, h, c, q_o, q, force):
             force[a] -= part * work.null_force[k, a]
         for k6 in range(6):
             q_o[k6] -= part * work.null_force[k, total + k6]
-    return joint_accelerations(work, Wo, c, q_o, q, force)
+    joint_accelerations(work, q, force)
 
 
 @inlined
@@ -476,37 +490,20 @@ def solve_coupled_forces(work, Wo, x, force):
 
 
 @inlined
-def joint_accelerations(work, Wo, c, q_o, q, force):
-    """Joint accelerations; the largest constraint residual relative to its largest term."""
-    worst, largest = 0.0, 0.0
+def joint_accelerations(work, q, force):
+    """Joint accelerations for the contact forces."""
     for i in range(work.coupled.size):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         first = work.rows[i]
         m = work.rows[i + 1] - first
-        L, Y, Yr = work.L[i], work.Y[i], work.Yr[i]
+        L, Yr = work.L[i], work.Yr[i]
         for j in range(d):
             s = 0.0
             for a in range(m):
                 s += Yr[j, a] * force[first + a]
-            q[d0 + j] = s
-        for a in range(m):
-            without, due, on_object, moved = 0.0, 0.0, 0.0, 0.0
-            for j in range(d):
-                without += Y[j, a] * work.y[d0 + j]
-                due += Y[j, a] * q[d0 + j]
-            for k in range(6):
-                on_object += Wo[first + a, k] * work.unloaded[k]
-                moved += Wo[first + a, k] * q_o[k]
-            left = abs(moved + without + due - c[first + a])
-            worst = left if left != left else max(worst, left)
-            for term in (abs(c[first + a]), abs(without), abs(due), abs(on_object)):
-                largest = max(largest, term)
-            largest = max(largest, abs(moved - on_object))
-        for j in range(d):
-            q[d0 + j] += work.y[d0 + j]
+            q[d0 + j] = s + work.y[d0 + j]
         for j in range(d - 1, -1, -1):
             s = q[d0 + j] * L[j, j]
             q[d0 + j] = s
             for k in range(j):
                 q[d0 + k] -= L[j, k] * s
-    return worst / largest if largest > 0.0 else worst

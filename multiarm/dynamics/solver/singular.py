@@ -91,6 +91,7 @@ class CoupledWork(NamedTuple):
     scale: Floats1  # (n,) sigma_best of each deficient arm
     split: Floats1  # (n,) smallest sigma that is eliminated
     inertia: Floats2  # (6, 6) Cholesky factor of the object's own inertia
+    wrench: Floats1  # (6,) of a contact on the object, over that factor
     # (N,): arm and number of the direction of every unknown
     arm: Ints1
     row: Ints1
@@ -116,6 +117,7 @@ def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
         scale=np.zeros(n),
         split=np.zeros(n),
         inertia=np.zeros((6, 6)),
+        wrench=np.zeros(6),
         status=CoupledStatus(margin=np.inf, least_margin=np.inf),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
@@ -144,22 +146,19 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
 @kernel
 def object_mobility(row, coupled):
     """``sqrt(w^T M_o^-1 w)``, which ``sigma`` is compared with."""
-    wrench = coupled.B[0]  # scratch until the unknowns are known
+    wrench = coupled.wrench
     copy(row, wrench)
     node_forward(coupled.inertia, wrench)
     return norm(wrench, 6)
 
 
 @kernel
-def aligned_share(L, Y, n, m, levers):
-    """Largest ``|W_ja| / r_j`` of an arm with ``n`` joints and ``m`` contacts; ``W = L Y``."""
+def aligned_share(W, n, m, levers):
+    """Largest ``|W_ja| / r_j`` of an arm with ``n`` joints and ``m`` contacts."""
     largest = 0.0
     for j in range(n):
         for a in range(m):
-            w = Y[j, a] / L[j, j]  # the factor's diagonal is inverted
-            for k in range(j):
-                w += L[j, k] * Y[k, a]
-            largest = max(largest, abs(w) / levers[j])
+            largest = max(largest, abs(W[j, a]) / levers[j])
     return largest
 
 
@@ -180,7 +179,7 @@ def split_arm(i, work, coupled, Wo):
             V[a, b] = 1.0 if a == b else 0.0
     orthogonalize(A, m, d, V, m)
     scale = by_object = total = 0.0
-    aligned = aligned_share(work.L[i], Y, d, m, work.levers[i])
+    aligned = aligned_share(work.W[i], d, m, work.levers[i])
     for a in range(m):
         coupled.sigma[first + a] = norm(A[a], d)
         scale = max(scale, coupled.sigma[first + a])

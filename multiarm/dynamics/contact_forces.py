@@ -1,0 +1,35 @@
+"""What contact forces do to the object and to the joints: wrenches and generalised forces."""
+
+from __future__ import annotations
+
+from multiarm.jit.kernels import clear, kernel
+
+
+@kernel
+def add_contact_forces(work, Wo, W, force, on_object, on_joints):
+    """Add ``W_o force`` to the wrench on the object (6,) and ``W force`` to the joints' forces.
+
+    ``Wo`` (N, 6) and ``W`` (arms, d, m) are the directions of the forces, which need not be those
+    of the constraints; ``work`` has the joints and the contacts of each arm.
+    """
+    for i in range(work.dofs.size - 1):
+        d0, first = work.dofs[i], work.rows[i]
+        for k in range(first, work.rows[i + 1]):
+            for l in range(6):  # noqa: E741
+                on_object[l] += Wo[k, l] * force[k]
+            for j in range(work.dofs[i + 1] - d0):
+                on_joints[d0 + j] += W[i, j, k - first] * force[k]
+
+
+@kernel
+def write_wrenches(rows, bounds, forces, wrenches):
+    """Write the wrench of each owner of rows on the object, the sum of its ``rows * forces``.
+
+    ``rows`` (N, 6) are those of ``W_o``, ``bounds`` (o + 1,) where those of each owner begin.
+    """
+    for i in range(wrenches.shape[0]):
+        wrench = wrenches[i]
+        clear(wrench)
+        for k in range(bounds[i], bounds[i + 1]):
+            for l in range(6):  # noqa: E741
+                wrench[l] += rows[k, l] * forces[k]

@@ -1,0 +1,187 @@
+r"""Residuals of the equations of motion: how well accelerations and contact forces solve them.
+
+.. math::
+    M_i \ddot q_i - h_i - W_i \lambda_i, \qquad
+    M_o \dot v_o - h_o - \sum_i W_{oi} \lambda_i, \qquad
+    W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i
+
+of arms, object and constraints (:mod:`multiarm.dynamics.equations`), at the kinematics in the data.
+:func:`write_residuals` has all three, as a result states them; :func:`constraint_residual` and
+:func:`imbalance` are relative to the largest term, and decide whether a solution is one.
+"""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.contact_forces import add_contact_forces
+from multiarm.dynamics.solver.batched import largest_free_rate
+from multiarm.dynamics.solver.bounds import AT_REST, IMBALANCE_BOUND
+from multiarm.dynamics.solver.factors import norm
+from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel
+from multiarm.jit.simd import broadcast, load_pack, store_pack
+
+
+@kernel
+def write_residuals(
+    struct: INTS,
+    acceleration: NUMBERS,
+    generalised_forces: NUMBERS,
+    force: NUMBERS,
+    c: NUMBERS,
+    largest: NUMBERS,
+):
+    """Write the largest residuals of arms, object and constraints into ``largest`` (3,).
+
+    Of accelerations (6 + n,) and contact forces (N,), with the right-hand sides
+    ``generalised_forces`` (6 + n,) and ``c`` (N,).
+    """
+    _, data, work = open_system(struct)
+    first = acceleration.size - data.v.size
+    a_o, a, forces = acceleration[:first], acceleration[first:], data.total_forces
+    copy(generalised_forces, forces)
+    add_contact_forces(work, data.Wo, work.W, force, forces[:first], forces[first:])
+    largest[0] = largest[1] = largest[2] = 0.0
+    for k in range(first):
+        residual = -forces[k]
+        for j in range(first):
+            residual += data.inertia[k, j] * a_o[j]
+        largest[1] = larger(largest[1], residual)
+    for i in range(work.dofs.size - 1):
+        d0, d, M = work.dofs[i], work.dofs[i + 1] - work.dofs[i], work.M[i]
+        for j in range(d):
+            residual = -forces[first + d0 + j]
+            for k in range(d):
+                residual += M[max(j, k), min(j, k)] * a[d0 + k]
+            largest[0] = larger(largest[0], residual)
+        for row in range(work.rows[i], work.rows[i + 1]):
+            residual = rate_by_object(row, data, a_o) + rate_by_arm(i, row, work, a) - c[row]
+            largest[2] = larger(largest[2], residual)
+
+
+@inlined
+def rate_by_object(row, data, a_o):
+    """``W_o^T a_o`` of a row."""
+    rate = 0.0
+    for k in range(6):
+        rate += data.Wo[row, k] * a_o[k]
+    return rate
+
+
+@inlined
+def rate_by_arm(i, row, work, a):
+    """``W^T a`` of a row of arm ``i``."""
+    rate = 0.0
+    for j in range(work.dofs[i + 1] - work.dofs[i]):
+        rate += work.W[i, j, row - work.rows[i]] * a[work.dofs[i] + j]
+    return rate
+
+
+@inlined
+def larger(worst, residual):
+    """The larger magnitude; NaN if either is."""
+    return abs(residual) if abs(residual) > worst or residual != residual else worst
+
+
+# --- relative residuals of the last solution ------------------------------------------------------
+
+
+@inlined
+def residual_of_all(model, data, work):
+    """The constraints' relative residual or the object's, the larger of them; NaN if either is."""
+    constraint, of_object = constraint_residual(model, data, work), data.status.imbalance
+    return constraint if of_object <= constraint or constraint != constraint else of_object
+
+
+@kernel
+def constraint_residual(model, data, work):
+    """Largest ``|W_o^T a_o + W^T a - c|`` relative to the largest term in any of these rows.
+
+    Terms are ``c``, the accelerations, and the accelerations without contact forces.
+    """
+    worst, scale = 0.0, max(AT_REST, free_acceleration(data))
+    if not model.dense:
+        scale = max(scale, free_rate(work))
+    for i in range(work.dofs.size - 1):
+        for row in range(work.rows[i], work.rows[i + 1]):
+            by_object = rate_by_object(row, data, data.q_o)
+            by_arm, c = rate_by_arm(i, row, work, data.qdd), data.c[row]
+            residual = abs(by_object + by_arm - c)
+            if residual != residual:
+                return residual
+            worst = max(worst, residual)
+            scale = max(scale, abs(by_object), abs(by_arm), abs(c))
+    return worst / scale
+
+
+@kernel
+def free_acceleration(data):
+    """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
+    force = 0.0
+    for k in range(3):
+        force = max(force, abs(data.h_o[k]))
+    return force / data.inertia[0, 0]
+
+
+@inlined
+def free_rate(work):
+    """Largest ``|W^T M^-1 h|`` of the last solution: contact accelerations without forces."""
+    if work.by_arm[0] == 0:
+        return largest_free_rate(work)
+    largest = 0.0
+    for i in range(work.dofs.size - 1):
+        for a in range(work.rows[i + 1] - work.rows[i]):
+            rate = 0.0
+            for j in range(work.dofs[i + 1] - work.dofs[i]):
+                rate += work.Y[i, j, a] * work.y[work.dofs[i] + j]
+            largest = max(largest, abs(rate))
+    return largest
+
+
+@inlined
+def imbalance(data, Wo):
+    """Residual of ``M_o a_o = h_o + W_o force``, relative to the largest force in it.
+
+    ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
+    with that force at the object's radius of gyration.  Every solution is checked so.  Hence the
+    result is zero where a bound that takes no root and no norm of a row shows that it is less than
+    ``IMBALANCE_BOUND``; it is NaN where the solution is not finite.
+    """
+    inertia, h_o, a_o, m = data.inertia, data.h_o, data.q_o, data.inertia[0, 0]
+    total = data.total_forces
+    front, back = load_pack(h_o, 0), load_pack(h_o, 2)  # six numbers, two of them twice
+    for a in range(data.force.size):
+        force = broadcast(data.force[a])
+        front = front + force * load_pack(Wo, 6 * a)
+        back = back + force * load_pack(Wo, 6 * a + 2)
+    store_pack(total, 0, front)
+    store_pack(total, 2, back)
+    x, y, z = a_o[3], a_o[4], a_o[5]
+    forces = abs(total[0] - m * a_o[0]) + abs(total[1] - m * a_o[1]) + abs(total[2] - m * a_o[2])
+    moments = (
+        abs(total[3] - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
+        + abs(total[4] - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
+        + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
+    )
+    largest = m * max(abs(a_o[0]), abs(a_o[1]), abs(a_o[2]))
+    small = IMBALANCE_BOUND * max(largest, abs(h_o[0]), abs(h_o[1]), abs(h_o[2]))
+    square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
+    if forces <= small and m * moments * moments <= small * small * square:
+        return 0.0
+    return relative_imbalance(data, Wo, forces, moments)
+
+
+@kernel
+def relative_imbalance(data, Wo, forces, moments):
+    """Residuals of forces [N] and moments [N m] relative to the largest terms."""
+    inertia = data.inertia
+    radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
+    push = max(AT_REST * inertia[0, 0], norm(data.h_o[:3], 3))
+    turn = norm(data.h_o[3:6], 3)
+    for a in range(data.force.size):
+        force = abs(data.force[a])
+        push = max(push, force * norm(Wo[a, :3], 3))
+        turn = max(turn, force * norm(Wo[a, 3:6], 3))
+    # NaN stays NaN
+    return forces / push + moments / max(turn, push * radius)

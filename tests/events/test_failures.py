@@ -1,0 +1,75 @@
+"""Failures of compiled code reach the user with their reason where contacts come and go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from event_scenes import arm, ball, on_floor, run, scene
+
+import multiarm as ma
+from multiarm.errors import SolverError
+from multiarm.events.evaluation import mode_at
+
+RADIUS = 0.05  # [m]
+WORN_OUT = 0.02  # [m] from the surface, where it fails
+UNILATERAL = {"unilateral_contacts": {"start": "as_written", "contacts": ["below"]}}
+
+
+@pytest.mark.parametrize("height", [0.0, 1.0], ids=["touching", "open"])
+def test_a_mode_that_cannot_be_evaluated_is_told_with_the_reason(height):
+    system = ma.compile_system(on_floor(ball(height=height)))
+    with system.borrow() as data:
+        data.model.constants.object_inertia[:] *= -1.0
+        with pytest.raises(SolverError, match=r"^the object's node matrix is not positive"):
+            mode_at(data, 0.0, system.initial_state())
+
+
+def distance_from_a_worn_ball(p):
+    distance = distance_from_a_ball(p)
+    if distance < WORN_OUT:
+        raise ValueError("worn out")
+    return distance
+
+
+def distance_from_a_ball(p):
+    return np.linalg.norm(p) - RADIUS
+
+
+def worn_ball_above_a_tip(**effects):
+    """The object, a ball whose surface fails where it is near, moves down to the tip of an arm.
+
+    The tip of another arm stays on top of it, on a surface that does not fail.
+    """
+    surfaces = {"below": distance_from_a_worn_ball, "above": distance_from_a_ball}
+    contacts = {
+        name: [
+            {
+                "arm": {"sphere": {"radius": 0.01}},
+                "object": {"surface": {"distance": distance, "length": RADIUS}},
+            }
+        ]
+        for name, distance in surfaces.items()
+    }
+    all_effects = {**UNILATERAL, **effects}
+    above = arm("z", velocity=[-1.0], base={"xyz": [0, 0, 0.2 + 2.0 * RADIUS + 0.01]})
+    falling = ball(RADIUS, 0.2, twist=[0, 0, -1.0, 0, 0, 0])
+    return scene(falling, {"below": arm("z"), "above": above}, contacts, all_effects, [0, 0, 0])
+
+
+SPRING = {"contact_compliance": {"stiffness": 1e4, "contacts": ["below"]}}
+
+
+@pytest.mark.parametrize("effects", [{}, SPRING], ids=["rigid", "compliant"])
+def test_a_surface_that_fails_while_its_contact_is_open_ends_the_run_with_its_error(effects):
+    trajectory = run(worn_ball_above_a_tip(**effects), duration=0.5)
+    assert trajectory.status == "failed"
+    assert "worn out" in trajectory.message
+
+
+def test_a_surface_that_fails_while_its_contact_is_open_is_told_by_an_evaluation():
+    system = ma.compile_system(worn_ball_above_a_tip())
+    state = system.initial_state()
+    state.object_position[2] -= 0.19
+    state.joint_positions["above"][:] = -0.19
+    with pytest.raises(ma.MultiarmError, match="worn out"):
+        ma.evaluate(system, 0.0, state)
