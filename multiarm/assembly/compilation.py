@@ -485,7 +485,9 @@ def draft_model(
         records=tuple(record for on_link in rows.on_links.values() for record in on_link),
         surfaces=tuple(rows.table.functions),
         frames={name: joint.frame for name, joint in joints.items()},
-        constants=with_rows(with_effects(constants, effects), rows.table, layout),
+        constants=with_rows(
+            with_effects(constants, effects), rows.table.codes, rows.table.geometry, layout
+        ),
         effects=effects,
         links=tuple(context.links),
         levers=tuple(levers),

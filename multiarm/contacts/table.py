@@ -113,6 +113,32 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
     )
 
 
+def select_rows(
+    codes: np.ndarray, geometry: np.ndarray, count: int, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Codes and geometry of a table with some of the ``count`` rows, given in increasing order.
+
+    The other surfaces, to which codes refer, are those of the whole table.
+    """
+    selected = codes[rows]
+    parts: list[int] = []
+    for k in np.flatnonzero(selected[:, KIND] == COMBINED):
+        first, pieces = selected[k, LINK], selected[k, COUNT]
+        selected[k, LINK] = len(rows) + len(parts)
+        parts += range(first, first + pieces)
+    tangents = np.flatnonzero(selected[:, KIND] == TANGENT)
+    if tangents.size:
+        links, parts_before = selected[tangents, LINK], selected[tangents, COUNT]
+        normals = np.where(parts_before > 0, parts_before, rows[tangents] - links)
+        at = tangents - links  # where the normal row is, if it is selected
+        alone = (parts_before > 0) | (at < 0) | (rows[np.maximum(at, 0)] != normals)
+        selected[tangents, COUNT] = 0
+        selected[tangents[alone], COUNT] = len(rows) + len(parts) + np.arange(np.sum(alone))
+        parts += normals[alone].tolist()
+    sources = np.concatenate([rows, np.array(parts, dtype=np.int64)])
+    return np.concatenate([selected, codes[sources[len(rows) :]]]), geometry[sources]
+
+
 def _follows_its_normal(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
     normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
     return (

@@ -6,7 +6,7 @@ solver's workspace.  :func:`open_system` returns its views ``model, data, work``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from multiarm.jit.structs import (
     Ints1,
     Ints2,
     Numbers,
+    sizes_in_struct,
     struct_of,
     view,
 )
@@ -253,12 +254,13 @@ def make_variables(
     """Allocate for a layout, the size of Pinocchio's configuration, numbers of effects that do
     work, and of states of effects.
     """
-    arms, joints = len(pointers), layout.joints
+    arms, joints, pairs = len(pointers), layout.joints, len(constants.shapes)
     columns = 2 * layout.nv + states + 7
     shapes = {
         "q": pinocchio_size,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
-        "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6),
+        "query": RELATIVE_WIDTH + QUERY_WIDTH, "places": (pairs, 3), "located": (pairs, 3),
+        "inertia": (6, 6),
         "torque": joints, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
@@ -280,7 +282,7 @@ def make_variables(
         passed=np.zeros(arms, dtype=np.int64),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
         **stacked_vectors(layout),
-        **row_variables(constants, layout.contacts),
+        **row_variables(constants, layout),
     )
 
 
@@ -296,21 +298,20 @@ def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def row_variables(constants: Constants, rows: int) -> dict[str, np.ndarray]:
-    """The variables with an entry for every row of W, or for every pair of surfaces."""
-    shapes, force = len(constants.shapes), np.zeros(rows)
+def row_variables(constants: Constants, layout: Layout) -> dict[str, np.ndarray]:
+    """The variables with an entry for every row of W."""
+    rows = {name: np.zeros(shape) for name, shape in row_shapes(constants, layout).items()}
+    return {**rows, "shown": rows["force"]}
+
+
+def row_shapes(constants: Constants, layout: Layout) -> dict[str, tuple[int, ...]]:
+    """Shapes of these variables, without ``shown``."""
+    rows = layout.contacts
     return {
-        "contacts": np.zeros((rows, CONTACT_WIDTH)),
-        "parts": np.zeros((len(constants.codes) - rows, CONTACT_WIDTH)),
-        "places": np.zeros((shapes, 3)),
-        "located": np.zeros((shapes, 3)),
-        "Wo": np.zeros((rows, 6)),
-        "wrench": np.zeros((6, rows)),
-        "c": np.zeros(rows),
-        "force": force,
-        "shown": force,
-        "static_force": np.zeros(rows),
-    }
+        "contacts": (rows, CONTACT_WIDTH), "parts": (len(constants.codes) - rows, CONTACT_WIDTH),
+        "Wo": (rows, 6), "wrench": (6, rows), "c": (rows,), "force": (rows,),
+        "static_force": (rows,),
+    }  # fmt: skip
 
 
 def system_struct(
@@ -342,6 +343,16 @@ open_reports = view(Guards, _FIRST[4])
 FUNCTIONS = _FIRST[1] + Variables._fields.index("functions")
 STATUS = _FIRST[1] + Variables._fields.index("status")
 EFFECTS = _FIRST[5]
+
+
+def row_sizes(*arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Places in a system's struct of the sizes of arrays, and these sizes.
+
+    The arrays are some of the ``Constants, Variables, NodeWork, CoupledWork``.
+    """
+    parts = zip(_PARTS, _FIRST, arrays, strict=False)
+    places, sizes = zip(*(sizes_in_struct(*part) for part in parts), strict=True)
+    return np.concatenate(places), np.concatenate(sizes)
 
 
 @inlined

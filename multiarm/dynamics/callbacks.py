@@ -12,6 +12,7 @@ To detect this, the arguments and results of calls 1, 2, 4, 8 ... are recorded a
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -179,29 +180,32 @@ def call_controller(address, size, _at, _t):
     return 0
 
 
-def dense_solver(
-    b: Variables,
-    work: NodeWork,
-    reactions: tuple[np.ndarray, np.ndarray] | None = None,
-) -> Callable[[], None]:
-    """Function without arguments that solves for ``q_o, qdd, force`` in ``b`` by the dense solver.
+class DenseSolver:
+    """Solves for ``q_o, qdd, force`` in the variables by the dense solver, when it is called.
 
-    ``reactions`` are the object's rows (N, 6) and the arms' matrices (n, d, m) of the contact
-    forces where these differ from the constraints.
+    Attributes
+    ----------
+    variables : Variables
+    work : NodeWork
+    reactions : tuple of ndarray, optional
+        The object's rows (N, 6) and the arms' matrices (n, d, m) of the contact forces where these
+        differ from the constraints.
     """
-    dofs, rows = work.dofs, work.rows
-    arms = range(len(dofs) - 1)
 
-    def by_arm(on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
-        sizes = [(dofs[i + 1] - dofs[i], rows[i + 1] - rows[i]) for i in arms]
-        blocks = [block[:d, :m] for block, (d, m) in zip(on_arms, sizes, strict=True)]
-        return [on_object[rows[i] : rows[i + 1]].T for i in arms], blocks
+    def __init__(self, variables: Variables, work: NodeWork) -> None:
+        self.variables, self.work = variables, work
+        self.reactions: tuple[np.ndarray, np.ndarray] | None = None
 
-    def solve() -> None:
+    def __call__(self) -> None:
+        """Solve once."""
+        b, work, dofs = self.variables, self.work, self.work.dofs
+        arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
         _require_usable(inertias, (b.h, b.c, b.h_o, work.W))
-        W_o, W = by_arm(b.Wo, work.W)
-        reaction_o, reaction = (None, None) if reactions is None else by_arm(*reactions)
+        W_o, W = self._by_arm(b.Wo, work.W)
+        reaction_o, reaction = (None, None)
+        if self.reactions is not None:
+            reaction_o, reaction = self._by_arm(*self.reactions)
         solution = solve_dense(
             M_o=b.inertia,
             h_o=b.h_o,
@@ -209,7 +213,7 @@ def dense_solver(
             h=[b.h[dofs[i] : dofs[i + 1]] for i in arms],
             W_o=W_o,
             W=W,
-            c=[b.c[rows[i] : rows[i + 1]] for i in arms],
+            c=[b.c[work.rows[i] : work.rows[i + 1]] for i in arms],
             reaction_o=reaction_o,
             reaction=reaction,
         )
@@ -219,7 +223,12 @@ def dense_solver(
         b.status.rank, b.status.coupled_arms = solution.rank, 0
         b.status.ambiguous = not solution.motion_unique
 
-    return solve
+    def _by_arm(self, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
+        rows = self.work.rows
+        sizes = zip(on_arms, np.diff(self.work.dofs), np.diff(rows), strict=True)
+        blocks = [matrix[:d, :m] for matrix, d, m in sizes]
+        bounds = itertools.pairwise(rows)
+        return [on_object[first:end].T for first, end in bounds], blocks
 
 
 def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -> None:

@@ -106,7 +106,7 @@ class Snapshot:
         self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
         self.work, self.coupled = data.work, data.coupled
         if not self.regular:
-            self.work = _copied(data.work, ("M", "W"))
+            self.work = _copied(data.work, ("rows", "M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 

@@ -26,17 +26,7 @@ from multiarm.arms.terms import Coriolis
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.surfaces import user_surface_callback
-from multiarm.contacts.table import (
-    COUNT,
-    JOINT,
-    KIND,
-    LINK,
-    PAIR,
-    TANGENT,
-    ContactTable,
-    JointRow,
-    pack,
-)
+from multiarm.contacts.table import JOINT, KIND, LINK, JointRow, select_rows
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import (
     ALWAYS,
@@ -53,7 +43,7 @@ from multiarm.dynamics.arrays import (
     row_variables,
     system_struct,
 )
-from multiarm.dynamics.callbacks import PythonControl, UserCallback, dense_solver
+from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
 from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guards, make_guards, reset_guards
@@ -225,62 +215,37 @@ class Model:
 
     def select(self, rows: Sequence[int] | np.ndarray) -> Model:
         """The same bodies and effects with some of the rows, given in increasing order."""
-        chosen = np.array(rows, dtype=np.int64)
-        bounds = tuple(int(np.searchsorted(chosen, bound)) for bound in self.layout.rows)
+        chosen, before = np.array(rows, dtype=np.int64), self.layout.rows
+        bounds = tuple(np.searchsorted(chosen, before).tolist())
         layout = replace(self.layout, rows=bounds)
+        numbers = chosen.tolist()
         contacts = {
-            name: [self.contacts[name][row - first] for row in chosen if first <= row < last]
-            for name, first, last in zip(
-                self.layout.names, self.layout.rows[:-1], self.layout.rows[1:], strict=False
+            name: [self.contacts[name][row - before[i]] for row in numbers[first:last]]
+            for i, (name, first, last) in enumerate(
+                zip(layout.names, bounds[:-1], bounds[1:], strict=False)
             )
         }
-        records = [self.records[row] for row in chosen]
-        table = pack(records)
-        constants = with_rows(self.constants, table, layout)
-        user = self.calls_user or bool(table.functions)
-        constants = constants._replace(calls_user=user)
-        places = np.zeros((len(table.shapes), 3))
-        for own, source in self.pairs(chosen, constants):
-            places[own] = self.pair_places[source]
+        codes, geometry = select_rows(
+            self.constants.codes, self.constants.geometry, self.layout.contacts, chosen
+        )
         return replace(
             self,
             layout=layout,
             contacts=contacts,
-            records=tuple(records),
-            surfaces=tuple(table.functions),
-            constants=constants,
-            pair_places=places,
+            records=tuple(self.records[row] for row in chosen),
+            constants=with_rows(self.constants, codes, geometry, layout),
         )
 
-    def pairs(self, rows: np.ndarray, constants: Constants) -> list[tuple[int, int]]:
-        """Contacts of two surfaces among selected rows: their places there, and here."""
-        found = []
-        for own, row in enumerate(rows):
-            code = constants.codes[own]
-            if code[KIND] == TANGENT and code[COUNT] > 0:
-                normal, source = (
-                    constants.codes[code[COUNT]],
-                    self.constants.codes[row - code[LINK]],
-                )
-            else:
-                normal, source = code, self.constants.codes[row]
-            if normal[KIND] == PAIR:
-                found.append((int(normal[LINK]), int(source[LINK])))
-        return found
 
-
-def with_rows(constants: Constants, table: ContactTable, layout: Layout) -> Constants:
-    """Constants with another contact table."""
-    joint_rows = []
-    for row in np.flatnonzero(table.codes[: layout.contacts, KIND] == JOINT):
-        arm = int(np.searchsorted(layout.rows, row, side="right")) - 1
-        joint_rows.append([arm, row, layout.dofs[arm] + table.codes[row, LINK]])
-    return constants._replace(
-        codes=table.codes,
-        geometry=table.geometry,
-        shapes=table.shapes,
-        joint_rows=np.array(joint_rows, dtype=np.int64).reshape(-1, 3),
-    )
+def with_rows(
+    constants: Constants, codes: np.ndarray, geometry: np.ndarray, layout: Layout
+) -> Constants:
+    """Constants with other rows, which have the same other surfaces."""
+    rows = np.flatnonzero(codes[: layout.contacts, KIND] == JOINT)
+    arms = np.searchsorted(layout.rows, rows, side="right") - 1
+    joints = np.take(layout.dofs, arms) + codes[rows, LINK]
+    joint_rows = np.column_stack([arms, rows, joints])
+    return constants._replace(codes=codes, geometry=geometry, joint_rows=joint_rows)
 
 
 def with_effects(constants: Constants, effects: EffectProgram) -> Constants:
@@ -322,6 +287,7 @@ class Data:
         Python functions that compiled code calls.
     surfaces : list of SmoothShape
         User-defined surfaces.
+    dense_solver : DenseSolver
     cache : dict
         Objects of other packages that live as long as these arrays.
     """
@@ -340,7 +306,7 @@ class Data:
         self.model, self._backends = model, model.backends.copy()
         self._base: Data | None = None
         self.effects = model.effects.make_data()
-        self._surfaces = {id(surface): copy(surface) for surface in model.surfaces}
+        self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
         self.guards = Guards(*(column.copy() for column in model.guards))
         arrays = make_variables(
@@ -365,6 +331,9 @@ class Data:
         for name, function in model.lazy_functions.items():
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
+        if self.surfaces:
+            answer = user_surface_callback(self.surfaces, self.arrays.query[RELATIVE_WIDTH:])
+            self._add_callback("surface", PythonCallback(answer, self.arrays.status))
         self._connect_rows()
         self._connect_control()
         for kernel, effect in zip(model.effects.kernels, self.effects, strict=True):
@@ -375,7 +344,8 @@ class Data:
     def view(self, model: Model) -> Data:
         """Data of a model with the same bodies and effects, which shares state and bodies' motion.
 
-        Where the model has other rows, it has its own arrays with an entry for every row.
+        Where the model has other rows, it has its own arrays with an entry for every row.  Contacts
+        of two surfaces are found from the same places.
         """
         other = copy(self)
         other._base = self  # keeps alive the arrays whose addresses are in the struct
@@ -386,7 +356,7 @@ class Data:
             other.arrays = arrays
             other._struct = other._make_struct()
         else:
-            rows: dict[str, Any] = row_variables(model.constants, model.layout.contacts)
+            rows: dict[str, Any] = row_variables(model.constants, model.layout)
             other.arrays = arrays._replace(**rows)
             other._connect_rows()
         if model.python_control is not self.model.python_control:
@@ -404,16 +374,12 @@ class Data:
         return self.cache["closed"]
 
     def _connect_rows(self) -> None:
-        """Make workspace, surfaces and dense solver for the rows of the model."""
+        """Make workspace and dense solver for the rows of the model."""
         model, b = self.model, self.arrays
         sizes = np.diff(model.layout.dofs).tolist(), np.diff(model.layout.rows).tolist()
         self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
-        dense = dense_solver(b, self.work)
-        self._add_callback("dense", PythonCallback(dense, b.status))
-        self.surfaces = [self._surfaces[id(surface)] for surface in model.surfaces]
-        if self.surfaces:
-            answer = user_surface_callback(self.surfaces, b.query[RELATIVE_WIDTH:])
-            self._add_callback("surface", PythonCallback(answer, b.status))
+        self.dense_solver = DenseSolver(b, self.work)
+        self._add_callback("dense", PythonCallback(self.dense_solver, b.status))
         self._struct = self._make_struct()
 
     def _pointers(self) -> np.ndarray:
@@ -423,12 +389,11 @@ class Data:
             return pointers
         return np.vstack([pointers, self._ground.pointers])
 
-    def _make_struct(self) -> np.ndarray:
+    def _make_struct(self, constants: Constants | None = None) -> np.ndarray:
         further = [effect.struct for effect in self.effects]
         further += [law.struct for law in self.model.laws]
-        return system_struct(
-            self.model.constants, self.arrays, self.work, self.coupled, self.guards, further
-        )
+        constants = self.model.constants if constants is None else constants
+        return system_struct(constants, self.arrays, self.work, self.coupled, self.guards, further)
 
     def _connect_control(self) -> None:
         if self.model.python_control is not None:
@@ -443,15 +408,25 @@ class Data:
         for name, address in addresses.items():
             setattr(self.arrays.functions, name, address)
 
-    def replace_arrays(self, **changes: Any) -> None:
-        """Replace some of the arrays."""
+    def replace_arrays(
+        self, constants: Constants | None = None, work: NodeWork | None = None, **changes: Any
+    ) -> None:
+        """Replace some of the arrays, for compiled code those of the model too."""
         self.arrays = self.arrays._replace(**changes)
-        self._struct = self._make_struct()
+        self.work = self.work if work is None else work
+        self._struct = self._make_struct(constants)
 
-    def replace_dense_solver(self, reactions: tuple[np.ndarray, np.ndarray]) -> None:
-        """Let the dense solver use other directions of the forces, see :func:`dense_solver`."""
-        dense = dense_solver(self.arrays, self.work, reactions)
-        self._add_callback("dense", PythonCallback(dense, self.arrays.status))
+    def take_rows(
+        self, model: Model, rows: Mapping[str, Any], work: NodeWork, coupled: CoupledWork
+    ) -> None:
+        """Continue with the rows of another model, whose arrays are at the same addresses.
+
+        The struct is left to the caller.
+        """
+        self.model, self.work, self.coupled = model, work, coupled
+        self.arrays = self.arrays._replace(**rows)
+        self.dense_solver.variables, self.dense_solver.work = self.arrays, work
+        self.cache.clear()
 
     @property
     def struct(self) -> np.ndarray:

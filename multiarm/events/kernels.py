@@ -8,6 +8,7 @@ laws, and :math:`\lambda = \lambda_0 + \delta` with :math:`\delta` of minimum no
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,7 @@ from multiarm.jit.structs import (
     Int,
     Ints1,
     Numbers,
+    sizes_in_struct,
     struct_at,
     struct_of,
     view,
@@ -73,7 +75,7 @@ class ModeArrays(NamedTuple):
 
 
 def mode_struct(
-    arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None
+    arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None = None
 ) -> np.ndarray:
     """Struct of a mode, which begins with its guards; the functions below open its parts."""
     return struct_of(guards, arrays, slides, *([] if reactions is None else [reactions]))
@@ -81,8 +83,14 @@ def mode_struct(
 
 _MODE = len(Guards._fields)
 _SLIDES = _MODE + len(ModeArrays._fields)
+_REACTIONS = _SLIDES + len(Slides._fields)
 open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
-open_reactions = view(ReactionWork, _SLIDES + len(Slides._fields))
+open_reactions = view(ReactionWork, _REACTIONS)
+
+
+def reaction_sizes(arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Places in a mode's struct of the sizes of arrays of the reactions, and these sizes."""
+    return sizes_in_struct(ReactionWork, _REACTIONS, arrays)
 
 
 @cfunc

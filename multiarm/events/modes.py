@@ -28,12 +28,14 @@ from multiarm.dynamics.guards import (
     make_guards,
 )
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
+from multiarm.dynamics.row_selection import Recent, Room, RowSelection
+from multiarm.dynamics.solver.reactions import make_reaction_work, reaction_shapes
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
     check_guards,
     mode_struct,
+    reaction_sizes,
     record_forces,
     solve_held,
     solve_sliding,
@@ -92,7 +94,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One mode of a system.
+    """The mode that has been entered, until another one is.
 
     Attributes
     ----------
@@ -109,7 +111,6 @@ class Mode:
     arrays: ModeArrays
     slides: Slides
     guards: Guards
-    _kept: tuple[object, ...]  # objects that kernels access by address
 
     def set_prestress(self, forces: dict[int, float]) -> None:
         """Set the forces, by row, to which those of the mode are nearest."""
@@ -118,99 +119,123 @@ class Mode:
 
 
 class Modes:
-    """The modes of one Data, built on demand.
+    """The modes of one Data.
+
+    All of them have one Data, in which the rows of a mode are selected where it is entered.
 
     Attributes
     ----------
     full : Data
-        With all rows.
+        With all rows: gaps, rates and directions of those that are not held, too.
+    closed : Data
+        With all contacts of the joints closed, as controllers assume them.
+    bare : Data
+        With the rows that are always held: how the bodies respond to forces in the others.
+    data : Data
+        With the held rows of the mode that was entered last.
     slow : float
         Speed below which the direction of slip is smoothed [m/s].
-    closed, bare : Data
-        With all contacts of the joints closed; with every unilateral constraint open.
     """
 
     def __init__(self, full: Data, slow: float):
-        assert full.model.unilateral is not None, "a system with unilateral contacts"
-        self.full, self.unilateral, self.slow = full, full.model.unilateral, slow
-        self.closed = _select(full, self.unilateral.model)
-        self._nothing = _select(full, [])
-        self._made: dict[Choice, Mode] = {}
-        everything_open = tuple(
-            ContactState.FORWARD if constraint.kind == DRY_JOINT else ContactState.OPEN
-            for constraint in self.unilateral.constraints
+        unilateral = full.model.unilateral
+        assert unilateral is not None, "a system with unilateral contacts"
+        self.full, self.unilateral, self.slow = full, unilateral, slow
+        self.closed = _view(full, unilateral.model)
+        self.bare = self._always(unilateral.bilateral)
+        tangents = any(constraint.tangents for constraint in unilateral.constraints)
+        self._tangents = RowSelection(full) if tangents else None
+        layout = full.model.layout
+        sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
+        structs = ModeStructs(active=True, closed=_address(self.closed), full=_address(full))
+        self._held = RowSelection(full, modes=structs, shown=full.arrays.shown)
+        self.data = self._held.data
+        self.data.arrays.functions.contact_forces = address_of(record_forces)
+        self.data.arrays.functions.guards = address_of(check_guards)
+        self._numbers = ModeNumbers(slow=slow, power=_power_of_friction(full))
+        self._reactions = None
+        if self._tangents is not None:
+            structs.tangents = _address(self._tangents.data)
+            self._reactions = _Reactions(self.data, *sizes)
+        everything_open = Choice(
+            tuple(
+                ContactState.FORWARD if constraint.kind == DRY_JOINT else ContactState.OPEN
+                for constraint in unilateral.constraints
+            ),
+            (),
         )
-        self._open = Choice(everything_open, ())
-        self.bare = self.mode(self._open).data
-
-    @property
-    def loose(self) -> Data:
-        """The bodies without any contact."""
-        return self._loose.data
+        self._recent: Recent[tuple[Mode, np.ndarray]] = Recent()
+        mode = self._make(everything_open)
+        reactions = None if self._reactions is None else self._reactions.work
+        self._struct = mode_struct(mode.arrays, mode.slides, mode.guards, reactions)
+        structs.mode = self._struct.ctypes.data
+        self._select(everything_open)
 
     @cached_property
-    def _loose(self) -> Mode:  # kept whole: kernels access its arrays by address
-        return self._make(self._open, ())
+    def loose(self) -> Data:
+        """Without any row: how the bodies respond where redundant rows share their forces."""
+        return self._always(())
 
-    def mode(self, choice: Choice) -> Mode:
-        """The mode of a choice."""
-        if choice not in self._made:
-            self._made[choice] = self._make(choice, self.unilateral.bilateral)
-        return self._made[choice]
+    def _always(self, rows: Sequence[int]) -> Data:
+        """Data with fixed rows, in which control and effects act as in all modes."""
+        data = _view(self.full, rows)
+        data.replace_arrays(modes=ModeStructs(active=True, closed=_address(self.closed)))
+        return data
 
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
         """The mode of a choice, with directions of slip, at its beginning."""
-        mode = self.mode(choice)
+        if choice != self._entered.choice:
+            self._select(choice)
+        mode = self._entered
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
             mode.slides.direction[s] = directions[u]
         mode.guards.armed[:] = 0
-        mode.arrays.numbers.muted = mode.arrays.numbers.stressed = False
+        self._numbers.muted = self._numbers.stressed = False
         set_constraint_forces(self.full, choice)
         return mode
 
-    def _make(self, choice: Choice, bare: tuple[int, ...]) -> Mode:
-        full, constraints = self.full, self.unilateral.constraints
-        rows = np.array(sorted([*bare, *choice.rows]), dtype=np.int64)
-        sliding = choice.sliding(constraints)
-        held = _select(full, rows)
-        tangents = [t for u in sliding for t in constraints[u].tangents]
-        sideways = _select(full, tangents) if sliding else self._nothing
-        arrays, slides = self._arrays(choice, rows), self._slides(choice, rows, sliding)
-        guards = self._guards(choice, rows, sliding, slides)
-        reactions = _reactions(held) if sliding else None
-        struct = mode_struct(arrays, slides, guards, reactions)
-        structs = ModeStructs(
-            active=True,
-            closed=self.closed.struct.ctypes.data,
-            full=full.struct.ctypes.data,
-            tangents=sideways.struct.ctypes.data,
-            mode=struct.ctypes.data,
-            slides=bool(sliding),
+    def _select(self, choice: Choice) -> None:
+        """Select the rows of a choice, and make its sliding contacts and guards."""
+        self._entered, struct = self._recent.value(choice, lambda: self._prepare(choice))
+        mode = self._entered
+        self._held.select(mode.arrays.held)
+        self._struct[: struct.size] = struct
+        functions, solver = self.data.arrays.functions, self.data.dense_solver
+        functions.solve, solver.reactions = address_of(solve_held), None
+        self.data.arrays.modes.slides = mode.slides.row.size > 0
+        if mode.slides.row.size:
+            assert self._tangents is not None and self._reactions is not None
+            self._tangents.select(np.concatenate([[t, t + 1] for t in mode.slides.tangent_of_all]))
+            Wr = self._reactions.resize(self.data, self._struct)
+            functions.solve, solver.reactions = address_of(solve_sliding), (mode.arrays.Wr, Wr)
+
+    def _prepare(self, choice: Choice) -> tuple[Mode, np.ndarray]:
+        """The mode of a choice, and its part of the struct."""
+        mode = self._make(choice)
+        return mode, mode_struct(mode.arrays, mode.slides, mode.guards)
+
+    def _make(self, choice: Choice) -> Mode:
+        rows = np.array(sorted([*self.unilateral.bilateral, *choice.rows]), dtype=np.int64)
+        sliding = choice.sliding(self.unilateral.constraints)
+        slides = self._slides(choice, rows, sliding)
+        return Mode(
+            choice,
+            self.data,
+            self._arrays(choice, rows),
+            slides,
+            self._guards(choice, rows, sliding, slides),
         )
-        held.replace_arrays(modes=structs, shown=full.arrays.shown)
-        functions = held.arrays.functions
-        functions.solve = address_of(solve_sliding if sliding else solve_held)
-        functions.contact_forces = address_of(record_forces)
-        functions.guards = address_of(check_guards)
-        if reactions is not None:
-            held.replace_dense_solver((arrays.Wr, reactions.Yr))
-        by_address = sideways, struct, reactions, self.closed, full
-        return Mode(choice, held, arrays, slides, guards, by_address)
 
     def _arrays(self, choice: Choice, rows: np.ndarray) -> ModeArrays:
         constraints, full = self.unilateral.constraints, self.full
-        springs, effects = self.unilateral.compliant, full.model.effects
-        # of sliding friction; without the effect, a power that stays zero
-        slot = effects.slot(
-            "contact_friction" if "contact_friction" in effects.works else "impacts"
-        )
+        springs = self.unilateral.compliant
         states = [
             state.recorded
             for state, constraint in zip(choice.states, constraints, strict=True)
             if constraint.kind == CONTACT
         ]
         return ModeArrays(
-            numbers=ModeNumbers(slow=self.slow, power=slot),
+            numbers=self._numbers,
             held=rows,
             states=np.array(states, dtype=float),
             Wr=np.zeros((len(rows), 6)),
@@ -254,14 +279,58 @@ class Modes:
         return make_guards(guards, slides.direction)
 
 
-def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
-    """Data with some of the rows, at the contact points of two surfaces of ``full``."""
-    chosen = np.array(rows, dtype=np.int64)
-    model = replace(full.model.select(chosen), unilateral=None)
-    data = full.view(model)
-    for own, source in full.model.pairs(chosen, model.constants):
-        data.arrays.places[own] = full.arrays.places[source]
-    return data
+class _Reactions:
+    """The arrays of the node algorithm with friction; some are those of the mode's Data.
+
+    Attributes
+    ----------
+    work : ReactionWork
+        With room for all rows.
+    """
+
+    def __init__(self, data: Data, dofs: list[int], rows: list[int]) -> None:
+        self._dofs, work = dofs, data.work
+        own = make_reaction_work(dofs, rows)
+        shapes = reaction_shapes(dofs, rows)
+        self._room = Room({name: getattr(own, name) for name in shapes})
+        self._recent: Recent[tuple[np.ndarray, np.ndarray, np.ndarray]] = Recent()
+        self.work = own._replace(
+            dofs=work.dofs,
+            rows=work.rows,
+            levers=work.levers,
+            M=work.M,
+            W=work.W,
+            L=work.L,
+            Y=work.Y,
+            y=work.y,
+        )
+
+    def resize(self, data: Data, struct: np.ndarray) -> np.ndarray:
+        """Write the sizes for the rows of the data into a mode's struct; the arms' reactions."""
+        counts = tuple(np.diff(data.model.layout.rows).tolist())
+        Wr, places, sizes = self._recent.value(counts, lambda: self._prepare(counts))
+        struct[places] = sizes
+        return Wr
+
+    def _prepare(self, counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The arms' reactions for numbers of rows; places of sizes in the struct, and sizes."""
+        arrays = self._room.arrays(reaction_shapes(self._dofs, list(counts)))
+        return arrays["Wr"], *reaction_sizes(arrays)
+
+
+def _view(full: Data, rows: Sequence[int]) -> Data:
+    """Data with some of the rows of ``full``."""
+    return full.view(replace(full.model.select(rows), unilateral=None))
+
+
+def _address(data: Data) -> int:
+    return data.struct.ctypes.data
+
+
+def _power_of_friction(full: Data) -> int:
+    """Place of the power of sliding friction; without the effect, of one that stays zero."""
+    effects = full.model.effects
+    return effects.slot("contact_friction" if "contact_friction" in effects.works else "impacts")
 
 
 def set_constraint_forces(full: Data, choice: Choice) -> None:
@@ -279,22 +348,6 @@ def set_constraint_forces(full: Data, choice: Choice) -> None:
         if constraint.kind == DRY_JOINT and state.moves:
             torque = -constraint.bound if state == ContactState.FORWARD else constraint.bound
             full.effect(DRY_FRICTION).torque[constraint.joint] = torque
-
-
-def _reactions(held: Data) -> ReactionWork:
-    """Arrays of the node algorithm with friction, some of which are those of ``held``."""
-    layout, work = held.model.layout, held.work
-    sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
-    return make_reaction_work(*sizes)._replace(
-        dofs=work.dofs,
-        rows=work.rows,
-        levers=work.levers,
-        M=work.M,
-        W=work.W,
-        L=work.L,
-        Y=work.Y,
-        y=work.y,
-    )
 
 
 def _guards(

@@ -34,7 +34,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from struct import Struct as Format
 from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
 
@@ -129,6 +129,27 @@ def misfit(holder: tuple) -> str:
         if not fits:
             return f"{name!r} is not {what}"
     return ""
+
+
+def sizes_in_struct(
+    holder: type, at: int, arrays: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the sizes of some fields of a holder at place ``at``, and these sizes.
+
+    With them a struct is written again for arrays that begin where those before did.
+    """
+    places: list[int] = []
+    sizes: list[int] = []
+    for name, array in arrays.items():
+        first = WIDTH * (at + _places_of(holder)[name]) + 1
+        places += range(first, first + array.ndim)
+        sizes += array.shape
+    return np.array(places, dtype=np.int64), np.array(sizes, dtype=np.int64)
+
+
+@functools.cache
+def _places_of(holder: type) -> dict[str, int]:
+    return {name: k for k, name in enumerate(holder._fields)}  # type: ignore[attr-defined]
 
 
 @functools.cache

@@ -2,8 +2,8 @@
 
 The loop returns when a guard has changed its sign inside a step, before that step is accepted.  The
 time of the event is found on the step's dense output, and the loop continues up to it.  There
-:mod:`multiarm.events` decides the next mode, and the run continues in that mode, which is another
-Data with the same state.
+:mod:`multiarm.events` decides the next mode, whose rows are selected in the run's Data, and the run
+continues with the same step.
 """
 
 from __future__ import annotations
@@ -155,8 +155,7 @@ class EventHandler:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
         assert self._pending is not None, "the run stops at an event"
         pending, self._pending = self._pending, None
-        t, step = run.clock.t, run.stepping.step
-        before = self.mode.choice
+        t, before = run.clock.t, self.mode.choice
         self._load(run)
         kinds, owners = self._of_guards(pending)
         participants = _Participants(
@@ -174,7 +173,7 @@ class EventHandler:
         self._limit_events(t)
         if self._fault:
             return self._fault
-        self._continue(run, decision, step)
+        self._continue(run, decision)
         return ""
 
     def _at_rest(self, pending: Pending) -> dict[int, float]:
@@ -274,31 +273,30 @@ class EventHandler:
         self._fault = decision.trouble
         return decision
 
-    def _continue(self, run: Run, decision: Decision, step) -> None:
+    def _continue(self, run: Run, decision: Decision) -> None:
         """Continue the run in the new mode, from the state in its data."""
-        data = self.mode.data
-        run.data = data
-        tolerance = run.settings.gap_tolerance
+        data, clock, tolerance = run.data, run.clock, run.settings.gap_tolerance
+        if run.stepping.work:  # these arrays have entries for the rows of a mode
+            before, run.stepping = run.stepping.step, make_stepping(data, run.stepping.tableau)
+            set_tolerance(run.stepping.step, data, run.tolerance)
+            run.stepping.step.z[:] = before.z
+        step = run.stepping.step
         if tolerance >= 0.0 and project(data.struct, tolerance) != OK:
             data.reraise()
             raise SolverError("the state could not be put on the contacts that closed")
-        run.stepping = make_stepping(data, run.stepping.tableau)
-        set_tolerance(run.stepping.step, data, run.tolerance)
-        new = run.stepping.step
-        new.z[:] = step.z
-        begin_chart(data.struct, new.base, new.z)
+        begin_chart(data.struct, step.base, step.z)
         if decision.energy:
-            works = new.z[chart_places(data.arrays).works :]
+            works = step.z[chart_places(data.arrays).works :]
             works[data.model.effects.slot("impacts")] += decision.energy
             works[-1] += decision.energy
-        clock = run.clock
         length = max(0.5 * self._last_length, 1e-12)  # the motion may have changed
         if run.settings.adaptive:
             clock.h = length
         clock.error_before, clock.t_before, clock.h_before = 1.0, clock.t, 0.0
         clock.stop = np.inf
-        new.stage.alpha, new.stage.beta = gains(run.settings, clock.step)
-        status = write_slope(run.stepping.struct, clock.t, new.z, new.slope)
+        step.stage.begin()
+        step.stage.alpha, step.stage.beta = gains(run.settings, clock.step)
+        status = write_slope(run.stepping.struct, clock.t, step.z, step.slope)
         if status != OK:
             data.reraise()
             raise SolverError(f"the motion after the event: {failure_text(data, status)}")

@@ -103,7 +103,7 @@ def make_work(
     dofs: list[int], rows: list[int], levers: Sequence[np.ndarray] | None = None
 ) -> NodeWork:
     """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts, levers (dofs[i],) [m]."""
-    n, d, m = len(dofs), max(dofs), max(rows)
+    n, d = len(dofs), max(dofs)
     every_lever = np.ones((n, d))
     if levers is not None:
         for row, lever in zip(every_lever, levers, strict=True):
@@ -111,38 +111,58 @@ def make_work(
     M = np.zeros((n, d, d))
     for inertia, own in zip(M, dofs, strict=True):
         inertia[range(own, d), range(own, d)] = 1.0
-    groups, size = _group(dofs, rows)
-    places, present = _pad(groups, dofs, rows)
+    tables, size = group_tables(dofs, rows, every_lever)
     return NodeWork(
         dofs=_starts(dofs),
         rows=_starts(rows),
         M=M,
-        W=np.zeros((n, d, m)),
         by_arm=np.zeros(1, dtype=np.int64),
         L=np.zeros((n, d, d)),
-        Y=np.zeros((n, d, m)),
-        G=np.zeros((n, m, m)),
-        Z=np.zeros((n, m, 6)),
         S=np.zeros((6, 6)),
         y=np.zeros(sum(dofs)),
-        z=np.zeros(sum(rows)),
         levers=every_lever,
         pivot=np.ones(n + 1),
-        groups=groups,
-        places=places,
-        present=present,
-        stiffness=_stiffness(groups, dofs, every_lever),
         packs=aligned_zeros(size),
+        **{name: np.zeros(shape) for name, shape in work_shapes(dofs, rows).items()},
+        **tables,
     )
 
 
-def _stiffness(groups: np.ndarray, dofs: list[int], levers: np.ndarray) -> np.ndarray:
-    """``NodeWork.stiffness``."""
-    stiffness = np.full((len(groups), levers.shape[1], LANES), np.inf)
-    for g, group in enumerate(groups):
-        for lane, i in enumerate(group[FIRST_ARM:]):
-            stiffness[g, : dofs[i], lane] = 1.0 / levers[i, : dofs[i]] ** 2
-    return stiffness.reshape(len(groups), LANES * levers.shape[1])
+def work_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays that depend on the contacts."""
+    n, d, m = len(dofs), max(dofs), max(rows)
+    return {"W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(rows),)}
+
+
+def group_tables(
+    dofs: list[int], rows: list[int], levers: np.ndarray
+) -> tuple[dict[str, np.ndarray], int]:
+    """``groups, places, present, stiffness`` of :class:`NodeWork`, and the size of ``packs``."""
+    groups, size = _group(dofs, rows)
+    d, m = max(dofs), max(rows)
+    arms, joints, contacts = groups[:, FIRST_ARM:], np.array(dofs), np.array(rows)
+    held = np.arange(m)[:, None] < contacts[arms][:, None, :]  # (g, m, 4)
+    present = np.concatenate([held, np.arange(LANES) < groups[:, None, COUNT, None]], axis=1)
+    moving = np.arange(d) < joints[:, None]
+    stiffness = np.where(moving, 1.0 / levers**2, np.inf)[arms]  # (g, 4, d)
+    places = np.concatenate([_places(joints, arms, d), _places(contacts, arms, m)], axis=1)
+    tables = {
+        "groups": groups,
+        "places": places.reshape(len(groups), LANES * (d + m)),
+        "present": present.astype(float).reshape(len(groups), LANES * (m + 1)),
+        "stiffness": stiffness.swapaxes(1, 2).reshape(len(groups), LANES * d),
+    }
+    return tables, size
+
+
+def _places(sizes: np.ndarray, arms: np.ndarray, most: int) -> np.ndarray:
+    """Index of every joint or contact of these arms (g, 4) in a stacked vector, (g, most, 4).
+
+    Padding reads from somewhere.
+    """
+    first, count = (np.cumsum(sizes) - sizes)[arms][:, None, :], sizes[arms][:, None, :]
+    number = np.arange(most)[:, None]
+    return np.where(number < count, first + number, np.where(count > 0, first, 0))
 
 
 def _group(dofs: list[int], rows: list[int]) -> tuple[np.ndarray, int]:
@@ -159,24 +179,6 @@ def _group(dofs: list[int], rows: list[int]) -> tuple[np.ndarray, int]:
             groups.append([d, m, len(arms), size, width, *arms, *spare])
             size += LANES * width * (d + m + 1)  # the last row is for the unknowns
     return np.array(groups, dtype=np.int64).reshape(-1, GROUP_WIDTH), size
-
-
-def _pad(groups: np.ndarray, dofs: list[int], rows: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """``NodeWork.places`` and ``NodeWork.present``."""
-    d, m = max(dofs), max(rows)
-    places = np.zeros((len(groups), d + m, LANES), dtype=np.int64)
-    present = np.zeros((len(groups), m + 1, LANES))
-    for g, group in enumerate(groups):
-        for lane, i in enumerate(group[FIRST_ARM:]):
-            for own, sizes in ((slice(0, d), dofs), (slice(d, d + m), rows)):
-                first = sum(sizes[:i])
-                # padding reads from somewhere
-                places[g, own, lane] = first + np.arange(own.stop - own.start)
-                places[g, own, lane][sizes[i] :] = first if sizes[i] else 0
-            present[g, : rows[i], lane] = 1.0
-            present[g, m, lane] = float(lane < group[COUNT])
-    shapes = (len(groups), LANES * (d + m)), (len(groups), LANES * (m + 1))
-    return places.reshape(shapes[0]), present.reshape(shapes[1])
 
 
 def _starts(sizes: list[int]) -> np.ndarray:

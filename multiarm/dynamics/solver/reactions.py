@@ -133,28 +133,37 @@ class ReactionWork(NamedTuple):
 
 def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
     """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; all levers are 1."""
-    n, d, m, D, N = len(dofs), max(dofs), max(rows), sum(dofs), sum(rows)
+    n, d, D = len(dofs), max(dofs), sum(dofs)
     shapes = {
-        "M": (n, d, d), "W": (n, d, m), "Wr": (n, d, m),
-        "L": (n, d, d), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m), "K_pivots": (n, m),
-        "arm_scale": N, "arm_scale_r": N, "Lo": (6, 6), "Ls": (6, 6), "node": (6, 6),
-        "node_pivots": 6, "coupled": n, "undetermined": n, "pivot": n + 1, "stiffness": (6, 6),
-        "place": N,
-        "scale": N, "scale_r": N, "U": (N, 6 + D), "Ur": (N, 6 + D), "V": (N, N), "Vr": (N, N),
-        "sigma": N, "sigma_r": N, "core": (N, N), "core_V": (N, N), "core_left": (N, N),
-        "core_left_V": (N, N), "core_sigma": N, "null_force": (N, N + 6),
-        "null_constraint": (N, N + 6),
-        "y": D, "z": N, "left": N, "right": N, "unloaded": 6, "without_friction": (m, m),
-        "six": 6, "contacts": m, "six_columns": (m, 6),
+        "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (6, 6), "Ls": (6, 6),
+        "node": (6, 6), "node_pivots": (6,), "coupled": (n,), "undetermined": (n,),
+        "pivot": (n + 1,), "stiffness": (6, 6), "y": (D,), "unloaded": (6,), "six": (6,),
+        **reaction_shapes(dofs, rows),
     }  # fmt: skip
     whole = {"K_pivots", "node_pivots", "coupled", "undetermined", "place"}
-    return ReactionWork(
+    work = ReactionWork(
         dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
         rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
-        levers=np.ones((n, d)),
         status=ReactionStatus(),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
+    work.levers[:] = 1.0
+    return work
+
+
+def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays that depend on the contacts."""
+    n, d, m, D, N = len(dofs), max(dofs), max(rows), sum(dofs), sum(rows)
+    return {
+        "W": (n, d, m), "Wr": (n, d, m), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m),
+        "K_pivots": (n, m),
+        "arm_scale": (N,), "arm_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
+        "U": (N, 6 + D), "Ur": (N, 6 + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
+        "sigma_r": (N,), "core": (N, N), "core_V": (N, N), "core_left": (N, N),
+        "core_left_V": (N, N), "core_sigma": (N,), "null_force": (N, N + 6),
+        "null_constraint": (N, N + 6), "z": (N,), "left": (N,), "right": (N,),
+        "without_friction": (m, m), "contacts": (m,), "six_columns": (m, 6),
+    }  # fmt: skip
 
 
 @kernel

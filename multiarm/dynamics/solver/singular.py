@@ -110,19 +110,26 @@ class CoupledWork(NamedTuple):
 
 def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
     """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
-    n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
-    shapes = {
-        "V": (n, m, m), "A": (n, m, d), "sigma": N, "scale": n, "split": n, "inertia": (6, 6),
-        "wrench": 6, "C": (N, 6), "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N),
-        "right": N, "unknown": N,
-    }  # fmt: skip
+    n, whole = len(dofs), {"arm", "row"}
+    shapes = coupled_shapes(dofs, rows)
     return CoupledWork(
         deficient=np.zeros(n, dtype=np.int64),
-        arm=np.zeros(N, dtype=np.int64),
-        row=np.zeros(N, dtype=np.int64),
+        scale=np.zeros(n),
+        split=np.zeros(n),
+        inertia=np.zeros((6, 6)),
+        wrench=np.zeros(6),
         status=CoupledStatus(margin=np.inf, least_margin=np.inf),
-        **{name: np.zeros(shape) for name, shape in shapes.items()},
+        **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
+
+
+def coupled_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays that depend on the contacts."""
+    n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
+    return {
+        "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "row": (N,), "C": (N, 6),
+        "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N), "right": (N,), "unknown": (N,),
+    }  # fmt: skip
 
 
 def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
