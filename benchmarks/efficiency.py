@@ -20,10 +20,10 @@ order :math:`k = 6 + n (d + N)` takes :math:`\tfrac23 k^3 + O(k^2)`, cubic in th
 algorithm takes, an arm,
 
 .. math::
-    \underbrace{\tfrac13 d^3}_{M_i} + \underbrace{2 d^2 (N + 1)}_{M_i^{-1}[W_i, h_i]} +
+    \underbrace{\tfrac13 d^3}_{M_i} + \underbrace{2 d^2 (N + 1)}_{M_i^{-1}[W_i, f_i]} +
     \underbrace{2 d N (N + 1)}_{K_i,\, r_i} + \underbrace{\tfrac13 N^3 + 14 N^2}_{K_i^{-1}[W_{oi}^T,
     r_i]} + \underbrace{84 N}_{A,\, b} + \underbrace{12 N}_{\mu_i} +
-    \underbrace{2 d N + 2 d^2}_{q_i}
+    \underbrace{2 d N + 2 d^2}_{a_i}
 
 to leading orders when the equations (4.10) - (4.12) of the thesis are carried out as written, and
 :math:`\tfrac13 6^3 + 2 \cdot 6^2` for the object: linear.  The actual number of
@@ -272,7 +272,7 @@ def solve_in_all_ways(s: Coefficients) -> dict[str, Solution]:
 def deviations(s: Coefficients) -> dict[str, float]:
     """Largest deviation of every solver's accelerations from those by LU, relative."""
     accelerations = {
-        name: np.concatenate([solution.q_o, solution.q.ravel()])
+        name: np.concatenate([solution.a_o, solution.q.ravel()])
         for name, solution in solve_in_all_ways(s).items()
     }
     exact = accelerations.pop("LU")
@@ -372,8 +372,8 @@ class CompiledNode:
         self._matrices = tuple(
             np.ascontiguousarray(array)
             for array in (
-                s.M, s.W, s.W_o.transpose(0, 2, 1).reshape(n * N, 6), s.M_o, s.h_o,
-                s.h.ravel(), s.c.ravel(),
+                s.M, s.W, s.W_o.transpose(0, 2, 1).reshape(n * N, 6), s.M_o, s.f_o,
+                s.f_j.ravel(), s.c.ravel(),
             )
         )  # fmt: skip
         self._solution = np.zeros(6), np.zeros(n * d), np.zeros(n * N)
@@ -388,19 +388,19 @@ class CompiledNode:
         """Accelerations and forces."""
         self.burst(1)
         n, d, N = self._shape
-        q_o, q, force = (array.copy() for array in self._solution)
-        return Solution(q_o, q.reshape(n, d), force.reshape(n, N))
+        a_o, q, force = (array.copy() for array in self._solution)
+        return Solution(a_o, q.reshape(n, d), force.reshape(n, N))
 
 
 def assembly_burst(s: Coefficients) -> Burst:
     """Filling the whole matrix and its right-hand side."""
     matrix, right = map(np.ascontiguousarray, assemble(s))  # the matrix is symmetric
-    given = (s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, matrix, right)
+    given = (s.M_o, s.f_o, s.M, s.f_j, s.W_o, s.W, s.c, matrix, right)
     return lambda count: _assemble_often(*given, count)
 
 
 @kernel
-def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
+def _node_often(work, M, W, Wo, M_o, f_o, f_j, c, a_o, q, force, count):
     """Load, eliminate, solve."""
     status = OK
     for _ in range(count):
@@ -410,14 +410,14 @@ def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
                     work.M[i, a, b] = M[i, a, b]
                 for b in range(W.shape[2]):
                     work.W[i, a, b] = W[i, a, b]
-        status = solve_batched(work, Wo, M_o, h_o, h, c, q_o, q, force)
+        status = solve_batched(work, Wo, M_o, f_o, f_j, c, a_o, q, force)
         if status != OK:
             return status
     return status
 
 
 @kernel
-def _assemble_often(M_o, h_o, M, h, W_o, W, c, matrix, right, count):
+def _assemble_often(M_o, f_o, M, f_j, W_o, W, c, matrix, right, count):
     """What :func:`solver_forms.assemble` does."""
     n, d, m = W.shape
     for _ in range(count):
@@ -425,13 +425,13 @@ def _assemble_often(M_o, h_o, M, h, W_o, W, c, matrix, right, count):
             for b in range(matrix.shape[1]):
                 matrix[a, b] = 0.0
         for a in range(6):
-            right[a] = h_o[a]
+            right[a] = f_o[a]
             for b in range(6):
                 matrix[a, b] = M_o[a, b]
         for i in range(n):
             j0, r0 = 6 + i * d, 6 + n * d + i * m
             for a in range(d):
-                right[j0 + a] = h[i, a]
+                right[j0 + a] = f_j[i, a]
                 for b in range(d):
                     matrix[j0 + a, j0 + b] = M[i, a, b]
             for k in range(m):

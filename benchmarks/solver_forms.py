@@ -3,8 +3,8 @@ r"""The solvers that the study of the thesis's section 4.4 compares, on one set 
 Each takes the :class:`Coefficients` of
 
 .. math::
-    M_o q_o = h_o + \sum_i W_{oi} \lambda_i, \qquad M_i q_i = h_i + W_i \lambda_i, \qquad
-    W_{oi}^T q_o + W_i^T q_i = c_i
+    M_o a_o = f_o + \sum_i W_{oi} \lambda_i, \qquad M_i a_i = f_i + W_i \lambda_i, \qquad
+    W_{oi}^T a_o + W_i^T a_i = c_i
 
 and returns accelerations and contact forces.  They share nothing but these matrices: the node
 algorithm of thesis 4.2 as a plain loop; that of K. W. Lilly and D. E. Orin (J. Dyn. Sys. Meas.
@@ -30,9 +30,9 @@ from multiarm.spatial import quaternion_to_matrix
 class Coefficients(NamedTuple):
     """The system's matrices; ``n`` arms of ``d`` joints and ``N`` contacts each.
 
-    M_o, h_o : (6, 6), (6,)
+    M_o, f_o : (6, 6), (6,)
         The object's inertia and right-hand side.
-    M, h : (n, d, d), (n, d)
+    M, f_j : (n, d, d), (n, d)
     W_o, W, c : (n, 6, N), (n, d, N), (n, N)
     J : (n, 6, d)
         Jacobians of the tips, world axes.
@@ -43,9 +43,9 @@ class Coefficients(NamedTuple):
     """
 
     M_o: np.ndarray
-    h_o: np.ndarray
+    f_o: np.ndarray
     M: np.ndarray
-    h: np.ndarray
+    f_j: np.ndarray
     W_o: np.ndarray
     W: np.ndarray
     c: np.ndarray
@@ -57,7 +57,7 @@ class Coefficients(NamedTuple):
 class Solution(NamedTuple):
     """Accelerations of object (6,) and joints (n, d), and contact forces (n, N)."""
 
-    q_o: np.ndarray
+    a_o: np.ndarray
     q: np.ndarray
     force: np.ndarray
 
@@ -94,26 +94,26 @@ def build(system: System, state: State) -> Coefficients:
     inertia = R @ plant.object_inertia @ R.T
     M_o = np.zeros((6, 6))
     M_o[:3, :3], M_o[3:, 3:] = plant.object_mass * np.eye(3), inertia
-    h_o = np.concatenate([plant.object_mass * plant.gravity, -np.cross(omega, inertia @ omega)])
-    return Coefficients(M_o, h_o, *(np.array(column) for column in zip(*rows, strict=True)))
+    f_o = np.concatenate([plant.object_mass * plant.gravity, -np.cross(omega, inertia @ omega)])
+    return Coefficients(M_o, f_o, *(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def node_loop(s: Coefficients) -> Solution:
     """The node algorithm (thesis, 4.10 - 4.12) arm by arm, as one writes it in NumPy."""
-    A, b = s.M_o.copy(), s.h_o.copy()
+    A, b = s.M_o.copy(), s.f_o.copy()
     arms = []
-    for M, h, W_o, W, c in zip(s.M, s.h, s.W_o, s.W, s.c, strict=True):
-        Y = np.linalg.solve(M, np.column_stack([W, h]))  # M^-1 [W, h]
+    for M, f_j, W_o, W, c in zip(s.M, s.f_j, s.W_o, s.W, s.c, strict=True):
+        Y = np.linalg.solve(M, np.column_stack([W, f_j]))  # M^-1 [W, f_j]
         KY = W.T @ Y
         K, r = KY[:, :-1], c - KY[:, -1]
         Z = np.linalg.solve(K, np.column_stack([W_o.T, r]))  # K^-1 [W_o^T, r]
         A += W_o @ Z[:, :6]
         b += W_o @ Z[:, 6]
         arms.append((Y, Z))
-    q_o = np.linalg.solve(A, b)
-    force = [Z[:, 6] - Z[:, :6] @ q_o for _, Z in arms]
+    a_o = np.linalg.solve(A, b)
+    force = [Z[:, 6] - Z[:, :6] @ a_o for _, Z in arms]
     q = [Y[:, -1] + Y[:, :-1] @ f for (Y, _), f in zip(arms, force, strict=True)]
-    return Solution(q_o, np.array(q), np.array(force))
+    return Solution(a_o, np.array(q), np.array(force))
 
 
 def lilly_orin(s: Coefficients) -> Solution:
@@ -121,27 +121,27 @@ def lilly_orin(s: Coefficients) -> Solution:
 
     The tips' accelerations are taken without their drift, which is in ``c``.
     """
-    A, b = s.M_o.copy(), s.h_o.copy()
+    A, b = s.M_o.copy(), s.f_o.copy()
     arms = []
-    for M, h, c, J, wrench, G in zip(s.M, s.h, s.c, s.J, s.wrench, s.G, strict=True):
+    for M, f_j, c, J, wrench, G in zip(s.M, s.f_j, s.c, s.J, s.wrench, s.G, strict=True):
         W_hat, triangle = np.linalg.qr(wrench)  # W_hat^T W_hat = 1
         a_c = -np.linalg.solve(triangle.T, c)  # constrained relative acceleration
         L = np.linalg.cholesky(M)
-        X = np.linalg.solve(L, np.column_stack([J.T, h]))
+        X = np.linalg.solve(L, np.column_stack([J.T, f_j]))
         inverse = X[:, :6].T @ X  # [inverse operational space inertia, free acceleration]
         across = W_hat.T @ inverse[:, :6] @ W_hat
         P = np.linalg.solve(across, a_c - W_hat.T @ inverse[:, 6])
         B = np.linalg.solve(across, W_hat.T @ G)
         A += G.T @ W_hat @ B
         b -= G.T @ W_hat @ P
-        arms.append((M, h, J, wrench, W_hat, P, B))
-    q_o = np.linalg.solve(A, b)
+        arms.append((M, f_j, J, wrench, W_hat, P, B))
+    a_o = np.linalg.solve(A, b)
     q, force = [], []
-    for M, h, J, wrench, W_hat, P, B in arms:
-        f_m = W_hat @ (P + B @ q_o)  # wrench on the arm
-        q.append(np.linalg.solve(M, h + J.T @ f_m))
+    for M, f_j, J, wrench, W_hat, P, B in arms:
+        f_m = W_hat @ (P + B @ a_o)  # wrench on the arm
+        q.append(np.linalg.solve(M, f_j + J.T @ f_m))
         force.append(-np.linalg.lstsq(wrench, f_m, rcond=None)[0])
-    return Solution(q_o, np.array(q), np.array(force))
+    return Solution(a_o, np.array(q), np.array(force))
 
 
 def mcmillan(s: Coefficients, together: int | None = None) -> Solution:
@@ -152,13 +152,13 @@ def mcmillan(s: Coefficients, together: int | None = None) -> Solution:
     solved together it is the node algorithm over all arms at once, in NumPy's stacked operations.
     """
     (n, _, N), split = s.W.shape, len(s.W) // 2 if together is None else together
-    Y = np.linalg.solve(s.M, np.concatenate([s.W, s.h[:, :, None]], axis=2))  # (n, d, N + 1)
+    Y = np.linalg.solve(s.M, np.concatenate([s.W, s.f_j[:, :, None]], axis=2))  # (n, d, N + 1)
     KY = s.W.transpose(0, 2, 1) @ Y
-    K, r = KY[:, :, :-1], s.c - KY[:, :, -1]  # K f + W_o^T q_o = r
+    K, r = KY[:, :, :-1], s.c - KY[:, :, -1]  # K f + W_o^T a_o = r
     W_o, right = s.W_o[split:], s.W_o[split:].transpose(0, 2, 1)
     Z = np.linalg.solve(K[split:], np.concatenate([right, r[split:, :, None]], axis=2))
     shares = np.sum(W_o @ Z, axis=0)  # (6, 7)
-    S, b = s.M_o + shares[:, :6], s.h_o + shares[:, 6]
+    S, b = s.M_o + shares[:, :6], s.f_o + shares[:, 6]
     force = np.empty((n, N))
     if split:
         C = np.concatenate(s.W_o[:split], axis=1)  # (6, split N)
@@ -166,14 +166,14 @@ def mcmillan(s: Coefficients, together: int | None = None) -> Solution:
         forces = np.linalg.solve(F, r[:split].ravel() - C.T @ np.linalg.solve(S, b))
         force[:split] = forces.reshape(split, N)
         b = b + C @ forces
-    q_o = np.linalg.solve(S, b)
-    force[split:] = Z[:, :, 6] - Z[:, :, :6] @ q_o
+    a_o = np.linalg.solve(S, b)
+    force[split:] = Z[:, :, 6] - Z[:, :, :6] @ a_o
     q = Y[:, :, -1] + (Y[:, :, :-1] @ force[:, :, None])[:, :, 0]
-    return Solution(q_o, q, force)
+    return Solution(a_o, q, force)
 
 
 def assemble(s: Coefficients) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and right-hand side of thesis (4.9), unknowns ``q_o, q, mu = -lambda``; symmetric."""
+    """Matrix and right-hand side of thesis (4.9), unknowns ``a_o, q, mu = -lambda``; symmetric."""
     n, d, N = s.W.shape
     size = 6 + n * d
     matrix = np.zeros((size + n * N, size + n * N), order="F")
@@ -184,7 +184,7 @@ def assemble(s: Coefficients) -> tuple[np.ndarray, np.ndarray]:
         matrix[joints, joints] = s.M[i]
         matrix[joints, contacts], matrix[contacts, joints] = s.W[i], s.W[i].T
         matrix[:6, contacts], matrix[contacts, :6] = s.W_o[i], s.W_o[i].T
-    return matrix, np.concatenate([s.h_o, s.h.ravel(), s.c.ravel()])
+    return matrix, np.concatenate([s.f_o, s.f_j.ravel(), s.c.ravel()])
 
 
 def solve_lu(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ def pull(address, size, at, _t):
         squared += (magnet.place[k] - data.position[k]) ** 2
     for k in range(3):
         force = magnet.strength * (magnet.place[k] - data.position[k]) / squared**1.5
-        data.h_o[k] += force
+        data.f_o[k] += force
         power += force * data.twist[k]
     set_power(struct, at, power)
     return 0

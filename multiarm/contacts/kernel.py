@@ -25,9 +25,9 @@ and a surface with outward unit normal ``n`` (a function of the point only, once
 The contact force acts along ``e``, the unit normal pointing *into the object*: ``e = -n`` when the
 surface is the object's, ``e = n`` when it is the arm's.  Its wrench on the object, about the centre
 of mass in world axes, is the row ``[e; (P - x_o) x e]``; the arm takes the opposite force at the
-same point.  Hence with ``q_o`` the object's acceleration and ``q`` the joints',
+same point.  Hence with ``a_o`` the object's acceleration and ``a_j`` the joints',
 
-.. math:: W_o^T q_o + W^T q = c, \qquad c = -\ddot\varphi\,|_{q_o = 0,\,q = 0}
+.. math:: W_o^T a_o + W^T a_j = c, \qquad c = -\ddot\varphi\,|_{a_o = 0,\,a_j = 0}
 
 which is the thesis's (4.9).  A spherical fingertip is the sharp point at its centre with the gap
 reduced by its radius.  Planes, spheres and cylinders have closed forms.  All other surfaces are

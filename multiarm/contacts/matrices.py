@@ -57,7 +57,7 @@ class ContactTerms(NamedTuple):
     W_m_dot, W_o_dot : (6, N)
         Their rates, component by component in the same axes.
     c : (N,)
-        Right-hand side of the acceleration constraint ``W_o^T q_o + W^T q = c``, no feedback.
+        Right-hand side of the acceleration constraint ``W_o^T a_o + W^T a_j = c``, no feedback.
     phi, phi_dot : (N,)
         Gaps [m] (positive = apart) and their rates ``W_m^T v_m + W_o^T v_o`` [m/s].
     points, normals : (N, 3)

@@ -101,7 +101,7 @@ def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
     stiffness, rate : float
         ``k`` [1/s^2] and ``delta`` [1/s].
     feedforward : bool
-        Of the object's acceleration in ``data.q_o`` and of all velocity terms; else
+        Of the object's acceleration in ``data.a_o`` and of all velocity terms; else
         the accelerations are those of the springs and dampers alone.
     """
     n = work.dofs[i + 1] - work.dofs[i]
@@ -117,7 +117,7 @@ def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
     p = add(vec(link, ORIGIN_AT), m)
     if feedforward:
         j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
-        a_o, alpha_o = vec(data.q_o, 0), vec(data.q_o, 3)
+        a_o, alpha_o = vec(data.a_o, 0), vec(data.a_o, 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)

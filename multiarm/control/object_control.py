@@ -6,7 +6,7 @@ torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`)
 
 * *Computed torque* commands the object's acceleration
   :math:`\dot v_o = a_r + D(v_r - v_o) + K e`, where ``e`` is the displacement and the rotation
-  vector to the reference.  The wrench is :math:`w = I_o\dot v_o + h_o`, and
+  vector to the reference.  The wrench is :math:`w = I_o\dot v_o - f_o`, and
 
   .. math:: \tau_i = M_i\ddot q_i + b_i - W_i\lambda_i, \qquad
             W_i^T\ddot q_i = c_i - W_{oi}^T\dot v_o
@@ -86,20 +86,20 @@ open_object_law = view_of_law(ObjectLaw)
 def computed_torque(address, size, at, t):
     """Add the torques of computed torque.
 
-    Until the equations of motion are solved ``data.q_o, qdd, c`` hold the commanded values.
+    Until the equations of motion are solved ``data.a_o, a_j, c`` hold the commanded values.
     """
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, desired, wrench = open_object_law(struct, at), data.q_o, data.weight
+    law, desired, wrench = open_object_law(struct, at), data.a_o, data.weight
     write_object_acceleration(t, law, data.position, data.twist, desired)
     for a in range(6):
-        wrench[a] = -data.h_o[a]
+        wrench[a] = -data.f_o[a]
         for b in range(6):
             wrench[a] += data.inertia[a, b] * desired[b]
     write_contact_forces(law, data, work)
     # the law carries the bias and what the joints do by themselves, which is all of h so far
     for j in range(data.torque.size):
-        data.torque[j] -= data.h[j]
+        data.torque[j] -= data.f_j[j]
     for k in range(data.c.size):
         data.c[k] = -data.contacts[k, GAP_BIAS]
         for a in range(6):
@@ -179,16 +179,16 @@ def add_motion_forces(law, feedforward, model, data, work):
     """
     torque = data.torque
     for j in range(data.v.size):
-        data.qdd[j] = -law.free_rate * data.v[j]
+        data.a_j[j] = -law.free_rate * data.v[j]
     for i in range(work.rows.size - 1):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
         if law.free_stiffness > 0.0:
             hold_pose(
                 i, law.free_stiffness, law.free_rate, feedforward, model, data, work,
-                data.qdd[d0:d1],
+                data.a_j[d0:d1],
             )  # fmt: skip
-        add_arm_forces(work.M[i], work.W[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
+        add_arm_forces(work.M[i], work.W[i], data.a_j[d0:d1], data.c[r0:r1], torque[d0:d1])
 
 
 @allocating

@@ -199,8 +199,8 @@ class Variables(NamedTuple):
     # right-hand sides: generalised forces, and parts of the same memory, on the object (6,) and on
     # the joints (joints,); of the constraints (N,)
     generalised_forces: Floats1
-    h_o: Floats1
-    h: Floats1
+    f_o: Floats1
+    f_j: Floats1
     c: Floats1
     # generalised forces with those of the contacts; the check of an evaluation writes those on the
     # object only
@@ -208,8 +208,8 @@ class Variables(NamedTuple):
     # accelerations, and parts of the same memory, of the object and of the joints; contact forces
     # (N,), positive = pushing
     acceleration: Floats1
-    q_o: Floats1
-    qdd: Floats1
+    a_o: Floats1
+    a_j: Floats1
     force: Floats1
     # recorded contact forces: ``force`` itself; with unilateral contacts those of all rows, and the
     # states of all contacts
@@ -288,13 +288,13 @@ def make_variables(
 
 def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
     """Configuration, velocity, accelerations and generalised forces, with views of their parts."""
-    q, v, a, h = (np.zeros(size) for size in (layout.nq, *[layout.nv] * 3))
+    q, v, a, f = (np.zeros(size) for size in (layout.nq, *[layout.nv] * 3))
     return {
         "configuration": q, "poses": layout.poses(q), "position": layout.poses(q)[0],
         "angles": layout.joint_positions(q),
         "velocity": v, "twist": layout.twists(v)[0], "v": layout.joint_rates(v),
-        "acceleration": a, "q_o": layout.twists(a)[0], "qdd": layout.joint_rates(a),
-        "generalised_forces": h, "h_o": layout.twists(h)[0], "h": layout.joint_rates(h),
+        "acceleration": a, "a_o": layout.twists(a)[0], "a_j": layout.joint_rates(a),
+        "generalised_forces": f, "f_o": layout.twists(f)[0], "f_j": layout.joint_rates(f),
     }  # fmt: skip
 
 

@@ -181,7 +181,7 @@ def call_controller(address, size, _at, _t):
 
 
 class DenseSolver:
-    """Solves for ``q_o, qdd, force`` in the variables by the dense solver, when it is called.
+    """Solves for ``a_o, a_j, force`` in the variables by the dense solver, when it is called.
 
     Attributes
     ----------
@@ -201,24 +201,24 @@ class DenseSolver:
         b, work, dofs = self.variables, self.work, self.work.dofs
         arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
-        _require_usable(inertias, (b.h, b.c, b.h_o, work.W))
+        _require_usable(inertias, (b.f_j, b.c, b.f_o, work.W))
         W_o, W = self._by_arm(b.Wo, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
             reaction_o, reaction = self._by_arm(*self.reactions)
         solution = solve_dense(
             M_o=b.inertia,
-            h_o=b.h_o,
+            f_o=b.f_o,
             M=inertias,
-            h=[b.h[dofs[i] : dofs[i + 1]] for i in arms],
+            f_j=[b.f_j[dofs[i] : dofs[i + 1]] for i in arms],
             W_o=W_o,
             W=W,
             c=[b.c[work.rows[i] : work.rows[i + 1]] for i in arms],
             reaction_o=reaction_o,
             reaction=reaction,
         )
-        b.q_o[:] = solution.object_acceleration
-        b.qdd[:] = np.concatenate(solution.joint_accelerations)
+        b.a_o[:] = solution.object_acceleration
+        b.a_j[:] = np.concatenate(solution.joint_accelerations)
         b.force[:] = np.concatenate(solution.contact_forces)
         b.status.rank, b.status.coupled_arms = solution.rank, 0
         b.status.ambiguous = not solution.motion_unique

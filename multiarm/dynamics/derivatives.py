@@ -4,8 +4,8 @@ The equations of motion are :math:`F(x, y) = 0` for the unknowns :math:`y = (\do
 \lambda_i)` of an evaluation, with the state and the torques :math:`x`:
 
 .. math::
-    F_i &= M_i \ddot q_i - h_i - W_i \lambda_i, \qquad
-    F_o = M_o \dot v_o - h_o - \sum_i W_{oi} \lambda_i \\
+    F_i &= M_i \ddot q_i - f_i - W_i \lambda_i, \qquad
+    F_o = M_o \dot v_o - f_o - \sum_i W_{oi} \lambda_i \\
     F_{\varphi i} &= \ddot\varphi_i = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i .
 
 By the implicit function theorem :math:`dy = -K^{-1}\, \partial F`, where K has the matrices of the
@@ -189,10 +189,10 @@ class _Equations:
         dF_o[:, self.wrench] = _PUSH
         if not self._parameters:
             return
-        falling = b.q_o[:3] - self._data.model.constants.gravity
+        falling = b.a_o[:3] - self._data.model.constants.gravity
         dF_o[:3, self._columns["object_mass"].start] = falling
         R, first = b.body[:9].reshape(3, 3), self._columns["object_inertia"].start
-        spin, turning = b.twist[3:], b.q_o[3:]
+        spin, turning = b.twist[3:], b.a_o[3:]
         for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
             unit = np.zeros((3, 3))
             unit[i, j] = unit[j, i] = 1.0

@@ -1,8 +1,8 @@
 r"""Kernels of effects, which an evaluation calls by address, one after the other.
 
-An evaluation forms the right-hand sides ``h`` of the arms and ``h_o`` of the object in this order:
+An evaluation adds up the forces ``f_j`` of the joints and ``f_o`` of the object in this order:
 
-1. ``h = -b``: the arms' bias forces; ``h_o``: weight and gyroscopic moment of the object;
+1. ``f_j = -b``: the arms' bias forces; ``f_o``: weight and gyroscopic moment of the object;
 2. *passive* kernels add passive forces of the joints (friction), which model-based controllers
    compensate;
 3. the control writes ``torque``; *actuator* kernels change it (limits, lag); then it is added;
@@ -22,9 +22,9 @@ arrays of a ``NamedTuple``, which it opens by :func:`view_of_effect`.
     def pull(address, size, at, t):
         struct = struct_at(address, size)
         data, spring, power = open_data(struct), open_spring(struct, at), 0.0
-        for j in range(data.h.size):
+        for j in range(data.f_j.size):
             force = -spring.stiffness[j] * data.angles[j]
-            data.h[j] += force
+            data.f_j[j] += force
             power += force * data.v[j]
         set_power(struct, at, power)
         return 0
@@ -43,7 +43,7 @@ and, below these, of the rates of effects' states, by the columns of
         struct = struct_at(address, size)
         data, spring = open_data(struct), open_spring(struct, at)
         first, columns = chart_places(data).joints, force_columns(data)
-        for j in range(data.h.size):
+        for j in range(data.f_j.size):
             data.force_slopes[first + j, columns.positions + j] -= spring.stiffness[j]
         return 0
 

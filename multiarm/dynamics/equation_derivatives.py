@@ -76,7 +76,7 @@ class EquationWork(NamedTuple):
     placements: Int  # first of their columns among all; -1 without
     # velocities and accelerations of the joints (joints,), contact forces (N,)
     v: Floats1
-    qdd: Floats1
+    a_j: Floats1
     force: Floats1
     K: Floats3  # (n, d + m, d + m)
     M: Floats3  # (n, d, d)
@@ -116,7 +116,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     work = EquationWork(
         placements=placements,
         v=np.zeros(layout.joints),
-        qdd=np.zeros(layout.joints),
+        a_j=np.zeros(layout.joints),
         force=np.zeros(N),
         K=np.zeros((n, d + m, d + m)),
         M=np.zeros((n, d, d)),
@@ -192,16 +192,16 @@ def write_derivatives(struct: INTS, own: INTS, at_rest: TRUTH, twist: NUMBERS):
     write_body(data, twist, work)
     if at_rest:
         clear(work.v)
-        clear(work.qdd)
+        clear(work.a_j)
         copy(data.static_force, work.force)
         for l in range(6):  # noqa: E741
             clear(work.dF_o[l])
     else:
         copy(data.v, work.v)
-        copy(data.qdd, work.qdd)
+        copy(data.a_j, work.a_j)
         copy(data.force, work.force)
         for k in range(6):
-            work.body[MOTION + LINEAR_RATE + k] = data.q_o[k]
+            work.body[MOTION + LINEAR_RATE + k] = data.a_o[k]
         write_object_equation(data, work)
     for i in range(system.dofs.size - 1):
         differentiate_arm(i, model, data, system, links, work)
@@ -219,7 +219,7 @@ def write_load_derivatives(struct, own):
     links, work = _open_links(own), open_equations(own)
     write_body(data, data.twist, work)
     copy(data.v, work.v)
-    clear(work.qdd)
+    clear(work.a_j)
     copy(data.static_force, work.force)
     for l in range(6):  # noqa: E741
         clear(work.dF_o[l])
@@ -241,11 +241,11 @@ def write_body(data, twist, work):
 
 @inlined
 def write_object_equation(data, work):
-    """Derivatives of ``M_o a_o - h_o`` without control and effects.
+    """Derivatives of ``M_o a_o - f_o`` without control and effects.
 
-    The inertia turns with the object; ``h_o`` is its weight and the gyroscopic moment.
+    The inertia turns with the object; ``f_o`` is its weight and the gyroscopic moment.
     """
-    A, w, alpha = data.inertia, vec(data.twist, 3), vec(data.q_o, 3)
+    A, w, alpha = data.inertia, vec(data.twist, 3), vec(data.a_o, 3)
     I = (A[3, 3], A[3, 4], A[3, 5], A[4, 4], A[4, 5], A[5, 5])  # noqa: E741
     spin, torque = times(I, w), times(I, alpha)
     for l in range(6):  # noqa: E741
@@ -271,7 +271,7 @@ def differentiate_arm(i, model, data, system, links, work):
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
-        write_motions(links, i, data.angles, work.v, work.qdd, work.links, link, work.moved)
+        write_motions(links, i, data.angles, work.v, work.a_j, work.links, link, work.moved)
     else:  # the surroundings are at rest
         clear(link)
         link[0] = link[4] = link[8] = 1.0

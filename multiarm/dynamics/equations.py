@@ -1,8 +1,8 @@
 r"""The equations of motion of a compiled scene, evaluated in compiled code.
 
 .. math::
-    M_i \ddot q_i = h_i + W_i \lambda_i, \qquad
-    M_o \dot v_o = h_o + \sum_i W_{oi} \lambda_i, \qquad
+    M_i \ddot q_i = f_i + W_i \lambda_i, \qquad
+    M_o \dot v_o = f_o + \sum_i W_{oi} \lambda_i, \qquad
     W_{oi}^T \dot v_o + W_i^T \ddot q_i = c_i
 
 (thesis, 4.9; arms ``i``, object ``o``, contact forces :math:`\lambda`).  An evaluation has three
@@ -11,7 +11,7 @@ parts, all in world axes:
 .. code-block:: text
 
     kinematics        positions, velocities -> M, b, J of arms and object -> W_o, W, c, phi
-    right_hand_sides  control, effects -> h, c
+    right_hand_sides  control, effects -> f_j, c
     solve             node algorithm -> accelerations, contact forces
 
 The arrays are those of :mod:`multiarm.dynamics.arrays`.  The parts are called by address.  So each
@@ -78,7 +78,7 @@ def update_kinematics(struct: INTS):
 
 @kernel
 def solve_constrained(struct: INTS):
-    """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``data``.
+    """Solve for ``a_o, a_j, force`` with the right-hand sides ``f_o, f_j, c`` in ``data``.
 
     Contact forces act along their normals, without friction, as projections need.  Call
     :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of the arm
@@ -106,7 +106,7 @@ def kinematics(address, size, _a, _b):
 
 @cfunc
 def right_hand_sides(address, size, alpha, beta):
-    """Forces ``h, h_o`` from bias, control and effects, and ``c`` with feedback on the drift.
+    """Forces ``f_j, f_o`` from bias, control and effects, and ``c`` with feedback on the drift.
 
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
@@ -147,12 +147,12 @@ def control_of_closed(model, data):
 
 @inlined
 def passive_forces(struct, model, data, work):
-    """``h = -b`` and the passive effects of the joints."""
+    """``f_j = -b`` and the passive effects of the joints."""
     for i in range(data.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         bias = floats_at(data.pointers[i, BIAS_AT], d)
         for j in range(d):
-            data.h[d0 + j] = -bias[j]
+            data.f_j[d0 + j] = -bias[j]
     call_effects(0, model.passive_end, struct, model, data)
 
 
@@ -177,11 +177,11 @@ def control_torques(struct, laws, model, data):
 
 @inlined
 def add_torques(struct, model, data):
-    """Add the control torques, changed by the actuators, to ``h``; returns their power [W]."""
+    """Add the control torques, changed by the actuators, to ``f_j``; returns their power [W]."""
     call_effects(model.passive_end, model.actuator_end, struct, model, data)
     power = 0.0
-    for j in range(data.h.size):
-        data.h[j] += data.torque[j]
+    for j in range(data.f_j.size):
+        data.f_j[j] += data.torque[j]
         power += data.torque[j] * data.v[j]
     return power
 
@@ -223,8 +223,8 @@ def solve(address, size, _a, _b):
         data.status.imbalance = imbalance(data, data.Wo)
         return CALLBACK_FAILED if data.status.failed else OK
     result = solve_batched(
-        work, data.Wo, data.inertia, data.h_o, data.h, data.c, data.q_o,
-        data.qdd, data.force,
+        work, data.Wo, data.inertia, data.f_o, data.f_j, data.c, data.a_o,
+        data.a_j, data.force,
     )  # fmt: skip
     if result == OK:
         open_coupled(struct).status.arms = 0
@@ -262,7 +262,7 @@ def solve_by_arms(data, work, coupled, decompose_all):
     work.pivot[data.pointers.shape[0]] = pivot
     if not pivot > 0.0:
         return data.pointers.shape[0] if pivot == pivot else NOT_FINITE
-    solve_coupled(work, coupled, data.h_o, data.h, data.c, data.q_o, data.qdd, data.force)
+    solve_coupled(work, coupled, data.f_o, data.f_j, data.c, data.a_o, data.a_j, data.force)
     data.status.imbalance = imbalance(data, data.Wo)
     return OK
 

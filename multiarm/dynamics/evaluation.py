@@ -60,7 +60,7 @@ class Residuals:
     arm : float
         ``M q'' + b - tau - W lambda`` over all arms [N m, N].
     object : float
-        ``M_o v_o' - h_o - W_o lambda`` [N, N m].
+        ``M_o v_o' - f_o - W_o lambda`` [N, N m].
     constraint : float
         ``W_o^T v_o' + W^T q'' - c`` [m/s^2].
     """
@@ -409,15 +409,15 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         b.inner[:] = data.effect_states()
     require_ok(data, evaluate_and_check(data.struct, found))
     arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
-    qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(data)
+    a_j, torques, snapshot = b.a_j.copy(), b.torque.copy(), Snapshot(data)
     forces = layout.split_contacts(b.force.copy())
     coupled = _coupled_arms(data)
     pivots = () if data.model.constants.dense else data.work.pivot.tolist()
     return Evaluation(
         time=float(t),
         state=state,
-        object_acceleration=b.q_o.copy(),
-        joint_accelerations=layout.split_joints(qdd),
+        object_acceleration=b.a_o.copy(),
+        joint_accelerations=layout.split_joints(a_j),
         joint_torques=layout.split_joints(torques),
         contact_forces=forces,
         position_residual=gap,

@@ -10,7 +10,7 @@ The motion is given by the object's acceleration and by :math:`\dot\alpha`, with
 (:func:`multiarm.contacts.matrices.gripper_acceleration`), the joints with
 :math:`J\ddot q = \dot v_m - \dot J\dot q`, and the contacts must carry
 
-.. math:: W_o\lambda = I_o\dot v_o + h_o, \qquad \lambda = W_o^+ f_o + A_o\mu_I .
+.. math:: W_o\lambda = w, \qquad w = I_o\dot v_o - f_o, \qquad \lambda = W_o^+ w + A_o\mu_I .
 
 Then :math:`\tau = M\ddot q + b - W\lambda`, less the torques of the effects: (3.10) of the thesis
 in joint space, where it also holds for arms with more or fewer than six joints and in singular
@@ -132,32 +132,32 @@ def _solve(
 ) -> InverseDynamics:
     """Torques for a desired motion, at a state that has just been evaluated."""
     b, layout = data.arrays, data.model.layout
-    free, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
+    free, f_o, c = b.f_j.copy(), b.f_o.copy(), b.c.copy()
     require_ok(data, update_kinematics(data.struct))
-    force = _contact_forces(ev, b.inertia @ desired - h_o, internal_forces, basis)
-    qdd, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
+    force = _contact_forces(ev, b.inertia @ desired - f_o, internal_forces, basis)
+    a_j, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
     for i, name in enumerate(layout.names):
         d, r = (slice(at[i], at[i + 1]) for at in (layout.dofs, layout.rows))
         M = read_inertia(b.pointers[i], d.stop - d.start)
         W = data.work.W[i, : d.stop - d.start, : r.stop - r.start]
         A, a = _desired_motion(data.model, name, ev, desired, relative[name])
-        qdd[d], left = _nearest(M, A, a, posture[name])
+        a_j[d], left = _nearest(M, A, a, posture[name])
         if left > 1e-7 * (1.0 + np.max(np.abs(a), initial=0.0)):
             faults.append(
                 f"arm '{name}' ({count_of(len(M), 'joint')}) misses it by {left:.3g} m/s^2, rad/s^2"
             )
-        torque[d] = M @ qdd[d] - free[d] - W @ force[r]
+        torque[d] = M @ a_j[d] - free[d] - W @ force[r]
     if faults:
         raise SolverError(
             "the wanted motion is not possible: " + "; ".join(faults) + "; leave the relative "
             "motion of such an arm free (`relative_acceleration={arm: None}`), or ask for another "
             "motion"
         )
-    acceleration, forces = np.append(desired, qdd), np.append(h_o, free + torque)
+    acceleration, forces = np.append(desired, a_j), np.append(f_o, free + torque)
     return InverseDynamics(
         torques=layout.split_joints(torque),
         contact_forces=layout.split_contacts(force),
-        joint_accelerations=layout.split_joints(qdd),
+        joint_accelerations=layout.split_joints(a_j),
         residuals=residuals_of(data, acceleration, forces, force, c),
     )
 
@@ -217,8 +217,8 @@ def _nearest(
     size = np.linalg.norm(B, axis=1)
     scale = 1.0 / np.where(size > 0.0, size, 1.0)
     y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=1e-10)[0]
-    qdd = preferred + np.linalg.solve(L.T, y)
-    return qdd, float(np.max(np.abs(A @ qdd - a), initial=0.0))
+    a_j = preferred + np.linalg.solve(L.T, y)
+    return a_j, float(np.max(np.abs(A @ a_j - a), initial=0.0))
 
 
 def _relative_accelerations(

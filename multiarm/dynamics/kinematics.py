@@ -101,8 +101,8 @@ def object_terms(model, data):
     put(data.inertia[3], 3, I[0:3])
     put(data.inertia[4], 3, (I[1], I[3], I[4]))
     put(data.inertia[5], 3, (I[2], I[4], I[5]))
-    put(data.h_o, 0, scale(mass, vec(model.gravity, 0)))
-    put(data.h_o, 3, cross(times(I, omega), omega))
+    put(data.f_o, 0, scale(mass, vec(model.gravity, 0)))
+    put(data.f_o, 3, cross(times(I, omega), omega))
 
 
 @inlined

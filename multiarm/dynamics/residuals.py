@@ -1,8 +1,8 @@
 r"""Residuals of the equations of motion: how well accelerations and contact forces solve them.
 
 .. math::
-    M_i \ddot q_i - h_i - W_i \lambda_i, \qquad
-    M_o \dot v_o - h_o - \sum_i W_{oi} \lambda_i, \qquad
+    M_i \ddot q_i - f_i - W_i \lambda_i, \qquad
+    M_o \dot v_o - f_o - \sum_i W_{oi} \lambda_i, \qquad
     W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i
 
 of arms, object and constraints (:mod:`multiarm.dynamics.equations`), at the kinematics in the data.
@@ -105,8 +105,8 @@ def constraint_residual(model, data, work):
         scale = max(scale, free_rate(work))
     for i in range(work.dofs.size - 1):
         for row in range(work.rows[i], work.rows[i + 1]):
-            by_object = rate_by_object(row, data, data.q_o)
-            by_arm, c = rate_by_arm(i, row, work, data.qdd), data.c[row]
+            by_object = rate_by_object(row, data, data.a_o)
+            by_arm, c = rate_by_arm(i, row, work, data.a_j), data.c[row]
             residual = abs(by_object + by_arm - c)
             if residual != residual:
                 return residual
@@ -120,13 +120,13 @@ def free_acceleration(data):
     """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
     force = 0.0
     for k in range(3):
-        force = max(force, abs(data.h_o[k]))
+        force = max(force, abs(data.f_o[k]))
     return force / data.inertia[0, 0]
 
 
 @inlined
 def free_rate(work):
-    """Largest ``|W^T M^-1 h|`` of the last solution: contact accelerations without forces."""
+    """Largest ``|W^T M^-1 f_j|`` of the last solution: contact accelerations without forces."""
     if work.by_arm[0] == 0:
         return largest_free_rate(work)
     largest = 0.0
@@ -141,16 +141,16 @@ def free_rate(work):
 
 @inlined
 def imbalance(data, Wo):
-    """Residual of ``M_o a_o = h_o + W_o force``, relative to the largest force in it.
+    """Residual of ``M_o a_o = f_o + W_o force``, relative to the largest force in it.
 
     ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
     with that force at the object's radius of gyration.  Every solution is checked so.  Hence the
     result is zero where a bound that takes no root and no norm of a row shows that it is less than
     ``IMBALANCE_BOUND``; it is NaN where the solution is not finite.
     """
-    inertia, h_o, a_o, m = data.inertia, data.h_o, data.q_o, data.inertia[0, 0]
+    inertia, f_o, a_o, m = data.inertia, data.f_o, data.a_o, data.inertia[0, 0]
     total = data.total_forces
-    front, back = load_pack(h_o, 0), load_pack(h_o, 2)  # six numbers, two of them twice
+    front, back = load_pack(f_o, 0), load_pack(f_o, 2)  # six numbers, two of them twice
     for a in range(data.force.size):
         force = broadcast(data.force[a])
         front = front + force * load_pack(Wo, 6 * a)
@@ -165,7 +165,7 @@ def imbalance(data, Wo):
         + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
     )
     largest = m * max(abs(a_o[0]), abs(a_o[1]), abs(a_o[2]))
-    small = IMBALANCE_BOUND * max(largest, abs(h_o[0]), abs(h_o[1]), abs(h_o[2]))
+    small = IMBALANCE_BOUND * max(largest, abs(f_o[0]), abs(f_o[1]), abs(f_o[2]))
     square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
     if forces <= small and m * moments * moments <= small * small * square:
         return 0.0
@@ -177,8 +177,8 @@ def relative_imbalance(data, Wo, forces, moments):
     """Residuals of forces [N] and moments [N m] relative to the largest terms."""
     inertia = data.inertia
     radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
-    push = max(AT_REST * inertia[0, 0], norm(data.h_o[:3], 3))
-    turn = norm(data.h_o[3:6], 3)
+    push = max(AT_REST * inertia[0, 0], norm(data.f_o[:3], 3))
+    turn = norm(data.f_o[3:6], 3)
     for a in range(data.force.size):
         force = abs(data.force[a])
         push = max(push, force * norm(Wo[a, :3], 3))

@@ -66,7 +66,7 @@ def add_contact_compliance(address, size, at, _t):
     power = 0.0
     for s in range(force.size):
         power += force[s] * rows.contacts[s, GAP_RATE]
-    add_contact_forces(work, rows.Wo, work.W, force, data.h_o, data.h)
+    add_contact_forces(work, rows.Wo, work.W, force, data.f_o, data.f_j)
     set_power(struct, at, power)
     return 0
 

@@ -67,7 +67,7 @@ def add_drag(address, size, at, _t):
     """Add the wrench of the medium."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    body, h_o, power = data.body, data.h_o, 0.0
+    body, f_o, power = data.body, data.f_o, 0.0
     square = 0.0
     for a in range(3):
         square += (body[VELOCITY + a] - drag.wind[a]) ** 2
@@ -81,8 +81,8 @@ def add_drag(address, size, at, _t):
         moment = -drag.angular[k] * turn
         power += moment * turn
         for a in range(3):
-            h_o[a] += body[3 * a + k] * force
-            h_o[3 + a] += body[3 * a + k] * moment
+            f_o[a] += body[3 * a + k] * force
+            f_o[3 + a] += body[3 * a + k] * moment
             power += body[3 * a + k] * force * body[VELOCITY + a]
     set_power(struct, at, power)
     return 0

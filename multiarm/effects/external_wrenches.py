@@ -3,7 +3,7 @@ r"""External forces and torques on the object or on links of the arms.
 A force ``f`` and a torque ``m`` at a point ``p``, in world axes, add to the right-hand sides
 
 .. math::
-    h_o \mathrel{+}= \begin{bmatrix} f \\ m + (p - x_o)\times f \end{bmatrix}
+    f_o \mathrel{+}= \begin{bmatrix} f \\ m + (p - x_o)\times f \end{bmatrix}
     \quad\text{or}\quad
     h_j \mathrel{+}= J_j^T \begin{bmatrix} f \\ m + p\times f \end{bmatrix}
 
@@ -215,15 +215,15 @@ def apply_wrench(wrenches, k, lever, data):
     f = vec(wrench, 0)
     m = add_cross(vec(wrench, 3), lever, f)
     if wrenches.on_link[k] == 0:
-        h_o, body = data.h_o, data.body
-        put(h_o, 0, add(vec(h_o, 0), f))
-        put(h_o, 3, add(vec(h_o, 3), m))
+        f_o, body = data.f_o, data.body
+        put(f_o, 0, add(vec(f_o, 0), f))
+        put(f_o, 3, add(vec(f_o, 3), m))
         return dot(f, vec(body, VELOCITY)) + dot(m, vec(body, SPIN))
     joints, first, power = wrenches.joints[k], wrenches.first_joint[k], 0.0
     J = floats_at(data.pointers[wrenches.arm[k], J_AT], 6 * joints)
     for j in range(joints):
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
-        data.h[first + j] += torque
+        data.f_j[first + j] += torque
         power += torque * data.v[first + j]
     return power
 

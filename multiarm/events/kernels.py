@@ -101,7 +101,7 @@ def solve_held(address, size, _a, _b):
     mode = open_mode(struct_at(data.modes.mode, 0))
     data.status.ambiguous = 0
     if mode.numbers.stressed:
-        add_contact_forces(work, data.Wo, work.W, mode.prestress, data.h_o, data.h)
+        add_contact_forces(work, data.Wo, work.W, mode.prestress, data.f_o, data.f_j)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.numbers.stressed:
         restore_forces(mode, data)
@@ -124,7 +124,7 @@ def solve_sliding(address, size, _a, _b):
     mode, slides, reactions = open_mode(own), open_slides(own), open_reactions(own)
     write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
     if mode.numbers.stressed:
-        add_contact_forces(work, mode.Wr, reactions.Wr, mode.prestress, data.h_o, data.h)
+        add_contact_forces(work, mode.Wr, reactions.Wr, mode.prestress, data.f_o, data.f_j)
     data.status.imbalance = 0.0
     coupled = open_coupled(struct)
     coupled.status.arms = 0
@@ -161,8 +161,8 @@ def solve_reactions(data, work, mode, reactions, couple_all):
     if failed >= 0:
         return failed
     solve_for_reactions(
-        reactions, data.Wo, mode.Wr, data.h_o, data.h, data.c, data.q_o,
-        data.qdd, data.force,
+        reactions, data.Wo, mode.Wr, data.f_o, data.f_j, data.c, data.a_o,
+        data.a_j, data.force,
     )  # fmt: skip
     data.status.imbalance = imbalance(data, mode.Wr)
     return OK

@@ -4,15 +4,15 @@ The accelerations and contact forces :math:`y = (\dot v_o, \ddot q_i, \lambda_i)
 solve :math:`F(x, y) = 0` (:mod:`multiarm.dynamics.derivatives`),
 
 .. math::
-    F_i &= M_i \ddot q_i - h_i - W_i \lambda_i, \qquad
+    F_i &= M_i \ddot q_i - f_i - W_i \lambda_i, \qquad
     F_{\varphi i} = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i, \\
-    F_o &= M_o \dot v_o - h_o + \sum_i g_i, \qquad g_i = -W_{oi} \lambda_i ,
+    F_o &= M_o \dot v_o - f_o + \sum_i g_i, \qquad g_i = -W_{oi} \lambda_i ,
 
 so that :math:`dy = -K^{-1}\, \partial F`.  The derivatives of these equations at fixed ``y`` are
 exact (:mod:`multiarm.dynamics.equation_derivatives`), up to those of the forces of control and
 effects, which are as these state them (:mod:`multiarm.dynamics.force_derivatives`).  Where control
 and effects are *local*, an arm's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this arm
-and of the object only, and :math:`h_o` on the object's.
+and of the object only, and :math:`f_o` on the object's.
 
 *Gravity compensation* couples the arms by six numbers s: the contact forces of least norm that
 carry the weight w are :math:`W_{oi}^T s`.  With s among the unknowns, an arm's torques
@@ -34,7 +34,7 @@ the rates of its gaps while the object moves with the twist s.
     S = M_o - \sum_i W_{oi} U^\lambda_i, \\
     B_i &= S^{-1} (W_{oi} A^\lambda_i - \partial g_i), \qquad
     B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
-          - \partial_o (M_o \dot v_o - h_o)\Big) .
+          - \partial_o (M_o \dot v_o - f_o)\Big) .
 
 Where the control carries the weight, the *shared* unknowns are twelve: :math:`\alpha` has ds below
 it, U the columns of s beside its own, S the rows :math:`(0, \sum_i W_{oi} W_{oi}^T)`, and the right
@@ -403,7 +403,7 @@ def gather(blocks, data, work, power, of_drives):
     of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     slopes = data.torque_slopes if of_drives else data.force_slopes
-    force, first = (data.torque, 0) if of_drives else (data.h, places.joints)
+    force, first = (data.torque, 0) if of_drives else (data.f_j, places.joints)
     for i in range(blocks.counts.size):
         A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
         joints, states = d1 - d0, blocks.counts[i]
@@ -438,7 +438,7 @@ def gather(blocks, data, work, power, of_drives):
                 A[powers + power, column] += power_slope
     for c in range(0 if of_drives else 2 * frames + 1):
         source = c if c < 2 * frames else of_forces.time
-        power_slope = data.h_o[c - frames] if frames <= c < 2 * frames else 0.0
+        power_slope = data.f_o[c - frames] if frames <= c < 2 * frames else 0.0
         for l in range(frames):  # noqa: E741
             slope = slopes[l, source]
             blocks.by_object[l, c] -= slope

@@ -93,14 +93,14 @@ def project_positions(
         status = solve_constrained(struct)
         if status != OK:
             return status
-        reach = greatest(data.qdd)
+        reach = greatest(data.a_j)
         scale = 1.0 if reach <= longest else longest / reach
         if not hold_object:
-            reach = max(reach, greatest(data.q_o))
+            reach = max(reach, greatest(data.a_o))
         data.status.position_change += scale * reach
         if hold_object:
-            for j in range(data.qdd.size):
-                data.angles[j] += scale * data.qdd[j]
+            for j in range(data.a_j.size):
+                data.angles[j] += scale * data.a_j[j]
         else:
             start, frames = data.configuration, data.poses.shape[0]
             retract(frames, start, scale, data.acceleration, data.configuration)

@@ -274,18 +274,18 @@ def midpoint_forces(step, work, h):
     l1 = inertia[4, 3] * w[0] + inertia[4, 4] * w[1] + inertia[4, 5] * w[2]
     l2 = inertia[5, 3] * w[0] + inertia[5, 4] * w[1] + inertia[5, 5] * w[2]
     for k in range(3):
-        push[k] = half * data.h_o[k]
+        push[k] = half * data.f_o[k]
     # the gyroscopic moment is part of the momentum here
-    push[3] = half * (data.h_o[3] + w[1] * l2 - w[2] * l1)
-    push[4] = half * (data.h_o[4] + w[2] * l0 - w[0] * l2)
-    push[5] = half * (data.h_o[5] + w[0] * l1 - w[1] * l0)
+    push[3] = half * (data.f_o[3] + w[1] * l2 - w[2] * l1)
+    push[4] = half * (data.f_o[4] + w[2] * l0 - w[0] * l2)
+    push[5] = half * (data.f_o[5] + w[0] * l1 - w[1] * l0)
     first_joint = chart_places(data).joints
     for i in range(data.pointers.shape[0]):
         d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
         stride = work.coriolis[i, 1]
         C = floats_at(work.coriolis[i, 0], d * stride)
         for a in range(d):
-            s = data.h[d0 + a]
+            s = data.f_j[d0 + a]
             for b in range(d):
                 s += (C[a * stride + b] + C[b * stride + a]) * data.v[d0 + b]
             push[first_joint + d0 + a] = half * s
@@ -294,7 +294,7 @@ def midpoint_forces(step, work, h):
 
 @kernel
 def momentum_residual(step, work, h):
-    """``p_0 + W_0 S_0 + h F / 2 - pi`` into ``data.h_o`` and ``data.h``.
+    """``p_0 + W_0 S_0 + h F / 2 - pi`` into ``data.f_o`` and ``data.f_j``.
 
     Needs the kinematics of the midpoint in ``data``.
     """

@@ -72,9 +72,9 @@ def random_coefficients(rng, n, d, N):
     G = np.eye(6) + 0.3 * rng.normal(size=(n, 6, 6))
     return Coefficients(
         M_o=inertia(6),
-        h_o=rng.normal(size=6),
+        f_o=rng.normal(size=6),
         M=np.array([inertia(d) for _ in range(n)]),
-        h=rng.normal(size=(n, d)),
+        f_j=rng.normal(size=(n, d)),
         W_o=G.transpose(0, 2, 1) @ wrench,
         W=-J.transpose(0, 2, 1) @ wrench,
         c=rng.normal(size=(n, N)),
@@ -86,12 +86,12 @@ def random_coefficients(rng, n, d, N):
 
 def dense(s):
     """The independent reference on the same matrices."""
-    found = solve_dense(s.M_o, s.h_o, list(s.M), list(s.h), list(s.W_o), list(s.W), list(s.c))
+    found = solve_dense(s.M_o, s.f_o, list(s.M), list(s.f_j), list(s.W_o), list(s.W), list(s.c))
     return np.concatenate([found.object_acceleration, *found.joint_accelerations])
 
 
 def stacked(solution):
-    return np.concatenate([solution.q_o, solution.q.ravel()])
+    return np.concatenate([solution.a_o, solution.q.ravel()])
 
 
 def put(array, at, value):
@@ -143,13 +143,13 @@ def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng,
     )
     work = work._replace(L=counted(s.M), Y=counted(s.W))
     Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
-    q_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
-    right = [counted(part) for part in (s.h_o, s.h.ravel(), s.c.ravel())]
+    a_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
+    right = [counted(part) for part in (s.f_o, s.f_j.ravel(), s.c.ravel())]
     monkeypatch.setattr(Counting, "count", 0)
-    status = batched.solve_batched(work, Wo, counted(s.M_o), *right, q_o, q, force)
+    status = batched.solve_batched(work, Wo, counted(s.M_o), *right, a_o, q, force)
     assert status == OK
     assert Counting.count == node_operations(n, d, N)
-    np.testing.assert_allclose(np.concatenate([numbers(q_o), numbers(q)]), dense(s), rtol=1e-9)
+    np.testing.assert_allclose(np.concatenate([numbers(a_o), numbers(q)]), dense(s), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("n", "d", "N"), [(1, 1, 1), (2, 6, 1), (2, 3, 2)])
@@ -245,7 +245,7 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
     s = solver_forms.build(system, state)
     ma.evaluate(system, 0.0, state)
     buffers = data_of(system).arrays
-    given = {"M_o": buffers.inertia, "h_o": buffers.h_o, "h": buffers.h, "c": buffers.c}
+    given = {"M_o": buffers.inertia, "f_o": buffers.f_o, "f_j": buffers.f_j, "c": buffers.c}
     for name, kernels in given.items():
         np.testing.assert_allclose(np.ravel(getattr(s, name)), kernels.ravel(), atol=1e-11)
     np.testing.assert_allclose(s.W_o[:, :, 0], buffers.Wo, atol=1e-12)
@@ -257,7 +257,7 @@ def test_the_matrix_is_filled_alike_by_script_and_kernel(rng):
     s = random_coefficients(rng, 3, 5, 2)
     matrix, right = solver_forms.assemble(s)
     filled, side = np.ones(matrix.shape), np.ones(right.shape)
-    efficiency._assemble_often(s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, filled, side, 1)
+    efficiency._assemble_often(s.M_o, s.f_o, s.M, s.f_j, s.W_o, s.W, s.c, filled, side, 1)
     np.testing.assert_array_equal(filled, matrix)
     np.testing.assert_array_equal(side, right)
     np.testing.assert_array_equal(matrix, matrix.T)

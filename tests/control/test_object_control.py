@@ -180,10 +180,10 @@ def test_nearest_joint_accelerations_are_the_constrained_minimum(rng):
         W = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, m))
         wish, target = rng.standard_normal(n), W.T @ rng.standard_normal(n)
         saddle = np.block([[M, -W], [W.T, np.zeros((m, m))]])
-        qdd = np.linalg.lstsq(saddle, np.concatenate([M @ wish, target]), rcond=1e-11)[0][:n]
+        a_j = np.linalg.lstsq(saddle, np.concatenate([M @ wish, target]), rcond=1e-11)[0][:n]
         torque = np.ones(n)
         add_arm_forces(np.tril(M), W, wish, target, torque)
-        np.testing.assert_allclose(torque - 1.0, M @ qdd, atol=1e-8)
+        np.testing.assert_allclose(torque - 1.0, M @ a_j, atol=1e-8)
 
 
 @pytest.mark.parametrize("n, rank", [(6, 5), (6, 4), (5, 1)])
@@ -355,8 +355,8 @@ def test_a_constant_load_is_held_where_the_spring_balances_it():
     )
     ev = ma.evaluate(loaded)
     np.testing.assert_allclose(ev.object_acceleration, 0.0, atol=1e-8)
-    for qdd in ev.joint_accelerations.values():
-        np.testing.assert_allclose(qdd, 0.0, atol=1e-8)
+    for a_j in ev.joint_accelerations.values():
+        np.testing.assert_allclose(a_j, 0.0, atol=1e-8)
 
 
 def spring_energy(run, pose):

@@ -219,9 +219,9 @@ def test_evaluation_solves_the_equations_of_motion(name, tmp_path, rng):
     for turn in (0.05, 0.2):
         state = random_state(system, rng, turn)
         ev = ma.evaluate(system, 0.3, state)
-        M, h, W, c = plain_system(system, state, ev.joint_torques)
+        M, f_j, W, c = plain_system(system, state, ev.joint_torques)
         q, force = stacked(ev)
-        assert_small(M @ q - W @ force - h, np.abs(M) @ np.abs(q) + np.abs(W) @ np.abs(force))
+        assert_small(M @ q - W @ force - f_j, np.abs(M) @ np.abs(q) + np.abs(W) @ np.abs(force))
         assert_small(W.T @ q - c, np.abs(W.T) @ np.abs(q) + np.abs(c))
         terms = ev.contact_terms.values()
         assert_small(np.concatenate([t.c for t in terms]) - c, np.abs(c) + 1.0)
@@ -409,12 +409,12 @@ def test_arms_that_cannot_follow_move_as_the_whole_system_does(name, solver, rng
     system = ma.compile_system(HARD[name]()).with_solver(solver)
     state = project_velocity(system, random_state(system, rng, turn=0.0))
     ev = ma.evaluate(system, 0.0, state)
-    M, h, W, c = plain_system(system, state, ev.joint_torques)
+    M, f_j, W, c = plain_system(system, state, ev.joint_torques)
     q, force = stacked(ev)
-    expected, _ = solve_plain(M, h, W, c)
+    expected, _ = solve_plain(M, f_j, W, c)
     np.testing.assert_allclose(q, expected, atol=1e-6 * np.max(np.abs(expected)))
     assert_small(W.T @ q - c, np.abs(W.T) @ np.abs(q) + np.abs(c))
-    assert_small(M @ q - W @ force - h, np.abs(M) @ np.abs(q) + np.abs(W) @ np.abs(force))
+    assert_small(M @ q - W @ force - f_j, np.abs(M) @ np.abs(q) + np.abs(W) @ np.abs(force))
     # no other forces that do the same are smaller
     np.testing.assert_allclose(
         force, np.linalg.pinv(W, rcond=1e-9) @ W @ force, atol=1e-7 * np.max(np.abs(force))

@@ -110,9 +110,9 @@ def test_torques_of_a_wanted_motion_make_that_motion(system, rng):
     found = ma.inverse_dynamics(system, state, acceleration, alpha, mu_I)
     ev = driven(system, found.torques, state)
     np.testing.assert_allclose(ev.object_acceleration, acceleration, atol=1e-10)
-    qdd = together(found.joint_accelerations)
+    a_j = together(found.joint_accelerations)
     np.testing.assert_allclose(
-        together(ev.joint_accelerations), qdd, atol=1e-10 * np.max(np.abs(qdd))
+        together(ev.joint_accelerations), a_j, atol=1e-10 * np.max(np.abs(a_j))
     )
     force = together(found.contact_forces)
     np.testing.assert_allclose(

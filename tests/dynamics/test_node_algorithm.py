@@ -74,11 +74,11 @@ def test_node_solution_satisfies_all_three_equations(seed, shapes):
     system = random_system(rng, shapes)
     for W in system.W:  # orthonormal constraint directions keep every K within the inertia's range
         W[:] = np.linalg.qr(W)[0]
-    M, h, W, c = stacked(system)
+    M, f_j, W, c = stacked(system)
     node = solve_by_node(system)
     assert node.failed == -1
     scale = max(np.max(np.abs(node.force)), np.max(np.abs(node.x)), 1.0)
-    np.testing.assert_allclose(M @ node.x - W @ node.force, h, atol=1e-11 * scale)
+    np.testing.assert_allclose(M @ node.x - W @ node.force, f_j, atol=1e-11 * scale)
     np.testing.assert_allclose(W.T @ node.x, c, atol=1e-11 * scale)
 
 
@@ -127,7 +127,7 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.M[i, : len(M), : len(M)], work.W[i, : len(W), : W.shape[1]] = M, W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    right = system.h_o, np.concatenate(system.h), np.concatenate(system.c)
+    right = system.f_o, np.concatenate(system.f_j), np.concatenate(system.c)
     found = np.zeros(6), np.zeros(9), np.zeros(5)
     assert solve_batched(work, Wo, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
@@ -156,12 +156,12 @@ def test_forces_between_redundant_contacts_are_of_least_norm_and_marked(lever):
 
 
 def test_accelerations_minimise_gausss_constraint_function():
-    """Gauss: among all accelerations that satisfy W^T q = c the true one is nearest to M^-1 h."""
+    """Gauss: among all accelerations that satisfy W^T q = c the true one is nearest to M^-1 f_j."""
     rng = np.random.default_rng(8)
     system = random_system(rng, [(7, 4), (3, 1), (6, 6)])
-    M, h, W, c = stacked(system)
+    M, f_j, W, c = stacked(system)
     x = solve_by_node(system).x
-    free = np.linalg.solve(M, h)
+    free = np.linalg.solve(M, f_j)
     gauss = lambda a: (a - free) @ M @ (a - free)  # noqa: E731
     _, _, vt = np.linalg.svd(W.T)
     for allowed in vt[c.size :]:
@@ -183,10 +183,10 @@ def loaded(system):
 
 def solve_in(work, system):
     """Status, and the arms' unknowns and forces, arm by arm."""
-    q_o, q, force = np.zeros(6), np.zeros(work.dofs[-1]), np.zeros(work.rows[-1])
-    right = system.h_o, np.concatenate(system.h), np.concatenate(system.c)
+    a_o, q, force = np.zeros(6), np.zeros(work.dofs[-1]), np.zeros(work.rows[-1])
+    right = system.f_o, np.concatenate(system.f_j), np.concatenate(system.c)
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    status = solve_batched(work, Wo, system.M_o, *right, q_o, q, force)
+    status = solve_batched(work, Wo, system.M_o, *right, a_o, q, force)
     arms = zip(np.split(q, work.dofs[1:-1]), np.split(force, work.rows[1:-1]), strict=True)
     return status, [np.concatenate(arm) for arm in arms]
 
@@ -202,7 +202,7 @@ def taken(system, order):
 
 def on_a_rock(system):
     """The system with an object that nothing moves."""
-    system.M_o, system.h_o = 1e300 * np.eye(6), np.zeros(6)
+    system.M_o, system.f_o = 1e300 * np.eye(6), np.zeros(6)
     return system
 
 
@@ -313,7 +313,7 @@ def test_an_arm_that_holds_nothing_moves_freely_and_weighs_nothing(rng):
     found, expected = solve_by_node(system), solve_by_node(without)
     np.testing.assert_allclose(found.x[:6], expected.x[:6], rtol=1e-12)
     np.testing.assert_allclose(
-        found.x[12:21], np.linalg.solve(system.M[1], system.h[1]), rtol=1e-9, atol=1e-12
+        found.x[12:21], np.linalg.solve(system.M[1], system.f_j[1]), rtol=1e-9, atol=1e-12
     )
 
 
@@ -322,7 +322,8 @@ def test_the_largest_free_rate_is_that_of_the_contacts_without_forces(rng):
     work = loaded(system)
     solve_in(work, system)
     rates = [
-        W.T @ np.linalg.solve(M, h) for M, W, h in zip(system.M, system.W, system.h, strict=True)
+        W.T @ np.linalg.solve(M, f_j)
+        for M, W, f_j in zip(system.M, system.W, system.f_j, strict=True)
     ]
     expected = max(np.max(np.abs(rate), initial=0.0) for rate in rates)
     np.testing.assert_allclose(largest_free_rate(work), expected, rtol=1e-10)

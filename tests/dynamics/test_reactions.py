@@ -28,9 +28,9 @@ from multiarm.dynamics.solver.reactions import (
 
 def solve_with_reactions(
     M_o: np.ndarray,
-    h_o: np.ndarray,
+    f_o: np.ndarray,
     M: list[np.ndarray],
-    h: list[np.ndarray],
+    f_j: list[np.ndarray],
     W_o: list[np.ndarray],
     W: list[np.ndarray],
     c: list[np.ndarray],
@@ -51,8 +51,8 @@ def solve_with_reactions(
     work = make_reaction_work(dofs, rows)
     Wo = np.ascontiguousarray(np.hstack(W_o).T, dtype=float)
     Wr = Wo if reaction_o is None else np.ascontiguousarray(np.hstack(reaction_o).T, dtype=float)
-    loads = np.array(h_o, float), np.concatenate(h).astype(float), np.concatenate(c).astype(float)
-    q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
+    loads = np.array(f_o, float), np.concatenate(f_j).astype(float), np.concatenate(c).astype(float)
+    a_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
     for couple_all in (False, True):
         for i, (inertia, own, forces) in enumerate(zip(M, W, reaction, strict=True)):
             work.M[i, : dofs[i], : dofs[i]] = inertia
@@ -64,14 +64,14 @@ def solve_with_reactions(
             raise ValueError(
                 f"{part}: the inertia matrix is not positive definite, or a number is not finite"
             )
-        solve_for_reactions(work, Wo, Wr, *loads, q_o, q, force)
-        left = np.abs(np.array(M_o) @ q_o - h_o - Wr.T @ force)
-        if np.all(left <= IMBALANCE_BOUND * (np.abs(h_o) + np.abs(Wr).T @ np.abs(force))):
+        solve_for_reactions(work, Wo, Wr, *loads, a_o, q, force)
+        left = np.abs(np.array(M_o) @ a_o - f_o - Wr.T @ force)
+        if np.all(left <= IMBALANCE_BOUND * (np.abs(f_o) + np.abs(Wr).T @ np.abs(force))):
             break
     status, bounds = work.status, np.cumsum(rows)[:-1]
     free = work.null_force[: status.null_forces, : len(force)]
     return NodeSolution(
-        object_acceleration=q_o,
+        object_acceleration=a_o,
         joint_accelerations=np.split(q, np.cumsum(dofs)[:-1]),
         contact_forces=np.split(force, bounds),
         unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
@@ -142,8 +142,8 @@ def assert_same(found, expected, tol):
 
 def relative_residual(system, found):
     """Largest ``W^T x - c`` relative to ``c`` and accelerations without and by contact forces."""
-    M, h, W, c = stacked(system)
-    free, terms = np.linalg.solve(M, h), [c]
+    M, f_j, W, c = stacked(system)
+    free, terms = np.linalg.solve(M, f_j), [c]
     for part in (slice(0, 6), slice(6, None)):  # object, arms
         terms += [W[part].T @ free[part], W[part].T @ (found.x - free)[part]]
     return np.max(np.abs(W.T @ found.x - c)) / max(np.max(np.abs(term)) for term in terms)
@@ -151,10 +151,10 @@ def relative_residual(system, found):
 
 def assert_solves(found, system, reactions, tol=1e-10):
     """The equations of motion hold."""
-    M, h, _, _ = stacked(system)
+    M, f_j, _, _ = stacked(system)
     push = stacked_reactions(system, reactions) @ found.force
-    largest = max(np.max(np.abs(v)) for v in (h, push))
-    np.testing.assert_allclose(M @ found.x - push, h, atol=tol * largest)
+    largest = max(np.max(np.abs(v)) for v in (f_j, push))
+    np.testing.assert_allclose(M @ found.x - push, f_j, atol=tol * largest)
 
 
 # --- worked examples -----------------------------------------------------------------------------
@@ -176,7 +176,7 @@ def test_the_singular_arm_of_the_worked_example_is_coupled_and_the_other_one_is_
 
 
 def test_velocities_of_the_worked_example_are_projected_in_the_inertia_metric():
-    """q = v after, h = M v before, c = 0: an inelastic impact."""
+    """q = v after, f_j = M v before, c = 0: an inelastic impact."""
     data, impact = WORKED["two_arm_block_system"], WORKED["velocity_projection"]
     R, x = np.array(data["inputs"]["Ro"]), data["expected"]
     turn = np.kron(np.eye(2), R)
@@ -290,7 +290,7 @@ def repeated(matrices, arm, lever):
 def test_very_light_and_very_heavy_objects_keep_their_digits(ratio, rng):
     """At mass ratios of a million all equations hold, and the rank is seen."""
     system = random_system(rng, [(6, 6), (5, 3), (2, 3)], ratio)
-    system.h_o *= ratio
+    system.f_o *= ratio
     reactions = with_friction(rng, system, 0.2)
     found = flat(solve_with_reactions(**vars(system), **reactions))
     assert relative_residual(system, found) < 1e-10 and found.rank == 12
@@ -363,12 +363,12 @@ def sliding_contacts(rng, arms, contacts, friction):
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 0.8])
 def test_friction_dissipates_k_times_sliding_speed_per_unit_of_normal_force(friction, rng):
-    """v^T (M q'' - h) = -k sum |v_t| lambda."""
+    """v^T (M q'' - f_j) = -k sum |v_t| lambda."""
     for _ in range(20):
         system, reactions, v, speeds = sliding_contacts(rng, 2, 3, friction)
         found = flat(solve_with_reactions(**vars(system), **reactions))
-        M, h, _, _ = stacked(system)
-        power = v @ (M @ found.x - h)
+        M, f_j, _, _ = stacked(system)
+        power = v @ (M @ found.x - f_j)
         size = np.sum(np.abs(found.force)) * max(1.0, np.max(speeds))
         tol = 100 * EPS * condition(system, reactions)
         assert power == pytest.approx(-friction * speeds @ found.force, abs=tol * size)
@@ -393,11 +393,11 @@ def test_forces_that_no_constraint_sees_but_that_move_the_system_are_told(solver
     assert found.rank == 7 and relative_residual(system, found) < 1e-12
     assert_solves(found, system, reactions)
     # another solution, with other accelerations, found without the solver
-    M, h, W, c = stacked(system)
+    M, f_j, W, c = stacked(system)
     pushes = stacked_reactions(system, reactions)
     F = W.T @ np.linalg.solve(M, pushes)
     other = found.force + np.linalg.svd(F)[2][-1]
-    moved = np.linalg.solve(M, h + pushes @ other)
+    moved = np.linalg.solve(M, f_j + pushes @ other)
     np.testing.assert_allclose(W.T @ moved, c, atol=1e-12)
     assert np.max(np.abs(moved - found.x)) > 1e-2
     # of all these the one with the smallest forces is returned
@@ -412,7 +412,7 @@ def test_a_contact_whose_force_cannot_close_its_own_gap_is_told(solver, consiste
     system = random_system(rng, [first, (6, 4)])
     reactions = with_friction(rng, system, 0.2)
     count = first[1] + 4
-    M, h, W, c = stacked(system)
+    M, f_j, W, c = stacked(system)
     F = W.T @ np.linalg.solve(M, stacked_reactions(system, reactions))
     # the first contact's reaction on the object leans until F is singular; det F is linear in it
     lean = np.linalg.solve(system.M_o, np.hstack(system.W_o)).T @ np.ones(6)
@@ -422,7 +422,7 @@ def test_a_contact_whose_force_cannot_close_its_own_gap_is_told(solver, consiste
     reactions["reaction_o"][0][:, 0] += amount
     F[:, 0] += amount * lean
     if consistent:
-        c = F @ rng.standard_normal(count) + W.T @ np.linalg.solve(M, h)
+        c = F @ rng.standard_normal(count) + W.T @ np.linalg.solve(M, f_j)
         system.c = np.split(c, [first[1]])
     found = flat(solver(**vars(system), **reactions))
     assert not found.motion_unique
@@ -433,8 +433,8 @@ def test_a_contact_whose_force_cannot_close_its_own_gap_is_told(solver, consiste
         assert relative_residual(system, found) < 1e-9
         return
     # what is left over is the least that any forces leave
-    pushed = np.linalg.solve(M, h + stacked_reactions(system, reactions) @ found.force)
-    target = c - W.T @ np.linalg.solve(M, h)
+    pushed = np.linalg.solve(M, f_j + stacked_reactions(system, reactions) @ found.force)
+    target = c - W.T @ np.linalg.solve(M, f_j)
     best = target - F @ np.linalg.lstsq(F, target, rcond=1e-9)[0]
     np.testing.assert_allclose(c - W.T @ pushed, best, atol=1e-9 * np.max(np.abs(target)))
     assert relative_residual(system, found) > 1e-3

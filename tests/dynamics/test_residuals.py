@@ -19,11 +19,11 @@ def test_residuals_of_any_accelerations_and_forces_are_those_of_the_matrices(nam
     system = ma.compile_system(ma.load_scene(SCENES / f"{name}.yaml"))
     data = data_of(system)
     evaluation = evaluate(data, 0.0, system.initial_state())
-    M, h, W, c = system_matrices(system, evaluation)
-    x, force = rng.standard_normal(len(h)), rng.standard_normal(len(c))
-    h, c = h + rng.standard_normal(len(h)), c + rng.standard_normal(len(c))
-    found = residuals_of(data, x, h, force, c)
-    motion, gaps = np.abs(M @ x - h - W @ force), np.abs(W.T @ x - c)
+    M, f_j, W, c = system_matrices(system, evaluation)
+    x, force = rng.standard_normal(len(f_j)), rng.standard_normal(len(c))
+    f_j, c = f_j + rng.standard_normal(len(f_j)), c + rng.standard_normal(len(c))
+    found = residuals_of(data, x, f_j, force, c)
+    motion, gaps = np.abs(M @ x - f_j - W @ force), np.abs(W.T @ x - c)
     expected = [np.max(motion[6:]), np.max(motion[:6]), np.max(gaps)]
     np.testing.assert_allclose(list(vars(found).values()), expected, rtol=ROUNDING)
 

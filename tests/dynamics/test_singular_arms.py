@@ -76,9 +76,9 @@ def eliminated(system):
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = W
-    h, c = np.concatenate(system.h), np.concatenate(system.c)
-    found = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
-    status = solve_batched(work, object_rows(system), system.M_o, system.h_o, h, c, *found)
+    f_j, c = np.concatenate(system.f_j), np.concatenate(system.c)
+    found = np.zeros(6), np.zeros(f_j.size), np.zeros(c.size)
+    status = solve_batched(work, object_rows(system), system.M_o, system.f_o, f_j, c, *found)
     if status == DEFICIENT:
         failed = eliminate_arms(work, object_rows(system))
         status = DEFICIENT if failed == OK else failed
@@ -94,8 +94,8 @@ def solved(system, force_coupling=()):
 
     The arms ``force_coupling`` are declared deficient whatever their pivots are.
     """
-    work, coupled, status, (q_o, q, force) = eliminated(system)
-    h, c = np.concatenate(system.h), np.concatenate(system.c)
+    work, coupled, status, (a_o, q, force) = eliminated(system)
+    f_j, c = np.concatenate(system.f_j), np.concatenate(system.c)
     rank, solvable = c.size, status == OK
     if force_coupling:
         eliminate_arms(work, object_rows(system))
@@ -104,8 +104,8 @@ def solved(system, force_coupling=()):
         solvable = couple(work, coupled, object_rows(system), system.M_o) > 0.0
         rank += int(coupled.status.rank - coupled.status.unknowns)
         if solvable:
-            solve_coupled(work, coupled, system.h_o, h, c, q_o, q, force)
-    x = np.concatenate([q_o, q])
+            solve_coupled(work, coupled, system.f_o, f_j, c, a_o, q, force)
+    x = np.concatenate([a_o, q])
     return SimpleNamespace(
         x=x, force=force, rank=rank, solvable=solvable, work=work, coupled=coupled
     )
@@ -128,12 +128,12 @@ def independent_columns(F):
     return order, left
 
 
-def least_norm(M, h, W, c):
+def least_norm(M, f_j, W, c):
     """Accelerations, contact forces of least norm, and rank, with consistent constraints."""
     with localcontext() as context:
         context.prec = DIGITS
-        M, h, W, c = (exactly(a) for a in (M, h, W, c))
-        mobility = solve_exactly(M, np.column_stack([W, h]))
+        M, f_j, W, c = (exactly(a) for a in (M, f_j, W, c))
+        mobility = solve_exactly(M, np.column_stack([W, f_j]))
         free = mobility[:, -1]
         F, d = W.T @ mobility[:, :-1], c - W.T @ free
         kept, others = independent_columns(F)
@@ -206,8 +206,8 @@ def test_objects_a_million_times_lighter_or_heavier_cost_digits_not_the_rank(see
     digits in the node matrix; the condition of the whole W costs its own."""
     system, _ = deficient_system(seed, shapes, 10.0**power)
     assume(clear_rank(system))
-    M, h, W, c = stacked(system)
-    exact, node = least_norm(M, h, W, c), solved(system)
+    M, f_j, W, c = stacked(system)
+    exact, node = least_norm(M, f_j, W, c), solved(system)
     assert node.solvable and node.rank == exact.rank
     values = np.linalg.svd(np.linalg.solve(np.linalg.cholesky(M), W))[1]
     tol = 100 * EPS * (1e6 + 1e3 * values[0] / values[exact.rank - 1])
@@ -254,7 +254,7 @@ def test_constraints_that_contradict_each_other_are_met_in_least_squares(seed):
     """What is left over is no combination of what any motion can do: W r = 0."""
     system, rng = redundant_system(seed)
     agreed = solved(system)
-    M, h, W, c = stacked(system)
+    M, f_j, W, c = stacked(system)
     null = null_vectors(W)
     assert null.shape[1] >= 2 and agreed.rank == len(c) - null.shape[1]
     contradiction = null @ rng.standard_normal(null.shape[1])
@@ -266,7 +266,7 @@ def test_constraints_that_contradict_each_other_are_met_in_least_squares(seed):
     np.testing.assert_allclose(left, -contradiction, atol=1e-9 * scale)
     np.testing.assert_allclose(W @ left, 0.0, atol=1e-10 * scale)
     np.testing.assert_allclose(
-        M @ node.x - W @ node.force, h, atol=1e-9 * max(scale, np.max(np.abs(node.force)))
+        M @ node.x - W @ node.force, f_j, atol=1e-9 * max(scale, np.max(np.abs(node.force)))
     )
     assert relative(node.x, agreed.x) < 1e-10
 
@@ -327,9 +327,9 @@ def test_sixty_four_arms_of_two_joints_meet_in_a_system_of_rank_six():
     s = node.coupled.status
     assert (s.arms, s.unknowns, s.movable, s.rank) == (64, 4 * 64, 0, 6)
     assert node.rank == 2 * 64 + 6
-    M, h, W, c = stacked(system)
+    M, f_j, W, c = stacked(system)
     assert relative(W.T @ node.x, c) < 1e-10
-    assert relative(W @ node.force, M @ node.x - h) < 1e-10
+    assert relative(W @ node.force, M @ node.x - f_j) < 1e-10
 
 
 def test_a_direction_that_a_joint_hardly_moves_keeps_its_row():
@@ -447,12 +447,12 @@ def test_robots_move_as_the_whole_system_does(name, tmp_path):
         state = system.state(joint_positions={"left": UR5_WRIST_SINGULAR, "right": UR5_POSTURE})
     evaluation = ma.evaluate(system, 0.0, state)
     assert evaluation.coupled_arms
-    M, h, W, c = system_matrices(system, evaluation)
+    M, f_j, W, c = system_matrices(system, evaluation)
     null = null_vectors(W)
     x, force = of_evaluation(evaluation)
     # W is exact to rounding only, so that the oracle is told which rows repeat others
     kept = null_vectors(null.T) if null.size else np.eye(len(c))
-    exact = least_norm(M, h, W @ kept, kept.T @ c)
+    exact = least_norm(M, f_j, W @ kept, kept.T @ c)
     assert relative(x, exact.x) < 1e-9
     assert relative(force, kept @ exact.force) < 1e-8
     assert evaluation.rank == len(c) - null.shape[1]
@@ -518,7 +518,7 @@ def test_the_directions_of_the_axes_do_not_matter(seed):
     system, rng = redundant_system(seed)
     turn = np.kron(np.eye(2), Rotation.random(random_state=rng).as_matrix())
     other = SimpleNamespace(**vars(system))
-    other.M_o, other.h_o = turn @ system.M_o @ turn.T, turn @ system.h_o
+    other.M_o, other.f_o = turn @ system.M_o @ turn.T, turn @ system.f_o
     other.W_o = [turn @ W_o for W_o in system.W_o]
     one, two = solved(system), solved(other)
     assert one.rank == two.rank
@@ -537,9 +537,9 @@ def test_the_units_do_not_matter(seed, length, mass):
     work = mass * length**2
     other = SimpleNamespace(
         M_o=system.M_o * mass * np.outer(object_units, object_units),
-        h_o=system.h_o * mass * length * object_units,
+        f_o=system.f_o * mass * length * object_units,
         M=[M * work for M in system.M],
-        h=[h * work for h in system.h],
+        f_j=[f_j * work for f_j in system.f_j],
         W_o=[W_o * object_units[:, None] for W_o in system.W_o],
         W=[W * length for W in system.W],
         c=[c * length for c in system.c],

@@ -97,9 +97,9 @@ def test_friction_at_rest_is_none_and_never_exceeds_its_torque(rng):
     )
     state = random_state(rough, rng, turn=0.0)
     ma.evaluate(plain, 0.0, state)
-    before = data_of(plain).arrays.h.copy()
+    before = data_of(plain).arrays.f_j.copy()
     ma.evaluate(rough, 0.0, state)
-    added = data_of(rough).arrays.h - before
+    added = data_of(rough).arrays.f_j - before
     np.testing.assert_allclose(added, -3.0 * np.tanh(state.velocity[6:] / 0.01), atol=1e-12)
 
 
@@ -387,7 +387,7 @@ def test_each_effect_alone_adds_what_it_adds_to_all(rng):
     def right_hand_sides(effects):
         system = ma.compile_system(scene.replace(effects=effects))
         ma.evaluate(system, 0.07, state)
-        return np.concatenate([data_of(system).arrays.h_o, data_of(system).arrays.h])
+        return np.concatenate([data_of(system).arrays.f_o, data_of(system).arrays.f_j])
 
     nothing = right_hand_sides({})
     alone = [right_hand_sides({name: ALL[name]}) - nothing for name in names]

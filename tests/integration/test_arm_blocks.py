@@ -265,9 +265,9 @@ def forces(system, state):
         np.zeros(0)
     ] * 2  # fmt: skip
     return {
-        "left": np.concatenate([b.h[:last], b.torque[:last], left]),
-        "right": np.concatenate([b.h[last:], b.torque[last:], right]),
-        "object": b.h_o.copy(),
+        "left": np.concatenate([b.f_j[:last], b.torque[:last], left]),
+        "right": np.concatenate([b.f_j[last:], b.torque[last:], right]),
+        "object": b.f_o.copy(),
     }
 
 
@@ -313,7 +313,7 @@ def test_the_power_of_a_local_effect_is_that_of_its_forces(name, rng):
     for evaluated in (system, free):
         ma.evaluate(evaluated, 0.0, state)
         b = data_of(evaluated).arrays
-        forces.append(np.concatenate([b.h_o, b.h - b.torque]))
+        forces.append(np.concatenate([b.f_o, b.f_j - b.torque]))
     b = data_of(system).arrays
     power = (forces[0] - forces[1]) @ state.velocity
     assert len(b.power) == 1 or b.power[0] == pytest.approx(power, rel=1e-9)

@@ -140,7 +140,7 @@ def accelerations(name, coordinate, rate, closed):
     system = compiled(name)
     data_of(system).set_state(0.0, state_on(name, coordinate, rate))
     assert evaluate_on_branch(data_of(system).struct, closed, 0.0, 0.0) == OK
-    return data_of(system).arrays.q_o.copy(), system
+    return data_of(system).arrays.a_o.copy(), system
 
 
 def exact_acceleration(name, coordinate, rate):
@@ -192,7 +192,7 @@ def test_far_from_the_flat_position_nothing_is_interpolated():
     found, system = accelerations("four_bar", math.pi + 0.5, 6.0, 1e-13)
     assert data_of(system).coupled.status.margin > ZONE
     assert evaluate_state(data_of(system).struct, 0.0, 0.0) == OK
-    np.testing.assert_array_equal(found, data_of(system).arrays.q_o)
+    np.testing.assert_array_equal(found, data_of(system).arrays.a_o)
 
 
 # --- arms that pass singular postures, loops that are closed too often ---------------------------

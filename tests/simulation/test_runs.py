@@ -107,9 +107,9 @@ def test_harmonic_run_equals_scipys_dop853_on_the_evaluation():
         ev = ma.evaluate(system, t, state)
         x, w, spin = y[3:6], y[6], state.object_twist[3:]
         turn = 0.5 * np.concatenate([w * spin + np.cross(spin, x), [-x @ spin]])  # world axes
-        qdd = np.concatenate(list(ev.joint_accelerations.values()))
+        a_j = np.concatenate(list(ev.joint_accelerations.values()))
         return np.concatenate(
-            [state.object_twist[:3], turn, state.velocity[6:], ev.object_acceleration, qdd]
+            [state.object_twist[:3], turn, state.velocity[6:], ev.object_acceleration, a_j]
         )
 
     y0 = np.concatenate([start.position[:3], base.as_quat(), start.position[7:], start.velocity])

@@ -264,7 +264,7 @@ def test_the_residual_is_the_largest_gap_acceleration_over_the_largest_term():
     state = project_velocity(system, state)
     evaluation = ma.evaluate(system, 0.0, state)
     assert evaluation.velocity_residual < 1e-13 and evaluation.rank == 1
-    M, h, W, c = system_matrices(system, evaluation)
+    M, f_j, W, c = system_matrices(system, evaluation)
     x = np.concatenate([evaluation.object_acceleration, evaluation.joint_accelerations["arm"]])
     left = W.T @ x - c
     # both walk away from c by as much, in the sense of least squares
@@ -274,7 +274,7 @@ def test_the_residual_is_the_largest_gap_acceleration_over_the_largest_term():
     assert np.max(np.abs(left)) == pytest.approx(0.5 * relative_motion, rel=1e-9)
     run = ma.simulate(system, 0.1, state=state)
     assert run.status == "failed" and "contradict" in run.message
-    free = np.linalg.solve(M[6:, 6:], h[6:])  # of the arm without contacts
+    free = np.linalg.solve(M[6:, 6:], f_j[6:])  # of the arm without contacts
     terms = (W[:6].T @ x[:6], W[6:].T @ x[6:], W[6:].T @ free, c, system.scene.gravity)
     scale = max(np.max(np.abs(term)) for term in terms)
     assert run.residual[0] == pytest.approx(np.max(np.abs(left)) / scale, rel=1e-6)
@@ -291,13 +291,13 @@ def test_the_largest_term_may_be_what_contact_forces_hold_back(welded_ur5_system
     """Regular arms at rest: the links would fall faster than the object, did it not hold them."""
     system = welded_ur5_system
     evaluation = ma.evaluate(system, 0.0, system.initial_state())
-    M, h, W, c = system_matrices(system, evaluation)
+    M, f_j, W, c = system_matrices(system, evaluation)
     assert evaluate_state(data_of(system).struct, 0.0, 0.0) == OK
     buffers = data_of(system).arrays
-    x = np.concatenate([buffers.q_o, buffers.qdd])
-    x[6] = buffers.qdd[0] = x[6] + 1e-3
-    free = W[6:].T @ np.linalg.solve(M[6:, 6:], h[6:])
-    others = (W[:6].T @ x[:6], W[6:].T @ x[6:], c, h[:3] / M[0, 0])
+    x = np.concatenate([buffers.a_o, buffers.a_j])
+    x[6] = buffers.a_j[0] = x[6] + 1e-3
+    free = W[6:].T @ np.linalg.solve(M[6:, 6:], f_j[6:])
+    others = (W[:6].T @ x[:6], W[6:].T @ x[6:], c, f_j[:3] / M[0, 0])
     assert np.max(np.abs(free)) > 1.01 * max(np.max(np.abs(term)) for term in others)
     expected = np.max(np.abs(W.T @ x - c)) / np.max(np.abs(free))
     found = residual_of(data_of(system).struct)

@@ -37,15 +37,15 @@ def solve_by_node(system):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
-    h, c = np.concatenate(system.h), np.concatenate(system.c)
-    failed = solve_batched(work, Wo, system.M_o, system.h_o, h, c, q_o, q, force)
+    a_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
+    f_j, c = np.concatenate(system.f_j), np.concatenate(system.c)
+    failed = solve_batched(work, Wo, system.M_o, system.f_o, f_j, c, a_o, q, force)
     if failed == DEFICIENT:
         coupled = make_coupled(dofs, rows)
         assert eliminate_arms(work, Wo) == OK
         assert couple(work, coupled, Wo, system.M_o) > 0.0
-        solve_coupled(work, coupled, system.h_o, h, c, q_o, q, force)
-    return SimpleNamespace(failed=failed, pivot=work.pivot, x=np.concatenate([q_o, q]), force=force)
+        solve_coupled(work, coupled, system.f_o, f_j, c, a_o, q, force)
+    return SimpleNamespace(failed=failed, pivot=work.pivot, x=np.concatenate([a_o, q]), force=force)
 
 
 def spd(rng, n, scale):
@@ -60,9 +60,9 @@ def random_system(rng, shapes, ratio=1.0):
     normal = rng.standard_normal
     return SimpleNamespace(
         M_o=spd(rng, 6, ratio),
-        h_o=normal(6),
+        f_o=normal(6),
         M=[spd(rng, n, 1.0) for n, _ in shapes],
-        h=[normal(n) for n, _ in shapes],
+        f_j=[normal(n) for n, _ in shapes],
         W_o=[normal((6, m)) for _, m in shapes],
         W=[normal((n, m)) for n, m in shapes],
         c=[normal(m) for _, m in shapes],
@@ -76,7 +76,7 @@ def stacked(system):
     M, W = block_diag(system.M_o, *system.M), block_diag(*system.W)
     return (
         M,
-        np.concatenate([system.h_o, *system.h]),
+        np.concatenate([system.f_o, *system.f_j]),
         np.vstack([np.hstack(system.W_o), W]),
         np.concatenate(system.c),
     )
@@ -86,7 +86,7 @@ def worked_system(name):
     data = WORKED[name]["inputs"]
     array = lambda key: [np.array(arm[key]) for arm in data["arms"]]  # noqa: E731
     system = SimpleNamespace(
-        M_o=np.array(data["Mo"]), h_o=np.array(data["ho"]), M=array("M"), h=array("h"),
+        M_o=np.array(data["Mo"]), f_o=np.array(data["ho"]), M=array("M"), f_j=array("h"),
         W_o=array("Wo"), W=array("W"), c=array("c"),
     )  # fmt: skip
     return system, {"reaction_o": array("Wot"), "reaction": array("Wt")}, WORKED[name]["expected"]
@@ -114,22 +114,22 @@ def solve_exactly(A, B):
 
 
 def system_matrices(system, evaluation):
-    """M, h, W, c from the arms' Jacobians and the contact wrenches."""
+    """M, f_j, W, c from the arms' Jacobians and the contact wrenches."""
     state, scene = evaluation.state, system.scene
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     inertia = R @ scene.object.inertia_matrix() @ R.T
     omega = state.object_twist[3:]
     gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
     M, W_o, W, c = [block_diag(scene.object.mass * np.eye(3), inertia)], [], [], []
-    h = [scene.object.mass * gravity, -np.cross(omega, inertia @ omega)]
+    f_j = [scene.object.mass * gravity, -np.cross(omega, inertia @ omega)]
     for name in system.arm_names:
         q, v = state.joint_positions[name], state.joint_velocities[name]
         terms, contact = system.arms[name].terms(q, v), evaluation.contact_terms[name]
         inertia, load = plain_arm(system.arms[name], q, v, gravity)
         M.append(inertia)
-        h.append(evaluation.joint_torques[name] + load)
+        f_j.append(evaluation.joint_torques[name] + load)
         W_o.append(np.kron(np.eye(2), R) @ contact.W_o)
         W.append(terms.J.T @ np.kron(np.eye(2), terms.tip_rotation) @ contact.W_m)
         c.append(contact.c)
     stack = np.vstack([np.hstack(W_o), block_diag(*W)])
-    return block_diag(*M), np.concatenate(h), stack, np.concatenate(c)
+    return block_diag(*M), np.concatenate(f_j), stack, np.concatenate(c)

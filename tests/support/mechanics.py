@@ -495,8 +495,8 @@ def object_terms(
     r"""Inertia and bias of the object about its centre of mass (thesis, 3.2).
 
     .. math:: I_o = \begin{bmatrix} m I & 0\\ 0 & R I_b R^T\end{bmatrix},\qquad
-       h_o = \begin{bmatrix} -m g \\ \omega\times R I_b R^T\omega\end{bmatrix},\qquad
-       I_o \dot v_o + h_o = f
+       b_o = \begin{bmatrix} -m g \\ \omega\times R I_b R^T\omega\end{bmatrix},\qquad
+       I_o \dot v_o + b_o = f
 
     Parameters
     ----------

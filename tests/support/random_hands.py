@@ -142,9 +142,9 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
     W_o = [b.Wo[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
     W = [work.W[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     system = System(
-        M_o=b.inertia.copy(), h_o=b.h_o.copy(),
+        M_o=b.inertia.copy(), f_o=b.f_o.copy(),
         M=[read_inertia(data_of(compiled).arrays.pointers[i], d) for i, d in enumerate(dofs)],
-        h=np.split(b.h.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
+        f_j=np.split(b.f_j.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
         reach=[compiled.arms[n].levers(compiled.frames[n].on_tip[:3, 3]) for n in names],
     )  # fmt: skip

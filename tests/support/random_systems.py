@@ -28,9 +28,9 @@ class System:
     """
 
     M_o: np.ndarray
-    h_o: np.ndarray
+    f_o: np.ndarray
     M: list[np.ndarray]
-    h: list[np.ndarray]
+    f_j: list[np.ndarray]
     W_o: list[np.ndarray]
     W: list[np.ndarray]
     c: list[np.ndarray]
@@ -137,7 +137,7 @@ def assemble(rng, box: Box, arms: list, light: float = 0.0, friction: float = 0.
     torque = decades(rng, -2, 3) * rng.choice([0.0, 1.0])
     moving = rng.choice([0.0, 1.0]) * decades(rng, -1, 2)
     accelerated = moving * np.concatenate([unit(rng), unit(rng) / box.lever])
-    names = ("M", "h", "W_o", "W", "c", "reach", "reaction_o", "reaction")
+    names = ("M", "f_j", "W_o", "W", "c", "reach", "reaction_o", "reaction")
     rows: dict[str, list] = {name: [] for name in names}
     for contacts, joints in arms:
         W_o = np.array([wrench(*contact) for contact in contacts]).T
@@ -150,7 +150,7 @@ def assemble(rng, box: Box, arms: list, light: float = 0.0, friction: float = 0.
         rows["W_o"].append(W_o)
         rows["W"].append(W)
         rows["reach"].append(reach)
-        rows["h"].append(reach * (torque + 9.81 * mass) * rng.standard_normal(len(reach)))
+        rows["f_j"].append(reach * (torque + 9.81 * mass) * rng.standard_normal(len(reach)))
         joints_accelerated = moving * rng.standard_normal(len(reach)) / reach
         rows["c"].append(W_o.T @ accelerated + W.T @ joints_accelerated)
         drag = np.array(
@@ -161,7 +161,7 @@ def assemble(rng, box: Box, arms: list, light: float = 0.0, friction: float = 0.
     if not friction:
         rows |= {"reaction_o": rows["W_o"], "reaction": rows["W"]}
     lever = max(np.max(np.linalg.norm(W_o[3:], axis=0)) for W_o in rows["W_o"]) or box.lever
-    return System(M_o=box.inertia(), h_o=lift, lever=float(lever), **rows)
+    return System(M_o=box.inertia(), f_o=lift, lever=float(lever), **rows)
 
 
 # --- families ------------------------------------------------------------------------------------

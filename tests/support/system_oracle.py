@@ -89,24 +89,24 @@ SENSITIVITY_FACTOR = 10.0
 class Loads(NamedTuple):
     """Right-hand sides and unknowns, stacked, as the kernels take them."""
 
-    h_o: np.ndarray
-    h: np.ndarray
+    f_o: np.ndarray
+    f_j: np.ndarray
     c: np.ndarray
-    q_o: np.ndarray
+    a_o: np.ndarray
     q: np.ndarray
     force: np.ndarray
 
 
 def loads_of(system: System) -> Loads:
-    h, c = np.concatenate(system.h), np.concatenate(system.c)
-    return Loads(system.h_o, h, c, np.zeros(6), np.zeros(h.size), np.zeros(c.size))
+    f_j, c = np.concatenate(system.f_j), np.concatenate(system.c)
+    return Loads(system.f_o, f_j, c, np.zeros(6), np.zeros(f_j.size), np.zeros(c.size))
 
 
 def balanced(system: System, loads: Loads) -> bool:
     """Whether the object is, so that the equations are not solved again."""
     unit, pushes = unit_of_object(system), np.hstack(system.reaction_o) * loads.force
-    left = (system.M_o @ loads.q_o - system.h_o - np.sum(pushes, axis=1)) / unit
-    scale = size_of(system.h_o / unit, pushes / unit[:, None])
+    left = (system.M_o @ loads.a_o - system.f_o - np.sum(pushes, axis=1)) / unit
+    scale = size_of(system.f_o / unit, pushes / unit[:, None])
     return size_of(left) <= IMBALANCE_BOUND * scale
 
 
@@ -175,11 +175,11 @@ def solve_by_reactions(system: System) -> NodeSolution:
 def _solution(work, loads: Loads, rank: int, unique: np.ndarray) -> NodeSolution:
     dofs, rows = work.dofs[1:-1], work.rows[1:-1]
     split = np.split(loads.q, dofs), np.split(loads.force, rows), np.split(unique, rows)
-    return NodeSolution(loads.q_o, *split, rank)
+    return NodeSolution(loads.a_o, *split, rank)
 
 
 def solve_by_reference(system: System) -> NodeSolution:
-    names = ("M_o", "h_o", "M", "h", "W_o", "W", "c", "reaction_o", "reaction")
+    names = ("M_o", "f_o", "M", "f_j", "W_o", "W", "c", "reaction_o", "reaction")
     return solve_dense(*(getattr(system, name) for name in names))
 
 
@@ -287,9 +287,9 @@ def solve_exactly(system: System, rank: int) -> NodeSolution:
     turned = np.linalg.svd(measured(system))[2]
     bounds = np.cumsum([0] + [W.shape[1] for W in system.W])
     bodies = [
-        (system.M_o, system.h_o, np.hstack(system.W_o), np.hstack(system.reaction_o), slice(None)),
+        (system.M_o, system.f_o, np.hstack(system.W_o), np.hstack(system.reaction_o), slice(None)),
         *zip(
-            system.M, system.h, system.W, system.reaction,
+            system.M, system.f_j, system.W, system.reaction,
             (slice(*ends) for ends in pairwise(bounds)), strict=True,
         ),
     ]  # fmt: skip
@@ -297,9 +297,9 @@ def solve_exactly(system: System, rank: int) -> NodeSolution:
         context.prec = DIGITS
         V = exactly(turned[:rank].T)
         F, d, kept = 0, V.T @ exactly(np.concatenate(system.c)), []
-        for M, h, W, R, own in bodies:
+        for M, f_j, W, R, own in bodies:
             constraint, reaction = exactly(W) @ V[own], exactly(R) @ V[own]
-            moved = eliminate(exactly(M), np.column_stack([reaction, exactly(h)]))
+            moved = eliminate(exactly(M), np.column_stack([reaction, exactly(f_j)]))
             F, d = F + constraint.T @ moved[:, :-1], d - constraint.T @ moved[:, -1]
             kept.append(moved)
         share = eliminate(F, d[:, None])[:, 0]
@@ -338,20 +338,20 @@ def size_of(*vectors: np.ndarray) -> float:
 
 def scales_of(system: System, exact: NodeSolution) -> Scales:
     unit = unit_of_object(system)
-    q_o = exact.object_acceleration
+    a_o = exact.object_acceleration
     pushes = [R * f for R, f in zip(system.reaction_o, exact.contact_forces, strict=True)]
-    of_arms, moved = [], [q_o * unit, np.linalg.solve(system.M_o, system.h_o) * unit, *system.c]
+    of_arms, moved = [], [a_o * unit, np.linalg.solve(system.M_o, system.f_o) * unit, *system.c]
     freed = [np.linalg.solve(system.M_o, push) * unit[:, None] for push in pushes]
-    for M, h, R, reach, q, f in zip(
-        system.M, system.h, system.reaction, system.reach, exact.joint_accelerations,
+    for M, f_j, R, reach, q, f in zip(
+        system.M, system.f_j, system.reaction, system.reach, exact.joint_accelerations,
         exact.contact_forces, strict=True,
     ):  # fmt: skip
-        of_arms.append(size_of(M @ q / reach, h / reach, f))
-        moved += [q * reach, np.linalg.solve(M, h) * reach]
+        of_arms.append(size_of(M @ q / reach, f_j / reach, f))
+        moved += [q * reach, np.linalg.solve(M, f_j) * reach]
         freed.append(np.linalg.solve(M, R * f) * reach[:, None])
     on_object = (
-        system.M_o @ q_o / unit,
-        system.h_o / unit,
+        system.M_o @ a_o / unit,
+        system.f_o / unit,
         *(push / unit[:, None] for push in pushes),
     )
     forces = size_of(*on_object, *exact.contact_forces)
@@ -360,14 +360,14 @@ def scales_of(system: System, exact: NodeSolution) -> Scales:
 
 def balances(system: System, found: NodeSolution) -> tuple[float, list[float], float]:
     """Residuals of the object's equations, of every arm's, and of the constraints."""
-    unit, q_o = unit_of_object(system), found.object_acceleration
-    on_object = system.M_o @ q_o - system.h_o
+    unit, a_o = unit_of_object(system), found.object_acceleration
+    on_object = system.M_o @ a_o - system.f_o
     arms, constraint = [], 0.0
     for i, (q, f) in enumerate(zip(found.joint_accelerations, found.contact_forces, strict=True)):
         on_object = on_object - system.reaction_o[i] @ f
-        left = system.M[i] @ q - system.h[i] - system.reaction[i] @ f
+        left = system.M[i] @ q - system.f_j[i] - system.reaction[i] @ f
         arms.append(size_of(left / system.reach[i]))
-        gap = system.W_o[i].T @ q_o + system.W[i].T @ q - system.c[i]
+        gap = system.W_o[i].T @ a_o + system.W[i].T @ q - system.c[i]
         constraint = max(constraint, size_of(gap))
     return size_of(on_object / unit), arms, constraint
 
@@ -494,7 +494,7 @@ def disturbed(system: System) -> System:
         return M + 0.5 * (change + change.T)
 
     unit, reach = unit_of_object(system), system.reach
-    most = [size_of(h / r) * r for h, r in zip(system.h, reach, strict=True)]
+    most = [size_of(f_j / r) * r for f_j, r in zip(system.f_j, reach, strict=True)]
     W_o = [near(W, unit[:, None]) for W in system.W_o]
     W = [near(W, r[:, None]) for W, r in zip(system.W, reach, strict=True)]
     changed = {"reaction_o": W_o, "reaction": W}
@@ -506,9 +506,9 @@ def disturbed(system: System) -> System:
     return replace(
         system,
         M_o=near_inertia(system.M_o),
-        h_o=near(system.h_o, size_of(system.h_o / unit) * unit),
+        f_o=near(system.f_o, size_of(system.f_o / unit) * unit),
         M=[near_inertia(M) for M in system.M],
-        h=[near(h, unit) for h, unit in zip(system.h, most, strict=True)],
+        f_j=[near(f_j, unit) for f_j, unit in zip(system.f_j, most, strict=True)],
         W_o=W_o,
         W=W,
         c=[near(c, size_of(*system.c)) for c in system.c],

@@ -6,10 +6,10 @@ eliminated by the same instructions.  The equations of an arm
 (:mod:`multiarm.dynamics.solver.node`), with :math:`\mu = -\lambda`, are one symmetric table
 
 .. math::
-    \begin{bmatrix} M & W & h & 0 \\ W^T & 0 & c & W_o^T \end{bmatrix}, \qquad
+    \begin{bmatrix} M & W & f_j & 0 \\ W^T & 0 & c & W_o^T \end{bmatrix}, \qquad
     \begin{bmatrix} M & W \\ W^T & 0 \end{bmatrix}
-    \begin{bmatrix} q \\ \mu \end{bmatrix} =
-    \begin{bmatrix} h \\ c \end{bmatrix} - \begin{bmatrix} 0 \\ W_o^T \end{bmatrix} q_o
+    \begin{bmatrix} a_j \\ \mu \end{bmatrix} =
+    \begin{bmatrix} f_j \\ c \end{bmatrix} - \begin{bmatrix} 0 \\ W_o^T \end{bmatrix} a_o
 
 They are eliminated row by row (Gauss; Crout's order): first the joints, with pivots :math:`p > 0`,
 then the contacts, with negative pivots, since the elimination of the joints turns the zero block
@@ -60,7 +60,7 @@ from multiarm.jit.simd import (
 
 
 @inlined
-def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
+def solve_batched(work, Wo, object_inertia, f_o, f_j, c, a_o, a_j, force):
     """Eliminate the whole system and solve it for one right-hand side.
 
     Parameters
@@ -69,9 +69,9 @@ def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
         With the arms' inertias ``M`` and their ``W``.
     Wo : (N, 6), object_inertia : (6, 6)
         The object's rows, arms stacked, and its inertia; world axes.
-    h_o : (6,), h : (sum of joints,), c : (N,)
+    f_o : (6,), f_j : (sum of joints,), c : (N,)
         Right-hand sides, arms stacked.
-    q_o : (6,), q : (sum of joints,), force : (N,), written
+    a_o : (6,), a_j : (sum of joints,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
 
     Returns
@@ -83,22 +83,22 @@ def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
     """
     packs, n = work.packs, work.dofs.size - 1
     work.by_arm[0] = 0
-    if not least_pivot(work, Wo, h, c) > COUPLED_BELOW:
+    if not least_pivot(work, Wo, f_j, c) > COUPLED_BELOW:
         return DEFICIENT
-    work.pivot[n] = solve_node(work, object_inertia, h_o, q_o)
+    work.pivot[n] = solve_node(work, object_inertia, f_o, a_o)
     # arms that are stiff in some directions leave no digits of the object's inertia in the others
     if not work.pivot[n] > COUPLED_BELOW:
         return DEFICIENT
     for k in range(6):
-        store_pack(packs, OBJECT_AT + LANES * k, broadcast(q_o[k]))
+        store_pack(packs, OBJECT_AT + LANES * k, broadcast(a_o[k]))
     for g in range(work.groups.shape[0]):
         substitute_group(work.groups[g], work)
-        scatter_unknowns(work.groups[g], work, q, force)
+        scatter_unknowns(work.groups[g], work, a_j, force)
     return OK
 
 
 @inlined
-def least_pivot(work, Wo, h, c):
+def least_pivot(work, Wo, f_j, c):
     """Eliminate all arms, four at a time; returns the smallest ``NodeWork.pivot``.
 
     It is 0 where an inertia is not positive definite, and where there are no groups since some arm
@@ -109,7 +109,7 @@ def least_pivot(work, Wo, h, c):
         store_pack(packs, NODE_AT + LANES * k, broadcast(0.0))
     for g in range(work.groups.shape[0]):
         group, present = work.groups[g], work.present[g]
-        fill_table(group, work, Wo, h, c, work.places[g], present)
+        fill_table(group, work, Wo, f_j, c, work.places[g], present)
         inertia, relative = eliminate_group(group, work, work.stiffness[g])
         add_group(group, work, load_pack(present, present.size - LANES))
         store_pack(packs, OBJECT_AT, inertia)
@@ -122,12 +122,12 @@ def least_pivot(work, Wo, h, c):
 
 
 @inlined
-def solve_node(work, object_inertia, h_o, q_o):
+def solve_node(work, object_inertia, f_o, a_o):
     """Sum over the arms and solve for the object; returns the smallest relative pivot."""
     packs, S = work.packs, work.S
     for k in range(6):
         at = NODE_AT + LANES * NODE_WIDTH * k
-        q_o[k] = h_o[k] + sum_pack(load_pack(packs, at))
+        a_o[k] = f_o[k] + sum_pack(load_pack(packs, at))
         for l in range(k + 1):  # noqa: E741
             at += LANES
             S[k, l] = object_inertia[k, l] + sum_pack(load_pack(packs, at))
@@ -141,7 +141,7 @@ def solve_node(work, object_inertia, h_o, q_o):
             factor = u * S[k, k]
             S[j, k] = factor
             pivot -= factor * u
-            q_o[j] -= factor * q_o[k]
+            a_o[j] -= factor * a_o[k]
         relative = pivot / diagonal
         if not (pivot > 0.0 and relative > 0.0):
             return 0.0
@@ -153,10 +153,10 @@ def solve_node(work, object_inertia, h_o, q_o):
                 s -= S[i, k] * S[j, k]
             S[i, j] = s
     for j in range(5, -1, -1):
-        s = q_o[j] * S[j, j]
+        s = a_o[j] * S[j, j]
         for i in range(5, j, -1):
-            s -= S[i, j] * q_o[i]
-        q_o[j] = s
+            s -= S[i, j] * a_o[i]
+        a_o[j] = s
     return smallest
 
 
@@ -281,18 +281,18 @@ def substitute_group(group, work):
 
 
 @inlined
-def fill_table(group, work, Wo, h, c, places, present):
+def fill_table(group, work, Wo, f_j, c, places, present):
     """Write the equations of four arms into their table.
 
     ``group, places, present`` are rows of ``work.groups``, ``work.places``, ``work.present``.
     """
-    fill_joint_rows(group, work, h, places)
+    fill_joint_rows(group, work, f_j, places)
     fill_contact_rows(group, work, Wo, c, places[LANES * work.M.shape[1] :], present)
 
 
 @inlined
-def fill_joint_rows(group, work, h, places):
-    """Write ``M``, ``W`` and ``h`` of four arms into their table."""
+def fill_joint_rows(group, work, f_j, places):
+    """Write ``M``, ``W`` and ``f_j`` of four arms into their table."""
     d, m, stride = group[JOINTS], group[CONTACTS], LANES * group[WIDTH]
     M, W, packs = work.M, work.W, work.packs
     most, columns = W.shape[1], W.shape[2]
@@ -311,7 +311,7 @@ def fill_joint_rows(group, work, h, places):
             store_pack(packs, at, gather_pack(W, w0, w1, w2, w3))
             at += LANES
         p = places[LANES * j : LANES * j + LANES]
-        store_pack(packs, at, gather_pack(h, p[0], p[1], p[2], p[3]))
+        store_pack(packs, at, gather_pack(f_j, p[0], p[1], p[2], p[3]))
         row += stride
 
 
@@ -340,7 +340,7 @@ def fill_contact_rows(group, work, Wo, c, places, present):
 
 
 @inlined
-def scatter_unknowns(group, work, q, force):
+def scatter_unknowns(group, work, a_j, force):
     """Copy the unknowns of four arms into the stacked vectors."""
     d, right = group[JOINTS], group[JOINTS] + group[CONTACTS]
     x = group[START] + LANES * right * group[WIDTH]
@@ -349,7 +349,7 @@ def scatter_unknowns(group, work, q, force):
         i = group[FIRST_ARM + lane]
         at = x + lane
         for j in range(work.dofs[i], work.dofs[i + 1]):
-            q[j] = packs[at]
+            a_j[j] = packs[at]
             at += LANES
         at = x + LANES * d + lane
         for a in range(work.rows[i], work.rows[i + 1]):
@@ -359,7 +359,7 @@ def scatter_unknowns(group, work, q, force):
 
 @kernel
 def largest_free_rate(work):
-    """Largest ``|W^T M^-1 h|`` of the last solution: contact accelerations without forces."""
+    """Largest ``|W^T M^-1 f_j|`` of the last solution: contact accelerations without forces."""
     packs, largest = work.packs, 0.0
     for g in range(work.groups.shape[0]):
         group = work.groups[g]

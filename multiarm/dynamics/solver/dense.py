@@ -2,7 +2,7 @@ r"""Independent reference: the whole constrained system as one dense matrix, in 
 
 .. math::
     \begin{bmatrix} \mathrm{blkdiag}(M_o, M_1 \dots M_n) & -\tilde W \\ W^T & 0 \end{bmatrix}
-    \begin{bmatrix} q \\ \lambda \end{bmatrix} = \begin{bmatrix} h \\ c \end{bmatrix}
+    \begin{bmatrix} a_j \\ \lambda \end{bmatrix} = \begin{bmatrix} f_j \\ c \end{bmatrix}
 
 with the stacked constraint matrix ``W`` and reaction matrix ``W~`` (equal without friction; thesis,
 4.9).  Its cost is cubic in the number of arms; it shares no code with the node algorithm.
@@ -39,9 +39,9 @@ class NodeSolution(NamedTuple):
 
 def solve_dense(
     M_o: np.ndarray,
-    h_o: np.ndarray,
+    f_o: np.ndarray,
     M: list[np.ndarray],
-    h: list[np.ndarray],
+    f_j: list[np.ndarray],
     W_o: list[np.ndarray],
     W: list[np.ndarray],
     c: list[np.ndarray],
@@ -52,12 +52,12 @@ def solve_dense(
 
     Parameters
     ----------
-    M_o, h_o : (6, 6), (6,)
+    M_o, f_o : (6, 6), (6,)
         Object's inertia and right-hand side.
-    M, h : lists of (n_i, n_i), (n_i,)
+    M, f_j : lists of (n_i, n_i), (n_i,)
         Arms' inertias and right-hand sides.
     W_o, W, c : lists of (6, N_i), (n_i, N_i), (N_i,)
-        Constraints ``W_o^T q_o + W_i^T q_i = c_i``.
+        Constraints ``W_o^T a_o + W_i^T a_i = c_i``.
     reaction_o, reaction : lists like W_o, W, optional
         Matrices of the contact forces where these differ from the constraints (friction).
     """
@@ -72,7 +72,7 @@ def solve_dense(
     matrix[:size, :size] = inertia
     matrix[:size, size:] = -reactions
     matrix[size:, :size] = constraint.T
-    right = np.concatenate([h_o, *h, *c])
+    right = np.concatenate([f_o, *f_j, *c])
     # scale so that metres and radians, kilograms and grams weigh the same
     scale = 1.0 / np.sqrt(np.diag(inertia))
     rows = np.concatenate([scale, _reciprocal_norms(scale[:, None] * constraint)])

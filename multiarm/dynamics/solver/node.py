@@ -3,9 +3,9 @@ r"""The node algorithm: the object's acceleration first, then each arm on its ow
 The system (thesis, 4.9; :math:`\lambda = -\mu` is the physical contact force, positive = pushing)
 
 .. math::
-    M_o q_o = h_o + \sum_i W_{oi} \lambda_i, \qquad
-    M_i q_i = h_i + W_i \lambda_i, \qquad
-    W_{oi}^T q_o + W_i^T q_i = c_i
+    M_o a_o = f_o + \sum_i W_{oi} \lambda_i, \qquad
+    M_i a_i = f_i + W_i \lambda_i, \qquad
+    W_{oi}^T a_o + W_i^T a_i = c_i
 
 is solved without ever assembling it.  With every arm's Cholesky factor :math:`M_i = L_i L_i^T`,
 
@@ -16,9 +16,9 @@ is solved without ever assembling it.  With every arm's Cholesky factor :math:`M
 is the *elimination*, which depends on the configuration only, and
 
 .. math::
-    y_i = L_i^{-1} h_i, \quad z_i = G_i^{-1}(c_i - Y_i^T y_i), \quad
-    q_o = S^{-1}\big(h_o + \sum_i Z_i^T z_i\big), \quad
-    \lambda_i = G_i^{-T}(z_i - Z_i q_o), \quad q_i = L_i^{-T}(y_i + Y_i \lambda_i)
+    y_i = L_i^{-1} f_i, \quad z_i = G_i^{-1}(c_i - Y_i^T y_i), \quad
+    a_o = S^{-1}\big(f_o + \sum_i Z_i^T z_i\big), \quad
+    \lambda_i = G_i^{-T}(z_i - Z_i a_o), \quad a_i = L_i^{-T}(y_i + Y_i \lambda_i)
 
 the *solution* for one right-hand side: accelerations, velocity projections and position corrections
 alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; ``S`` stays 6 by 6.
@@ -267,20 +267,20 @@ def eliminate_arms(work, Wo):
 
 
 @inlined
-def unconstrained_motion(i, work, h):
-    """``y = L^-1 h`` of an arm."""
+def unconstrained_motion(i, work, f_j):
+    """``y = L^-1 f_j`` of an arm."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     L, y = work.L[i], work.y
     for j in range(d):
-        s = h[d0 + j]
+        s = f_j[d0 + j]
         for k in range(j):
             s -= L[j, k] * y[d0 + k]
         y[d0 + j] = s * L[j, j]
 
 
 @inlined
-def reduce_constraints(i, work, c, q_o):
-    """``z`` of an arm; adds ``Z^T z`` to the object's right-hand side ``q_o``."""
+def reduce_constraints(i, work, c, a_o):
+    """``z`` of an arm; adds ``Z^T z`` to the object's right-hand side ``a_o``."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
     Y, G, Z, y, z = work.Y[i], work.G[i], work.Z[i], work.y, work.z
@@ -297,38 +297,38 @@ def reduce_constraints(i, work, c, q_o):
         s *= G[a, a]
         z[r0 + a] = s
         for k in range(6):
-            q_o[k] += Z[a, k] * s
+            a_o[k] += Z[a, k] * s
 
 
 @inlined
-def node_forward(S, q_o):
-    """``L_S^-1 q_o``, in place."""
+def node_forward(S, a_o):
+    """``L_S^-1 a_o``, in place."""
     for j in range(6):
-        s = q_o[j]
+        s = a_o[j]
         for k in range(j):
-            s -= S[j, k] * q_o[k]
-        q_o[j] = s * S[j, j]
+            s -= S[j, k] * a_o[k]
+        a_o[j] = s * S[j, j]
 
 
 @inlined
-def node_backward(S, q_o):
-    """``L_S^-T q_o``, in place."""
+def node_backward(S, a_o):
+    """``L_S^-T a_o``, in place."""
     for j in range(5, -1, -1):
-        s = q_o[j]
+        s = a_o[j]
         for k in range(j + 1, 6):
-            s -= S[k, j] * q_o[k]
-        q_o[j] = s * S[j, j]
+            s -= S[k, j] * a_o[k]
+        a_o[j] = s * S[j, j]
 
 
 @inlined
-def recover_forces(i, work, q_o, force):
-    """Contact forces of an arm for the object's ``q_o``."""
+def recover_forces(i, work, a_o, force):
+    """Contact forces of an arm for the object's ``a_o``."""
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
     G, Z, z = work.G[i], work.Z[i], work.z
     for a in range(m):
         s = z[r0 + a]
         for k in range(6):
-            s -= Z[a, k] * q_o[k]
+            s -= Z[a, k] * a_o[k]
         force[r0 + a] = s
     for a in range(m - 1, -1, -1):
         s = force[r0 + a] * G[a, a]
@@ -338,7 +338,7 @@ def recover_forces(i, work, q_o, force):
 
 
 @inlined
-def recover_joints(i, work, force, q):
+def recover_joints(i, work, force, a_j):
     """Joint accelerations of an arm for its contact forces."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
@@ -347,9 +347,9 @@ def recover_joints(i, work, force, q):
         s = y[d0 + j]
         for a in range(m):
             s += Y[j, a] * force[r0 + a]
-        q[d0 + j] = s
+        a_j[d0 + j] = s
     for j in range(d - 1, -1, -1):
-        s = q[d0 + j] * L[j, j]
-        q[d0 + j] = s
+        s = a_j[d0 + j] * L[j, j]
+        a_j[d0 + j] = s
         for k in range(j):
-            q[d0 + k] -= L[j, k] * s
+            a_j[d0 + k] -= L[j, k] * s

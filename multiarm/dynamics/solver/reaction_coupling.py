@@ -5,7 +5,7 @@ With the other arms eliminated, the contact forces of these arms obey (thesis, 4
 
 .. math::
     F \lambda = d, \qquad F_{ij} = W_{oi}^T S^{-1} \tilde W_{oj} + \delta_{ij} K_i, \qquad
-    d_i = z_i - W_{oi}^T S^{-1} \tilde h_o
+    d_i = z_i - W_{oi}^T S^{-1} \tilde f_o
 
 ``F`` is never formed.  In inertia coordinates (:math:`L_s L_s^T` is the node matrix without
 friction) it is :math:`G^T P \tilde G` with

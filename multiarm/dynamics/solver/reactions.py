@@ -5,9 +5,9 @@ the normal: the *reaction matrices* :math:`\tilde W` differ from the constraint 
 (thesis, 4.9 and its footnote; :math:`\lambda = -\mu` is the physical contact force)
 
 .. math::
-    M_o q_o = h_o + \sum_i \tilde W_{oi} \lambda_i, \qquad
-    M_i q_i = h_i + \tilde W_i \lambda_i, \qquad
-    W_{oi}^T q_o + W_i^T q_i = c_i
+    M_o a_o = f_o + \sum_i \tilde W_{oi} \lambda_i, \qquad
+    M_i a_i = f_i + \tilde W_i \lambda_i, \qquad
+    W_{oi}^T a_o + W_i^T a_i = c_i
 
 With :math:`M_i = L_i L_i^T`, :math:`Y_i = L_i^{-1} W_i`, :math:`\tilde Y_i = L_i^{-1} \tilde W_i`,
 the elimination is that of :mod:`multiarm.dynamics.solver.node` with matrices that are not
@@ -15,10 +15,10 @@ symmetric, and LU factors with pivoting instead of Cholesky's:
 
 .. math::
     K_i = Y_i^T \tilde Y_i, \qquad S = M_o + \sum_i \tilde W_{oi} K_i^{-1} W_{oi}^T, \qquad
-    q_o = S^{-1} \big(h_o + \sum_i \tilde W_{oi} K_i^{-1} z_i\big), \qquad
-    \lambda_i = K_i^{-1} (z_i - W_{oi}^T q_o)
+    a_o = S^{-1} \big(f_o + \sum_i \tilde W_{oi} K_i^{-1} z_i\big), \qquad
+    \lambda_i = K_i^{-1} (z_i - W_{oi}^T a_o)
 
-with :math:`z_i = c_i - Y_i^T L_i^{-1} h_i`.  Arms whose ``K_i`` is singular, or nearly so, are
+with :math:`z_i = c_i - Y_i^T L_i^{-1} f_i`.  Arms whose ``K_i`` is singular, or nearly so, are
 solved together with the object (:mod:`multiarm.dynamics.solver.reaction_coupling`); if ``S`` is,
 all arms are.  The cost grows linearly with the number of the other arms.
 
@@ -359,20 +359,20 @@ def add_without_friction(i, work, Wo):
 
 
 @kernel
-def solve_for_reactions(work, Wo, Wr, h_o, h, c, q_o, q, force):
+def solve_for_reactions(work, Wo, Wr, f_o, f_j, c, a_o, a_j, force):
     """Solve the eliminated system for one right-hand side.
 
     Parameters
     ----------
     Wo, Wr : (N, 6)
         The object's rows, as in :func:`eliminate_with_reactions`.
-    h_o : (6,), h : (D,), c : (N,)
+    f_o : (6,), f_j : (D,), c : (N,)
         Right-hand sides, arms stacked.
-    q_o : (6,), q : (D,), force : (N,), written
+    a_o : (6,), a_j : (D,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
-    unconstrained_motions(work, Wo, h_o, h, c)
-    object_acceleration(work, Wo, Wr, h_o, q_o, force)
+    unconstrained_motions(work, Wo, f_o, f_j, c)
+    object_acceleration(work, Wo, Wr, f_o, a_o, force)
     u = work.contacts
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
@@ -382,7 +382,7 @@ def solve_for_reactions(work, Wo, Wr, h_o, h, c, q_o, q, force):
         for a in range(m):
             u[a] = work.z[first + a]
             for k in range(6):
-                u[a] -= Wo[first + a, k] * q_o[k]
+                u[a] -= Wo[first + a, k] * a_o[k]
         solve_arm(i, work, u, False)
         for a in range(m):
             force[first + a] = u[a]
@@ -394,24 +394,24 @@ def solve_for_reactions(work, Wo, Wr, h_o, h, c, q_o, q, force):
         for a in range(total):
             force[a] -= part * work.null_force[k, a]
         for k6 in range(6):
-            q_o[k6] -= part * work.null_force[k, total + k6]
-    joint_accelerations(work, q, force)
+            a_o[k6] -= part * work.null_force[k, total + k6]
+    joint_accelerations(work, a_j, force)
 
 
 @inlined
-def unconstrained_motions(work, Wo, h_o, h, c):
+def unconstrained_motions(work, Wo, f_o, f_j, c):
     """Accelerations without contacts, and ``z``, which the contact forces must cause.
 
     Contradictions are removed from ``z`` by the least change.
     """
-    copy(h_o, work.unloaded)
+    copy(f_o, work.unloaded)
     node_forward(work.Lo, work.unloaded)
     node_backward(work.Lo, work.unloaded)
     for i in range(work.coupled.size):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         L = work.L[i]
         for j in range(d):
-            s = h[d0 + j]
+            s = f_j[d0 + j]
             for k in range(j):
                 s -= L[j, k] * work.y[d0 + k]
             work.y[d0 + j] = s * L[j, j]
@@ -430,10 +430,10 @@ def unconstrained_motions(work, Wo, h_o, h, c):
 
 
 @inlined
-def object_acceleration(work, Wo, Wr, h_o, q_o, force):
+def object_acceleration(work, Wo, Wr, f_o, a_o, force):
     """The object's acceleration and the forces of the coupled arms."""
     u = work.contacts
-    copy(h_o, q_o)
+    copy(f_o, a_o)
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
@@ -444,17 +444,17 @@ def object_acceleration(work, Wo, Wr, h_o, q_o, force):
         solve_arm(i, work, u, False)
         for a in range(m):
             for k in range(6):
-                q_o[k] += Wr[first + a, k] * u[a]
+                a_o[k] += Wr[first + a, k] * u[a]
     if work.status.rows > 0:
         x = work.six
-        copy(q_o, x)
+        copy(a_o, x)
         solve_object(work, x)
         solve_coupled_forces(work, Wo, x, force)
         for a in range(work.status.rows):
             row = work.place[a]
             for k in range(6):
-                q_o[k] += Wr[row, k] * force[row]
-    solve_object(work, q_o)
+                a_o[k] += Wr[row, k] * force[row]
+    solve_object(work, a_o)
 
 
 @inlined
@@ -490,7 +490,7 @@ def solve_coupled_forces(work, Wo, x, force):
 
 
 @inlined
-def joint_accelerations(work, q, force):
+def joint_accelerations(work, a_j, force):
     """Joint accelerations for the contact forces."""
     for i in range(work.coupled.size):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -501,9 +501,9 @@ def joint_accelerations(work, q, force):
             s = 0.0
             for a in range(m):
                 s += Yr[j, a] * force[first + a]
-            q[d0 + j] = s + work.y[d0 + j]
+            a_j[d0 + j] = s + work.y[d0 + j]
         for j in range(d - 1, -1, -1):
-            s = q[d0 + j] * L[j, j]
-            q[d0 + j] = s
+            s = a_j[d0 + j] * L[j, j]
+            a_j[d0 + j] = s
             for k in range(j):
-                q[d0 + k] -= L[j, k] * s
+                a_j[d0 + k] -= L[j, k] * s

@@ -329,8 +329,8 @@ def build_node(work, coupled, Wo, object_inertia, every):
 
 
 @kernel
-def reduce_deficient_constraints(i, work, coupled, c, q_o):
-    """``V (c - Y^T y)`` into ``work.z``; adds the eliminated directions to ``q_o``."""
+def reduce_deficient_constraints(i, work, coupled, c, a_o):
+    """``V (c - Y^T y)`` into ``work.z``; adds the eliminated directions to ``a_o``."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
     V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, work.z
@@ -343,19 +343,19 @@ def reduce_deficient_constraints(i, work, coupled, c, q_o):
         if coupled.sigma[r0 + a] > coupled.split[i]:
             s /= coupled.sigma[r0 + a]
             for k in range(6):
-                q_o[k] += Z[a, k] * s
+                a_o[k] += Z[a, k] * s
         z[r0 + a] = s
 
 
 @kernel
-def solve_coupled_forces(work, coupled, q_o):
-    """Forces of the coupled system; adds ``B`` times these to ``q_o``, given as ``L_S^-1 q_o``."""
+def solve_coupled_forces(work, coupled, a_o):
+    """Forces of the coupled system; adds ``B`` times these to ``a_o``, given as ``L_S^-1 a_o``."""
     status = coupled.status
     p, width = status.unknowns, 6 + status.movable
     for u in range(p):
         s = work.z[work.rows[coupled.arm[u]] + coupled.row[u]]
         for k in range(6):
-            s -= coupled.B[u, k] * q_o[k]
+            s -= coupled.B[u, k] * a_o[k]
         coupled.right[u], coupled.unknown[u] = s, 0.0
     for r in range(status.rank):
         size = norm(coupled.images[r], width)
@@ -367,11 +367,11 @@ def solve_coupled_forces(work, coupled, q_o):
             coupled.unknown[u] += s * coupled.basis[r, u]
     for u in range(p):
         for k in range(6):
-            q_o[k] += coupled.B[u, k] * coupled.unknown[u]
+            a_o[k] += coupled.B[u, k] * coupled.unknown[u]
 
 
 @kernel
-def recover_deficient_forces(i, work, coupled, q_o, force):
+def recover_deficient_forces(i, work, coupled, a_o, force):
     """Contact forces of a deficient arm along its eliminated directions."""
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
     V, Z, z = coupled.V[i], work.Z[i], work.z
@@ -382,42 +382,42 @@ def recover_deficient_forces(i, work, coupled, q_o, force):
         if sigma > coupled.split[i]:
             s = z[r0 + a]
             for k in range(6):
-                s -= Z[a, k] * q_o[k]
+                s -= Z[a, k] * a_o[k]
             for b in range(m):
                 force[r0 + b] += V[a, b] * (s / sigma)
 
 
 @inlined
-def solve_coupled(work, coupled, h_o, h, c, q_o, q, force):
+def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
     """Solve the factored system for one right-hand side.
 
     Parameters
     ----------
-    h_o : (6,), h : (sum of joints,), c : (sum of rows,)
+    f_o : (6,), f_j : (sum of joints,), c : (sum of rows,)
         Right-hand sides, arms stacked.
-    q_o : (6,), q : (sum of joints,), force : (sum of rows,), written
+    a_o : (6,), a_j : (sum of joints,), force : (sum of rows,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
     n = work.dofs.size - 1
-    copy(h_o, q_o)
+    copy(f_o, a_o)
     for i in range(n):
-        unconstrained_motion(i, work, h)
+        unconstrained_motion(i, work, f_j)
         if coupled.deficient[i] == 0:
-            reduce_constraints(i, work, c, q_o)
+            reduce_constraints(i, work, c, a_o)
         else:
-            reduce_deficient_constraints(i, work, coupled, c, q_o)
-    node_forward(work.S, q_o)
-    solve_coupled_forces(work, coupled, q_o)
-    node_backward(work.S, q_o)
+            reduce_deficient_constraints(i, work, coupled, c, a_o)
+    node_forward(work.S, a_o)
+    solve_coupled_forces(work, coupled, a_o)
+    node_backward(work.S, a_o)
     for i in range(n):
         if coupled.deficient[i] == 0:
-            recover_forces(i, work, q_o, force)
+            recover_forces(i, work, a_o, force)
         else:
-            recover_deficient_forces(i, work, coupled, q_o, force)
+            recover_deficient_forces(i, work, coupled, a_o, force)
     for u in range(coupled.status.unknowns):
         i = coupled.arm[u]
         r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
         for b in range(m):
             force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.row[u], b]
     for i in range(n):
-        recover_joints(i, work, force, q)
+        recover_joints(i, work, force, a_j)
