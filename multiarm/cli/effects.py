@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.catalogue import show
-from multiarm.cli.files import check_targets, scene_to_run
+from multiarm.cli.files import check_targets, refuse_targets, scene_to_run
 from multiarm.cli.joints import effect_section
 from multiarm.cli.options import (
     Arms,
@@ -85,6 +85,8 @@ def effects(
     finite, or null where there is none. With --list it has the key effects: what is shown.
     """
     if listing:
+        pages = {"--plot": plot, "--html": html}
+        refuse_targets(pages, "--list measures no scene; leave one of the two out")
         show("effects --list", {"effects": effect_section()}, str(scene) if scene else None, json)
         return
     if scene is None:

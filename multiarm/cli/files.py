@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_targets",
+    "refuse_targets",
     "scene_to_run",
     "write_json",
     "write_text",
@@ -58,6 +59,19 @@ def check_targets(targets: Mapping[str, Path | None], source: Path | None = None
         fault = _fault(target)
         if fault:
             raise MultiarmError(f"{option}: cannot write '{path}': {fault}")
+
+
+def refuse_targets(targets: Mapping[str, Path | None], reason: str) -> None:
+    """Refuse the options of files that a command would not write, with the reason.
+
+    Raises
+    ------
+    MultiarmError
+        One of them was given.
+    """
+    for option, path in targets.items():
+        if path is not None:
+            raise MultiarmError(f"{option}: '{path}' would not be written: {reason}")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -126,5 +140,5 @@ def _fault(target: Path) -> str | None:
     try:
         create_empty(temporary_name(target)).unlink()
     except OSError as error:
-        return f"{error.strerror}; choose a folder that you may write to"
+        return f"{error.strerror or error}; choose a folder that you may write to"
     return None

@@ -85,16 +85,15 @@ def choice(text: str, *choices: str) -> Any:
 
 
 # Words and choices are those of multiarm.scene.RunSpec, as a test claims: the commands know them
-# without what reads scenes.
+# without what reads scenes. An option takes no tables.
 if TYPE_CHECKING:
     Integrator = str
 else:
     Integrator = Literal[tuple(METHODS)]
 ACCURACY = (
-    "Largest error of the whole run at the worst output time: a number [m and rad], or a table "
-    "{position: [m], rotation: [rad], force: [N]}, some of them. The program chooses method and "
-    "steps, checks the result against a tightened rerun and repeats the run with smaller "
-    "tolerances if need be. 1e-6 by default."
+    "Largest error of the whole run at the worst output time: a number [m and rad]. The program "
+    "chooses method and steps, checks the result against a tightened rerun and repeats the run "
+    "with smaller tolerances if need be. 1e-6 by default."
 )
 Duration = Annotated[float | None, setting("Simulated time [s].", "S")]
 Accuracy = Annotated[float | None, setting(ACCURACY, "A")]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from multiarm.cli.files import check_targets
+from multiarm.cli.files import check_targets, refuse_targets
 from multiarm.cli.options import JsonFile, file_option
 from multiarm.cli.studies import rendered, write_files
 from multiarm.notation import number
@@ -42,7 +42,10 @@ def stability(
     The JSON has the keys passed, total, wall_time_s, machine, cases; a case's keys are those of
     multiarm.studies.hard_cases.CaseResult. Numbers are finite, or null where there is none.
     """
-    check_targets({"--html": html, "--json": json})
+    targets = {"--html": html, "--json": json}
+    if listing:
+        refuse_targets(targets, "--list runs no case; leave one of the two out")
+    check_targets(targets)
     from multiarm.studies.hard_cases import choose_cases, run_suite
 
     chosen = choose_cases(names or ())

@@ -64,7 +64,7 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
             partial.write_text(printable(page), encoding="utf-8")
     except OSError as error:
         raise TrajectoryError(
-            f"cannot write '{path}': {os.strerror(error.errno or 0)}; "
+            f"cannot write '{path}': {error.strerror or error}; "
             "name a file in a folder that exists and that you may write to"
         ) from error
     return target

@@ -88,7 +88,7 @@ def atomic_output(path: Path, option: str) -> Iterator[Path]:
         with atomic_file(path.expanduser()) as partial:
             yield partial
     except OSError as error:
-        raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror}") from None
+        raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror or error}") from None
 
 
 def temporary_name(target: Path) -> Path:

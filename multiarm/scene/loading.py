@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel
 
 from multiarm.errors import Fault, ModelError, SceneError
@@ -36,7 +35,7 @@ from multiarm.scene.joints.kind import Joint, UnloadedJoint
 from multiarm.scene.registry import ByName, Code, Registry
 from multiarm.scene.schema import Scene
 from multiarm.scene.surfaces import SURFACES
-from multiarm.scene.text import parse_yaml, read_text
+from multiarm.scene.text import parse_yaml, read_text, written_yaml
 from multiarm.scene.values import written
 
 REGISTRIES: tuple[Registry[Any], ...] = (CONTROLS, EFFECTS, JOINTS, SURFACES)
@@ -117,9 +116,7 @@ def dump_scene(scene: Scene) -> str:
     data = scene.model_dump(mode="json", exclude_defaults=True)
     # A run without settings has the default accuracy: write it out.
     data["run"] = scene.run.model_dump(mode="json", exclude_defaults=True)
-    return yaml.safe_dump(
-        data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
-    )
+    return written_yaml(data)
 
 
 # --- code that a scene names ----------------------------------------------------------------------

@@ -22,12 +22,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-import yaml
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.meshes import read_mesh
+from multiarm.scene.text import written_yaml
 from multiarm.scene.values import (
     Color,
     FilePath,
@@ -307,8 +307,7 @@ class Shape(OneOf):
         body: dict[str, Any] = {"shape": {name: shapes[0]}, "mass": 5.0}
         if name == "mesh":
             body["inertia"] = [0.1, 0.1, 0.1]
-        text = yaml.safe_dump({"object": body}, sort_keys=False, default_flow_style=None, width=100)
-        return text.strip()
+        return written_yaml({"object": body}).strip()
 
     def uniform_inertia(self, mass: float) -> np.ndarray:
         """Inertia about the centre of mass at uniform density, shape (3, 3) [kg m^2]."""

@@ -1,8 +1,9 @@
 """YAML text: read from files of any content within bounds, without habits of YAML 1.1 that bite.
 
-``1e-6`` is a number (not text), ``on`` and ``2024-01-31`` are words (not true, not a date), and a
-key that stands twice in one table is a fault (not a silent loss of the first).  Tags beyond those
-of YAML 1.2 (``!!set``, ``!!python/...``) are refused.
+Numbers are those of YAML 1.2: ``1e-6`` is one (not text), ``010`` is ten (not eight), ``1:30`` and
+``1_0`` are words (not 90 and 10).  ``on`` and ``2024-01-31`` are words too (not true, not a date),
+and a key that stands twice in one table is a fault (not a silent loss of the first).  Tags beyond
+those of YAML 1.2 (``!!set``, ``!!python/...``) are refused.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def read_text(path: str | os.PathLike, noun: str) -> str:
     except UnicodeDecodeError:
         raise SceneError(f"{path} is not a text file; a {noun} is YAML in UTF-8") from None
     except OSError as error:
-        raise SceneError(f"cannot read {path}: {error.strerror}") from None
+        raise SceneError(f"cannot read {path}: {error.strerror or error}") from None
 
 
 def parse_yaml(text: str) -> Any:
@@ -86,6 +87,18 @@ def parse_yaml(text: str) -> Any:
         ) from None
     except OverflowError:  # an escape such as \UFFFFFFFF
         raise SceneError("an escape '\\U...' names no character; this is not YAML") from None
+
+
+def written_yaml(data: Any) -> str:
+    """Plain data as YAML that :func:`parse_yaml` reads back: short lists and tables on one line."""
+    return yaml.dump(
+        data,
+        Dumper=_Dumper,
+        sort_keys=False,
+        default_flow_style=None,
+        allow_unicode=True,
+        width=100,
+    )
 
 
 def with_values(text: str, values: Mapping[Sequence[str], str]) -> str:
@@ -235,6 +248,27 @@ def _checked(sort: str, read: Callable[[Any, yaml.Node], Any]) -> Callable[[Any,
     return construct
 
 
+# The core schema of YAML 1.2, and a sign before hexadecimal and octal digits.
+_INTEGER = re.compile(r"[-+]?(?:[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$")
+_FLOAT = re.compile(
+    r"[-+]?(?:(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|\.(?:inf|Inf|INF))$"
+    r"|\.(?:nan|NaN|NAN)$"
+)
+
+
+def _integer(loader: _Loader, node: yaml.Node) -> int:
+    text = loader.construct_scalar(node)
+    if not _INTEGER.match(text):
+        raise ValueError
+    return int(text, 16 if "x" in text else 8 if "o" in text else 10)
+
+
+def _float(loader: _Loader, node: yaml.Node) -> float:
+    if not _FLOAT.match(loader.construct_scalar(node)):
+        raise ValueError
+    return loader.construct_yaml_float(node)
+
+
 def _table(loader: _Loader, node: yaml.Node) -> Any:
     if not isinstance(node, yaml.MappingNode):
         raise _fault(f"'!!map' stands for a table, not for {shown(node.value)}", node)
@@ -245,23 +279,29 @@ _Loader.yaml_constructors = {
     f"{_TAGS}map": _table,
     f"{_TAGS}merge": _Loader.construct_merge,
     None: _Loader.construct_undefined,
+    f"{_TAGS}int": _checked("int", _integer),
+    f"{_TAGS}float": _checked("float", _float),
+    f"{_TAGS}bool": _checked("bool", yaml.SafeLoader.construct_yaml_bool),
 } | {
-    f"{_TAGS}{sort}": _checked(sort, yaml.SafeLoader.yaml_constructors[f"{_TAGS}{sort}"])
-    if sort in ("int", "float", "bool")
-    else yaml.SafeLoader.yaml_constructors[f"{_TAGS}{sort}"]
-    for sort in ("null", "bool", "int", "float", "str", "seq")
+    f"{_TAGS}{sort}": yaml.SafeLoader.yaml_constructors[f"{_TAGS}{sort}"]
+    for sort in ("null", "str", "seq")
 }
 # no dates, and of the truth values only those of YAML 1.2
 _Loader.yaml_implicit_resolvers = {
     first: [
         (tag, pattern)
         for tag, pattern in known
-        if tag != f"{_TAGS}timestamp" and (first in "tTfF" or tag != f"{_TAGS}bool")
+        if tag not in {f"{_TAGS}{sort}" for sort in ("timestamp", "int", "float")}
+        and (first in "tTfF" or tag != f"{_TAGS}bool")
     ]
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_implicit_resolver(
-    f"{_TAGS}float",
-    re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes the words that YAML 1.1 or :class:`_Loader` would read as something else."""
+
+
+for _kind in (_Loader, _Dumper):  # an integer is also a float: the first pattern counts
+    _kind.add_implicit_resolver(f"{_TAGS}int", _INTEGER, list("-+0123456789"))
+    _kind.add_implicit_resolver(f"{_TAGS}float", _FLOAT, list("-+.0123456789"))

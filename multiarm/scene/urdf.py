@@ -203,7 +203,7 @@ def read_xml(path: Path) -> ElementTree.Element:
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ModelError(f"{path} is not valid XML: {error}") from None
     except OSError as error:
-        raise ModelError(f"cannot read {path}: {error.strerror}") from None
+        raise ModelError(f"cannot read {path}: {error.strerror or error}") from None
 
 
 def _outline(robot: ElementTree.Element, path: Path) -> RobotOutline:

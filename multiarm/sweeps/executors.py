@@ -9,6 +9,7 @@ A run whose worker dies every time gets a row with status "failed".
 
 from __future__ import annotations
 
+import asyncio
 import os
 import threading
 import time
@@ -35,6 +36,8 @@ IDLE = 10.0
 """[s] after which a process without work ends."""
 PATIENCE = 30.0
 """[s] to wait for the scheduler of a cluster, and for its first worker."""
+# two classes in Python 3.10
+TIMEOUTS = (TimeoutError, asyncio.TimeoutError)
 
 
 def run_here(context: Context, jobs: Sequence[Job]) -> Iterator[Row]:
@@ -61,6 +64,7 @@ def _until_a_worker_dies(
 ) -> Generator[Row, None, list[Job]]:
     """Rows as runs end; returns the runs that were under way when a worker died."""
     from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     under_way: dict[int, Job] = {}
 
@@ -78,7 +82,7 @@ def _until_a_worker_dies(
         for row in rows:
             del under_way[row.run]
             yield row
-    except BrokenExecutor:
+    except TerminatedWorkerError:
         return [*under_way.values()]
     except Exception as error:
         raise _explained(error) from error
@@ -121,7 +125,7 @@ def run_on_cluster(context: Context, jobs: Sequence[Job], client: Client) -> Ite
 
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
-    except TimeoutError:
+    except TIMEOUTS:
         raise SweepError(
             f"dask: the cluster has no workers, after {PATIENCE:g} s; start some: "
             f"dask worker {client.scheduler.address}"  # type: ignore[union-attr]
@@ -165,10 +169,17 @@ def _explained(error: BaseException) -> Exception:
     if isinstance(error, MultiarmError):
         return error
     return SweepError(
-        f"a worker cannot do the work: {type(error).__name__}: {error}; it needs the same Python "
+        f"a worker cannot do the work: {_reason(error)}; it needs the same Python "
         "packages as this process, multiarm among them, and functions that it can load: put them "
         "into a module, or name them as 'file.py:name'. What is done is kept: resume the sweep"
     )
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, BrokenExecutor) and error.__cause__ is not None:
+        # a worker cannot load a task: the last line of its traceback
+        return str(error.__cause__).strip('"\n').rpartition("\n")[2]
+    return f"{type(error).__name__}: {error}"
 
 
 @contextmanager
@@ -198,7 +209,7 @@ def connected(cluster: Any) -> Iterator[Client]:
         )
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, RuntimeError) as error:
+    except (*TIMEOUTS, OSError, ValueError, RuntimeError) as error:
         raise SweepError(f"dask: no scheduler answers at {address!r}: {error}") from error
     try:
         yield client

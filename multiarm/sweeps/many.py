@@ -27,6 +27,7 @@ from multiarm.jit.ahead import processors
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
+from multiarm.scene.faults import shown
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
@@ -113,7 +114,7 @@ def simulate_many(
     ModelError
         When ``states`` are not states of this system, or ``threads`` is not a positive integer.
     TrajectoryError
-        When ``out`` cannot be written.
+        When ``out`` is neither a folder nor such a pattern, or cannot be written.
     """
     options = {
         "duration": duration,
@@ -324,10 +325,16 @@ def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
     Raises
     ------
     TrajectoryError
-        A file cannot be written, or exists and was not written by multiarm.
+        ``out`` is no path, or a pattern that does not name a file for each run; a file cannot be
+        written, or exists and was not written by multiarm.
     """
     if out is None:
         return [None] * count
+    if not isinstance(out, (str, os.PathLike)):
+        raise TrajectoryError(
+            "out: must be a folder for the runs, or a pattern of files such as 'box_{:03d}.h5', "
+            f"got {shown(out)}"
+        )
     from multiarm.results.trajectory_file import TrajectoryReader
 
     paths = _by_pattern(str(out), count) if "{" in str(out) else _in_folder(Path(out), count)
@@ -342,8 +349,8 @@ def _in_folder(folder: Path, count: int) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise TrajectoryError(
-            f"cannot make the folder '{folder}' for the runs: {error.strerror}; name another, or a "
-            "pattern of files such as 'box_{:03d}.h5'"
+            f"cannot make the folder '{folder}' for the runs: {error.strerror or error}; name "
+            "another, or a pattern of files such as 'box_{:03d}.h5'"
         ) from error
     digits = max(4, len(str(count)))  # sorted names are runs in order
     return [folder / f"run_{number:0{digits}d}.h5" for number in range(1, count + 1)]
@@ -352,7 +359,7 @@ def _in_folder(folder: Path, count: int) -> list[Path]:
 def _by_pattern(pattern: str, count: int) -> list[Path]:
     try:
         names = [pattern.format(number) for number in range(1, count + 1)]
-    except (ValueError, IndexError, KeyError, AttributeError) as error:
+    except (ValueError, LookupError, AttributeError, TypeError) as error:
         raise TrajectoryError(
             f"'{pattern}' is no pattern of files ({error}); write the number's place as in "
             "'box_{:03d}.h5'"

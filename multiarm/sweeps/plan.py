@@ -36,7 +36,7 @@ from multiarm.sweeps.checking import plan_faults, quantity_faults, value_faults,
 from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 
-__all__ = ["SweepPlan", "make_plan", "program_version"]
+__all__ = ["SweepPlan", "make_plan", "planned_values", "program_version", "values_of_run"]
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,7 @@ class SweepPlan:
 
     def values(self, run: int) -> dict[str, Any]:
         """Path -> value in the scene of a run; raises a SweepError when there is no such run."""
-        if not is_integer(run) or not 1 <= run <= self.count:
-            raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
-        return self.table.loc[run].to_dict()
+        return values_of_run(self.table, run)
 
     def scene_of(self, run: int) -> Scene:
         """The scene of a run; raises a SceneError when its values make no valid scene."""
@@ -121,6 +119,13 @@ def planned_values(spec: SweepSpec) -> pandas.DataFrame:
         columns |= {path: [row[path] for row in rows] for path in axis.paths}
     runs = pandas.RangeIndex(1, len(points) * spec.repeat + 1, name="run")
     return pandas.DataFrame(columns, index=runs, dtype=object)
+
+
+def values_of_run(table: pandas.DataFrame, run: int) -> dict[str, Any]:
+    """Path -> value, from the :func:`planned_values`; raises a SweepError without such a run."""
+    if not is_integer(run) or not 1 <= run <= len(table):
+        raise SweepError(f"there is no run {run}; runs are 1 to {len(table)}")
+    return table.loc[run].to_dict()
 
 
 _SMALLEST = 2.0**-54

@@ -21,7 +21,7 @@ import pandas
 from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.sweeps.folder import read, read_rows
-from multiarm.sweeps.plan import SweepPlan
+from multiarm.sweeps.plan import SweepPlan, planned_values, values_of_run
 from multiarm.sweeps.spec import Column
 
 if TYPE_CHECKING:
@@ -115,6 +115,11 @@ class Sweep:
         return SweepPlan(self.scene, self._stored.spec)
 
     @cached_property
+    def _planned(self) -> pandas.DataFrame:
+        """The values of each run, without the scene, whose robots may not be on this computer."""
+        return planned_values(self._stored.spec)
+
+    @cached_property
     def status_counts(self) -> dict[str, int]:
         """Status -> runs, the most frequent first."""
         counts = self._rows["status"].value_counts()
@@ -127,7 +132,7 @@ class Sweep:
         Columns: ``run``, ``status``, ``message``, the values that vary by their paths, the
         quantities, ``wall_time`` [s] and ``worker``.  ``attrs["units"]`` maps columns to units.
         """
-        values = self.plan.table.loc[self._rows.index]
+        values = self._planned.loc[self._rows.index]
         complete = values.notna().all()
         table = self._rows.copy()
         for column in self._stored.spec.of_group("values"):
@@ -158,7 +163,7 @@ class Sweep:
         SweepError
             There is no such run.
         """
-        return self.plan.values(run)
+        return values_of_run(self._planned, run)
 
     def scene_of(self, run: int) -> Scene:
         """The scene of one run.

@@ -25,7 +25,7 @@ from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.files import printable
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene
-from multiarm.scene.code import is_reference, load_function
+from multiarm.scene.code import CodeReference, is_reference, load_function
 from multiarm.simulation.certified import INTERRUPTED
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
@@ -173,7 +173,12 @@ def prepare(context: Context) -> Base:
         _raise_interrupt(simulate(system, short, certificate=False))
     except USER_FAULTS:
         pass  # every run that has this fault reports it
-    _memory.base = Base(context.session, scene, system, cache(load_function))
+    load = cache(load_function)
+
+    def loaded(function: Callable | CodeReference) -> Callable:
+        return load(function) if isinstance(function, CodeReference) else function
+
+    _memory.base = Base(context.session, scene, system, loaded)
     return _memory.base
 
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-import yaml
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 
 from multiarm.errors import Fault, SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY
 from multiarm.scene.code import located
 from multiarm.scene.faults import explain, fault, fault_at, shown, unknown
-from multiarm.scene.text import parse_yaml, read_text
+from multiarm.scene.text import parse_yaml, read_text, written_yaml
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, plain_value
 from multiarm.sweeps.quantities import KNOWN, MEASURED, UserQuantity
@@ -193,9 +192,7 @@ class SweepSpec(Spec):
             **self.model_dump(mode="json", exclude_none=True, exclude={"over", "run"}),
             "run": self.run,
         }
-        return yaml.safe_dump(
-            data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
-        )
+        return written_yaml(data)
 
 
 def parse_sweep(source: str | Mapping[str, Any]) -> SweepSpec:
@@ -231,8 +228,14 @@ def read_sweep(
     Raises
     ------
     SweepError
-        When the file cannot be read, or is not YAML.
+        When the file cannot be read, or is not YAML; when the source is none of these.
     """
+    if not (source is None or isinstance(source, (str, os.PathLike, Mapping))):
+        problem = (
+            "must be the path of a sweep file, or a table 'path: values' of what varies, such as "
+            f"{{'object.mass': [5, 10]}}, got {shown(source)}"
+        )
+        raise SweepError([fault_at(("over",), problem)])
     if source is None or isinstance(source, Mapping):
         data: Any = source or {}
         folder = Path()

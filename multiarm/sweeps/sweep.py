@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from queue import SimpleQueue
@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from multiarm.errors import SweepError
 from multiarm.results.files import resolved
 from multiarm.scene import Scene
+from multiarm.scene.faults import shown
 from multiarm.sweeps.axes import is_integer
 from multiarm.sweeps.folder import PartWriter, Stored, create, is_sweep, read, read_rows
 from multiarm.sweeps.plan import SweepPlan, make_plan
+from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.terminal.progress import SweepProgress as SweepBar
 from multiarm.terminal.progress import displayed
@@ -36,7 +38,7 @@ def sweep(
     out: str | os.PathLike = "run.sweep",
     workers: int | None = None,
     dask: str | bool | Client | None = None,
-    keep: str | Sequence[Any] | None = None,
+    keep: str | Callable | Mapping[str, Any] | Sequence[Any] | None = None,
     repeat: int | None = None,
     combine: str | None = None,
     sampling: str | None = None,
@@ -71,13 +73,15 @@ def sweep(
         configuration.  Its workers need the same multiarm, and the files that the scene names.
     keep : list, optional
         Outputs of every run: names of quantities, functions ``f(trajectory) -> number``, and
-        tables ``{"function": ..., "name": ..., "gives": [...], "unit": ..., "words": ...}``.
+        tables ``{"function": ..., "name": ..., "gives": [...], "unit": ..., "words": ...}``.  A
+        single one needs no list.
     repeat : int, optional
         Runs of each point of the grid, where an axis is drawn at random.
     combine : {"product", "zip"}, optional
     sampling : {"random", "latin_hypercube", "sobol"}, optional
     seed : int, optional
-        Of all random samples: those of run k depend on it and on k only.
+        Of all random samples.  Those of "random" for run k depend on it and on k only; the other
+        two sample all runs of a grid point together, by the seed and the number of the point.
     certificate : bool, optional
         Check runs of some ``accuracy``, as :func:`multiarm.simulate` does.
     progress : bool or callable, optional
@@ -107,7 +111,7 @@ def sweep(
 
     _check_executor(workers, dask)
     keys = {
-        "keep": [keep] if isinstance(keep, str) else None if keep is None else list(keep),
+        "keep": None if keep is None else _entries(keep),
         "repeat": repeat,
         "combine": combine,
         "sampling": sampling,
@@ -126,6 +130,12 @@ def sweep(
         rows = _rows(plan, missing, workers, client)
         _fill(PartWriter(stored.path, plan), rows, plan.count - len(missing), plan.count, show)
     return load_sweep(stored.path, code=plan.scene.may_load_code)
+
+
+def _entries(keep: Any) -> list[Any]:
+    """The entries of ``keep``, of which a single one needs no list."""
+    single = isinstance(keep, (str, Mapping, UserQuantity)) or callable(keep)
+    return [keep] if single or not isinstance(keep, Iterable) else list(keep)
 
 
 def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> Stored:
@@ -225,6 +235,6 @@ def _check_executor(workers: Any, dask: Any) -> None:
         raise SweepError(f"workers: must be a number from 1 on, got {workers!r}")
     if workers is not None and workers > MOST_WORKERS:
         raise SweepError(
-            f"workers: {workers:.3g} processes, at most {MOST_WORKERS:,} are possible on one "
-            "computer; leave it out for one a processor, or take a cluster"
+            f"workers: at most {MOST_WORKERS:,} processes are possible on one computer, got "
+            f"{shown(workers)}; leave it out for one a processor, or take a cluster"
         )

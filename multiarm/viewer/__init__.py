@@ -9,7 +9,6 @@ a notebook.
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
 from dataclasses import dataclass
@@ -20,11 +19,15 @@ from xml.etree.ElementTree import Element, tostring
 from multiarm.errors import ReplayError
 from multiarm.public import in_notebook
 from multiarm.results.files import atomic_file, printable_texts, resolved
+from multiarm.scene.faults import shown
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
 __all__ = ["replay"]
+
+LARGEST_RATE = 1e9
+"""Of ``fps`` and ``speed``, and the reciprocal of their smallest: times on a page stay finite."""
 
 
 def replay(
@@ -81,7 +84,7 @@ def replay(
     ------
     ReplayError
         The trajectory has no samples, the file cannot be written, nothing can listen at `host` and
-        `port`, these are given beside `path`, or `fps` or `speed` is not a number greater than 0.
+        `port`, these are given beside `path`, or `fps` or `speed` is not a number from 1e-9 to 1e9.
 
     Warns
     -----
@@ -92,8 +95,11 @@ def replay(
 
     trajectory = require_trajectory(trajectory, "ma.replay(trajectory)")
     for name, value in (("fps", fps), ("speed", speed)):
-        if not (math.isfinite(value) and value > 0):
-            raise ReplayError(f"{name} must be a number greater than 0, got {value}")
+        if not 1.0 / LARGEST_RATE <= value <= LARGEST_RATE:
+            raise ReplayError(
+                f"{name} must be a number from {1.0 / LARGEST_RATE:g} to {LARGEST_RATE:g}, got "
+                f"{shown(value)}"
+            )
     from multiarm.viewer.animate import animate
     from multiarm.viewer.browser import open_in_browser, temporary_page
     from multiarm.viewer.drawing import draw
@@ -166,5 +172,5 @@ def _write(target: Path, page: str) -> None:
             partial.write_text(page, encoding="utf-8")
     except OSError as error:
         raise ReplayError(
-            f"cannot write the replay to {target}: {error.strerror}; choose another place"
+            f"cannot write the replay to {target}: {error.strerror or error}; choose another place"
         ) from error

@@ -42,8 +42,8 @@ def temporary_page(page: str) -> Path:
         if path is not None:
             path.unlink(missing_ok=True)
         raise ReplayError(
-            f"cannot write the replay to {path or folder}: {error.strerror}; name a file in "
-            "another place"
+            f"cannot write the replay to {path or folder}: {error.strerror or error}; name a file "
+            "in another place"
         ) from error
     return path
 

@@ -401,6 +401,8 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
         (("SCENE", "--html", "nowhere/page.html"), "--html: cannot write"),
         (("SCENE", "--json", "SCENE"), "is the file that is read"),
         (("SCENE", "--duration", "-1"), "duration"),
+        (("--list", "--html", "page.html"), "--html: 'page.html' would not be written"),
+        (("--list", "--plot", "plot.svg"), "--plot: 'plot.svg' would not be written"),
         (("SCENE", "--rounds", "0"), "Invalid value for '--rounds'"),
     ],
 )

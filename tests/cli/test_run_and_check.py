@@ -149,6 +149,10 @@ def literals(annotation) -> set:
     return set().union(*map(literals, get_args(annotation)))
 
 
+ACCURACY_TABLE = ", or a table {position: [m], rotation: [rad], force: [N]}, some of them"
+"""What scenes may hold, and an option cannot."""
+
+
 def test_every_setting_of_a_run_is_an_option_with_its_choices_and_words():
     options = get_type_hints(run, include_extras=True)
     assert set(RunSpec.model_fields) < set(options)
@@ -156,7 +160,10 @@ def test_every_setting_of_a_run_is_an_option_with_its_choices_and_words():
         table = StabilizationSpec.model_fields["kind"] if name == "stabilization" else field
         value, option = get_args(options[name])
         assert literals(value) == literals(table.annotation), name
-        assert option.help.startswith(description_of(RunSpec, name)), name
+        words = description_of(RunSpec, name).replace(ACCURACY_TABLE, "")
+        assert option.help.startswith(words), name
+    assert ACCURACY_TABLE in description_of(RunSpec, "accuracy")
+    assert float in get_args(get_args(options["accuracy"])[0])
 
 
 # --- run ----------------------------------------------------------------------------------------

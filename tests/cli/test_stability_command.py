@@ -216,6 +216,13 @@ def test_listing_tells_every_shipped_case_and_runs_none():
     assert "within their criteria" not in result.stdout
 
 
+@pytest.mark.parametrize("option", ["--html", "--json"])
+def test_listing_writes_no_files(option, tmp_path):
+    result = stability("--list", option, tmp_path / "file")
+    assert result.exit_code == 2
+    assert f"error: {option}: " in result.stderr and "--list" in result.stderr
+
+
 def test_a_failed_case_is_named_and_the_files_are_written_all_the_same(own_cases, tmp_path):
     page, figures = tmp_path / "page.html", tmp_path / "figures.json"
     result = stability("healthy", "no_scene", "strict", "--html", page, "--json", figures)

@@ -92,7 +92,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "trimesh": ("grasp.body.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
-    "yaml": ("reports.report", "scene", "sweeps.spec"),
+    "yaml": ("reports.report", "scene"),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "scipy", "pydantic"}

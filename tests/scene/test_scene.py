@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import pydoc
 import re
 
@@ -35,6 +36,7 @@ from multiarm.scene import (
     load_scene,
     parse_scene,
 )
+from multiarm.scene.text import parse_yaml, written_yaml
 
 EXAMPLES = sorted(SCENES.glob("*.yaml"))
 
@@ -718,6 +720,31 @@ def test_broken_yaml_is_told_with_line_and_column(tmp_path):
     with refused(SceneError, str(path)) as caught:
         load_scene(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("010", 10), ("08", 8), ("+7", 7), ("0x1F", 31), ("-0x1F", -31), ("0o17", 15),
+        ("1e3", 1000.0), (".5", 0.5), ("-.5", -0.5), ("1.", 1.0), ("1.5e3", 1500.0),
+        (".inf", math.inf), ("1:30", "1:30"), ("1:30.5", "1:30.5"), ("1_0", "1_0"),
+        ("1_0.5", "1_0.5"), ("0b11", "0b11"), ("!!int 010", 10), ("!!float 5", 5.0),
+    ],
+)  # fmt: skip
+def test_numbers_are_those_of_yaml_1_2_and_texts_like_them_stay_texts(written, value):
+    read = parse_yaml(f"a: {written}")["a"]
+    assert (read, type(read)) == (value, type(value))
+    for data in (written, value):
+        again = parse_yaml(written_yaml({"a": data}))["a"]
+        assert (again, type(again)) == (data, type(data))
+
+
+@pytest.mark.parametrize("text", ["1:30", "1_0", "!!int 1_0", "!!float 1:30.5"])
+def test_what_only_yaml_1_1_calls_a_number_is_refused_where_one_is_needed(text):
+    with refused(SceneError, "1_0" if "1_0" in text else "1:30"):
+        parse_scene(
+            yaml.safe_dump({**TWO_ARMS, "gravity": None}) + f"\nrun: {{duration: {text}}}\n"
+        )
 
 
 def test_a_key_that_stands_twice_is_a_fault():

@@ -187,6 +187,12 @@ def test_a_pattern_and_a_folder_name_files_in_order(tmp_path, monkeypatch):
     assert many[0].name == "run_00001.h5" and sorted(many) == many
 
 
+@pytest.mark.parametrize("out", [True, 3, "run{[0]}.h5", "run{x}.h5"])
+def test_what_names_no_files_is_refused(out):
+    with refused(TrajectoryError, "'box_{:03d}.h5'"):
+        run_files(out, 2)
+
+
 def test_foreign_files_are_not_replaced(welded_ur5_system, tmp_path):
     (tmp_path / "run_0002.h5").write_text("a diary")
     with refused(TrajectoryError, "run_0002.h5"):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from mechanics import ur5_pair
@@ -83,6 +85,18 @@ def test_a_cluster_gives_the_same_rows_whichever_workers_die(scene, tmp_path):
         ended = statuses(executors.run_on_cluster(Context.of(deadly), jobs_of(deadly), c))
     assert [ended[run][0] for run in (1, 2, 3)] == ["completed", "failed", "completed"]
     assert ended[2][1].startswith("its worker died")
+
+
+def test_a_cluster_without_workers_is_told(scene):
+    class Idle:
+        scheduler = SimpleNamespace(address="tcp://here:1")
+
+        def wait_for_workers(self, count, timeout):
+            raise asyncio.TimeoutError  # another class than TimeoutError in Python 3.10
+
+    plan = make_plan(scene, {MASS: [5.0]}, keep=["steps"], run=RUN)
+    with refused(SweepError, "dask worker tcp://here:1"):
+        next(executors.run_on_cluster(Context.of(plan), jobs_of(plan), Idle()))
 
 
 def test_a_cluster_that_is_not_there_is_told(monkeypatch):

@@ -8,7 +8,9 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas
@@ -315,6 +317,37 @@ def test_what_cannot_be_sent_to_workers_is_told(scene):
         list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
 
 
+def test_a_quantity_that_workers_cannot_import_is_an_error_and_no_dead_worker(scene, monkeypatch):
+    """Its module is in this process alone, as of a notebook's."""
+    module = ModuleType("only_here")
+    exec("def seven(trajectory):\n    return 7.0", vars(module))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    plan = make_plan(scene, {MASS: [5.0, 10.0]}, keep=[module.seven], run=RUN)
+    with refused(SweepError, "a worker cannot do the work", "only_here"):
+        list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
+
+
+@dataclass
+class Scaled:
+    """A quantity with a parameter; as it has an equality, it has no hash."""
+
+    factor: float
+
+    def __call__(self, trajectory):
+        return self.factor * trajectory.scene.object.mass
+
+
+def test_a_single_quantity_needs_no_list_nor_a_hash(scene, tmp_path):
+    for keep in (Scaled(2.0), {"function": Scaled(2.0), "name": "Scaled_object"}):
+        sweep = ma.sweep(
+            scene, {MASS: [5.0, 10.0]}, keep=keep, out=tmp_path / "s.sweep", workers=1,
+            resume=False, **RUN,
+        )  # fmt: skip
+        (name,) = sweep.quantities
+        assert sweep.status_counts == {"completed": 2}
+        assert sweep.table[name].tolist() == [10.0, 20.0]
+
+
 # --- the whole ----------------------------------------------------------------------------------
 
 
@@ -403,6 +436,8 @@ def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
     [
         {"workers": 0},
         {"workers": 2.5},
+        pytest.param({"workers": 10**400}, id="huge"),
+        {"keep": 3},
         {"workers": 2, "dask": "tcp://here:1"},
         {"duraton": 1.0},
     ],

@@ -20,7 +20,7 @@ from repository import SUPPORT
 from sweep_runs import MEASURED, same
 from sweep_stand_in import FAILING, NAMES, STEPS, opened, row_of, stand_in_plan
 
-from multiarm.errors import SweepError
+from multiarm.errors import SceneError, SweepError
 from multiarm.sweeps import folder as folders
 from multiarm.sweeps.folder import PART_ROWS, create, without_mixed_types
 from multiarm.sweeps.result import load_sweep
@@ -106,6 +106,22 @@ def test_what_is_missing_is_missing_and_no_nan(sweep):
 def test_a_column_whose_name_is_taken_is_told_apart(sweep):
     assert sweep.table["run"][2] == 3
     assert sweep.table["$.run"][2] == sweep.values_of(3)["run"]
+
+
+def test_a_table_is_readable_where_the_robots_of_the_scene_are_not(tmp_path):
+    folder = written(tmp_path / "s.sweep", 3)
+    (scene,) = folder.glob("scene*")
+    text = scene.read_text(encoding="utf-8")
+    assert text.count("robot: ur5") == 2
+    scene.write_text(text.replace("robot: ur5", "urdf: /nowhere/ur5.urdf"), encoding="utf-8")
+    sweep = load_sweep(folder)
+    assert rows_of(sweep) == [row_of(run) for run in (1, 2, 3)]
+    assert sweep.values_of(2)["object.mass"] == sweep.table["object.mass"][1]
+    for run in (0, 4):
+        with refused(SweepError, f"no run {run}"):
+            sweep.values_of(run)
+    with refused(SceneError, "/nowhere/ur5.urdf"):
+        sweep.scene_of(2)
 
 
 def test_the_parts_can_be_read_without_this_program(sweep):

@@ -150,6 +150,21 @@ def test_values_of_a_run_depend_on_seed_and_number_alone(scene, sampling):
     assert all(other.values(run)[LIFT] != expected[run][LIFT] for run in order)
 
 
+def test_samples_belong_to_a_run_or_to_a_grid_point(scene):
+    """Of the same runs: 4 of each of 2 points, 2 of each of 4."""
+
+    def drawn(sampling, points, repeat):
+        over = {MASS: {"linspace": [5, 10, points]}, LIFT: {"uniform": [0, 1]}}
+        plan = make_plan(scene, over, repeat=repeat, sampling=sampling)
+        return [values[LIFT] for _, values in jobs_of(plan)]
+
+    assert drawn("random", 2, 4) == drawn("random", 4, 2)
+    by_point = {sampling: drawn(sampling, 2, 4) for sampling in ("latin_hypercube", "sobol")}
+    for sampling, samples in by_point.items():
+        assert drawn(sampling, 3, 4)[:8] == samples
+        assert drawn(sampling, 4, 2)[2:] != samples[2:]
+
+
 def test_random_draws_of_neighbours_have_nothing_to_do_with_each_other():
     over = {MASS: {"normal": {"mean": 0, "deviation": 1}}, DAMPING: {"uniform": [0, 1]}}
     plan = SweepPlan(None, parse_sweep({"over": over, "repeat": 4000}))
@@ -398,6 +413,12 @@ def test_a_file_that_is_no_sweep_is_told(scene, content, tmp_path):
         (tmp_path / "sweep.yaml").write_bytes(content)
     with refused(SweepError, "sweep.yaml"):
         make_plan(scene, tmp_path / "sweep.yaml")
+
+
+@pytest.mark.parametrize("over", [[1, 2], 3, ["object.mass"], False], ids=repr)
+def test_what_is_neither_a_file_nor_a_table_is_refused(scene, over):
+    with refused(SweepError, "$.over: "):
+        make_plan(scene, over)
 
 
 def test_a_sweep_needs_a_scene(scene, tmp_path):

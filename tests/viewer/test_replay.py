@@ -311,6 +311,8 @@ def test_without_meshes_the_file_is_small(trajectory, tmp_path):
         {"speed": float("nan")},
         {"path": "."},
         {"path": "no/such/folder/a.html"},
+        {"fps": 1e300, "speed": 1e-300},
+        {"speed": 1e-320},
     ],
 )
 def test_unusable_options_are_named(trajectory, options):

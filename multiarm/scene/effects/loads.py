@@ -188,7 +188,7 @@ def read_wrench_table(path: Path) -> tuple[list[list[float]], str]:
     except UnicodeDecodeError:
         return [], f"{path} is not a text file"
     except OSError as error:
-        return [], f"cannot read {path}: {error.strerror}"
+        return [], f"cannot read {path}: {error.strerror or error}"
     rows: list[list[float]] = []
     for number, line in enumerate(lines, start=1):
         cells = [cell.strip() for cell in line.split(",")]
