@@ -64,7 +64,7 @@ def add_holding_torques(model, data, work):
 
 
 def holding_derivatives(data: Data) -> np.ndarray | None:
-    """Derivatives of gravity compensation, shape (n, 12 + 2 n), right after an evaluation.
+    """Derivatives of gravity compensation, shape (n, 12 F + 2 n), right after an evaluation.
 
     By the columns of the state, see :mod:`multiarm.dynamics.layout`.  None where there is no closed
     form, as contacts cannot carry any wrench.

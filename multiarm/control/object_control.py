@@ -97,7 +97,7 @@ def computed_torque(address, size, at, t):
         for b in range(6):
             wrench[a] += data.inertia[a, b] * desired[b]
     write_contact_forces(law, data, work)
-    # the law carries the bias and what the joints do by themselves, which is all of h so far
+    # the law carries the bias and what the joints do by themselves, which is all of f_j so far
     for j in range(data.torque.size):
         data.torque[j] -= data.f_j[j]
     for k in range(data.c.size):

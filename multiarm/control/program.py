@@ -89,9 +89,9 @@ class ControlProgram:
         are wrong where it is more than this says.
     derivative : callable, optional
         ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
-        twist, joint positions and joint velocities, shape (n, 12 + 2 n), right after an evaluation
-        of the data; None where they do not exist.  Laws with a derivative of their own are left
-        out.  Absent: they are differences, which take longer.
+        twist, joint positions and joint velocities, shape (n, 12 F + 2 n), right after an
+        evaluation of the data; None where they do not exist.  Laws with a derivative of their own
+        are left out.  Absent: they are differences, which take longer.
     """
 
     laws: tuple[ControlLaw, ...] = ()

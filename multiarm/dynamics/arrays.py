@@ -205,6 +205,8 @@ class Variables(NamedTuple):
     # generalised forces with those of the contacts; the check of an evaluation writes those on the
     # object only
     total_forces: Floats1
+    # while a mode with forces that are given is solved, see multiarm.events.kernels
+    forces_without_prestress: Floats1
     # accelerations, and parts of the same memory, of the object and of the joints; contact forces
     # (N,), positive = pushing
     acceleration: Floats1
@@ -265,7 +267,8 @@ def make_variables(
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
         "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
-        "total_forces": layout.nv, "kept_configuration": layout.nq, "kept_velocity": layout.nv,
+        "total_forces": layout.nv, "forces_without_prestress": layout.nv,
+        "kept_configuration": layout.nq, "kept_velocity": layout.nv,
         "mixed": layout.nv, "signs": arms,
     }  # fmt: skip
     return Variables(

@@ -1,8 +1,9 @@
 """Some rows of a Data at a time: the contacts that are closed now.
 
 The addresses in the struct of a :class:`RowSelection` stay, with whatever refers to it: a run and
-its steps.  Where rows are selected, only the sizes in the struct and the contents of a few small
-tables are written.
+its steps.  Where rows are selected, the sizes in the struct and the contents of a few small tables
+are written, and the variables of the rows are cleared.  Rows are never selected while compiled code
+runs: it may have read the sizes.
 """
 
 from __future__ import annotations

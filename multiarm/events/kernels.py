@@ -33,7 +33,7 @@ from multiarm.dynamics.solver.reactions import (
 )
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.events.sliding import Slides, follow_slip, friction_power, write_reactions
-from multiarm.jit.kernels import INTS, cfunc, kernel
+from multiarm.jit.kernels import INTS, cfunc, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import (
     Flag,
@@ -101,16 +101,24 @@ def solve_held(address, size, _a, _b):
     mode = open_mode(struct_at(data.modes.mode, 0))
     data.status.ambiguous = 0
     if mode.numbers.stressed:
-        add_contact_forces(work, data.Wo, work.W, mode.prestress, data.f_o, data.f_j)
+        add_prestress(mode, data.Wo, work.W, data, work)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.numbers.stressed:
-        restore_forces(mode, data)
+        take_prestress(mode, data)
     return status
 
 
 @kernel
-def restore_forces(mode, data):
-    """Add the forces of ``mode.prestress`` to the solution."""
+def add_prestress(mode, Wo, W, data, work):
+    """Let the forces of ``mode.prestress``, along ``Wo`` and ``W``, act on object and joints."""
+    copy(data.generalised_forces, data.forces_without_prestress)
+    add_contact_forces(work, Wo, W, mode.prestress, data.f_o, data.f_j)
+
+
+@kernel
+def take_prestress(mode, data):
+    """Make the forces of ``mode.prestress`` forces of the contacts: a part of the solution."""
+    copy(data.forces_without_prestress, data.generalised_forces)
     for k in range(data.force.size):
         data.force[k] += mode.prestress[k]
 
@@ -124,14 +132,14 @@ def solve_sliding(address, size, _a, _b):
     mode, slides, reactions = open_mode(own), open_slides(own), open_reactions(own)
     write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
     if mode.numbers.stressed:
-        add_contact_forces(work, mode.Wr, reactions.Wr, mode.prestress, data.f_o, data.f_j)
-    data.status.imbalance = 0.0
+        add_prestress(mode, mode.Wr, reactions.Wr, data, work)
     coupled = open_coupled(struct)
     coupled.status.arms = 0
     if model.dense:
         call_python(data.functions.dense)
         if data.status.failed:
             return CALLBACK_FAILED
+        data.status.imbalance = imbalance(data, mode.Wr)
     else:
         status = solve_reactions(data, work, mode, reactions, False)
         if status == OK and not data.status.imbalance <= IMBALANCE_BOUND:
@@ -141,12 +149,14 @@ def solve_sliding(address, size, _a, _b):
         data.status.ambiguous = 1 if reactions.status.motions > 0 else 0
         lacking = reactions.status.rows - reactions.status.rank
         if lacking > 0:
-            coupled.status.arms = 1
+            for i in range(reactions.coupled.size):
+                coupled.deficient[i] = reactions.coupled[i]
+                coupled.status.arms += reactions.coupled[i]
             coupled.status.unknowns = reactions.status.rows
             coupled.status.rank = reactions.status.rank
             coupled.status.margin = math.inf
     if mode.numbers.stressed:
-        restore_forces(mode, data)
+        take_prestress(mode, data)
     power = friction_power(slides, data.force)
     data.power[mode.numbers.power] = power
     data.power[data.power.size - 1] += power
@@ -158,6 +168,7 @@ def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     work.by_arm[0] = 1
     failed = eliminate_with_reactions(reactions, data.Wo, mode.Wr, data.inertia, couple_all)
+    copy(reactions.pivot, work.pivot)
     if failed >= 0:
         return failed
     solve_for_reactions(

@@ -170,6 +170,8 @@ class Modes:
         self._struct = mode_struct(mode.arrays, mode.slides, mode.guards, reactions)
         structs.mode = self._struct.ctypes.data
         self._select(everything_open)
+        # another run may have left friction and active springs
+        set_constraint_forces(full, Choice((ContactState.OPEN,) * len(unilateral.constraints), ()))
 
     @cached_property
     def loose(self) -> Data:

@@ -83,7 +83,7 @@ class Stepping:
     struct: np.ndarray
 
     def restart(self) -> None:
-        """Forget the steps of another run: all arrays are as after the allocation."""
+        """Forget the steps of another run; tolerances, gains and chart are those of the next."""
         for array in self._of_steps:
             array.fill(0.0)
         self.step.stage.begin()

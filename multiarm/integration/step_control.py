@@ -138,6 +138,12 @@ def make_clock(
 
 
 @plain
+def shortest_step(t):
+    """Steps that are not longer [s] make no progress at the time ``t`` [s]."""
+    return max(1e-12 * abs(t), 8.0 * np.finfo(np.float64).eps * 1e-3)
+
+
+@plain
 def gains(settings, h):
     """Feedback gains of a step of length ``h``."""
     if settings.stabilization != FEEDBACK:
@@ -287,7 +293,7 @@ def accept_step(struct, method, clock, settings, h, end, error):
         clock.error_before = max(error, 1e-4)
         clock.error_sum += error * max(settings.tolerance, rounding_floor(struct, clock))
     clock.t_before, clock.h_before, clock.t = clock.t, h, end
-    clock.correction = 0.0
+    clock.correction, clock.cause = 0.0, STEP_TOO_SMALL
     clock.retry_steps = max(clock.retry_steps - 1, 0)
     clock.smallest_step = min(clock.smallest_step, h)
     clock.largest_step = max(clock.largest_step, h)

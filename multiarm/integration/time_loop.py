@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from multiarm.contacts.kernel import GAP
 from multiarm.dynamics.arrays import open_data, open_reports, open_system
 from multiarm.dynamics.coordinates import (
@@ -61,6 +59,7 @@ from multiarm.integration.step_control import (
     length_after_rejection,
     planned_step,
     rounding_floor,
+    shortest_step,
     stay_before_breakpoint,
     view_clock,
     view_settings,
@@ -99,8 +98,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
         if clock.evaluations >= limit:
             return BUDGET_USED
         h, end = planned_step(clock, settings)
-        # shorter steps, relative to the time, would make no progress
-        if not h > max(1e-12 * clock.t, 8.0 * np.finfo(np.float64).eps * 1e-3):
+        if not h > shortest_step(clock.t):
             return clock.cause
         choose_stage_projection(step, clock, settings)
         stay_before_breakpoint(step, clock, settings, end)

@@ -460,7 +460,10 @@ def _array_in_struct(context, builder, dtype, axes, numbers, first):
 
 
 def _number(builder, numbers, at):
-    """Read one integer of a struct, which never changes: LLVM may do so once, ahead of a loop."""
+    """Read one integer of a struct: LLVM may do so once, ahead of a loop.
+
+    It does not change while compiled code runs; between two calls Python may write sizes.
+    """
     number = builder.load(builder.gep(numbers, [at]))
     number.set_metadata("invariant.load", builder.module.add_metadata([]))
     return number

@@ -111,7 +111,8 @@ class Switch:
         """Continue with the method for stiff scenes, on trial."""
         clock, tableau = run.clock, run.stepping.tableau
         self._explicit = tableau.name
-        self._pace = clock.h_before / clock.step_cost
+        # there is no step before right after an event
+        self._pace = (clock.h_before or clock.h) / clock.step_cost
         self._change(run, FOR_STIFF_SCENES, "the scene is stiff")
 
     def end_trial(self, run: Run) -> None:

@@ -37,7 +37,7 @@ from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
-from multiarm.integration.step_control import gains
+from multiarm.integration.step_control import gains, shortest_step
 from multiarm.results.channels import ContactState
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance, set_tolerance
@@ -146,7 +146,7 @@ class EventHandler:
         self._usual_length = max(self._usual_length, end - begin)
         time = begin + theta * (end - begin)
         self._pending = Pending(time, changed)
-        if time - t <= 1e-13 * max(1.0, t):
+        if time - t <= max(1e-13, shortest_step(t)):
             return self.cross(run)
         run.clock.stop = time
         return ""
@@ -218,7 +218,7 @@ class EventHandler:
             self.mode.set_prestress(later.forces)
             if self._holds():
                 return later
-        return made[-1]
+        return made[0]  # which has been entered last
 
     def _holds(self) -> bool:
         """Whether no guard of the mode is violated at the state in its data."""

@@ -141,7 +141,7 @@ def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng,
     work = work._replace(
         **{name: counted(getattr(work, name)) for name in ("S", "packs", "present", "stiffness")}
     )
-    work = work._replace(L=counted(s.M), Y=counted(s.W))
+    work = work._replace(M=counted(s.M), W=counted(s.W))
     Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
     a_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
     right = [counted(part) for part in (s.f_o, s.f_j.ravel(), s.c.ravel())]

@@ -11,6 +11,8 @@ from event_scenes import AS_WRITTEN, GRAVITY, times
 from mechanics import UR5_POSTURE, G
 
 import multiarm as ma
+from multiarm.dynamics.kinematics import read_inertia
+from multiarm.events.evaluation import mode_at
 from multiarm.problems.building import tip_pose
 from multiarm.scene import find_robot, parse_scene
 
@@ -137,3 +139,23 @@ def test_a_box_slips_out_of_hands_that_press_too_little(mu):
     assert np.all(upward(trajectory)[inside] <= np.sum(most, axis=0)[inside] * (1 + 1e-3))
     states = trajectory.contact_states["left"]
     assert np.any(states == 2.0)  # sliding
+
+
+def test_conditioning_of_sliding_hands_is_that_of_the_held_contacts():
+    """The smallest pivot of W^T M^-1 W, scaled to a diagonal of 1; none where contacts are more."""
+    system = ma.compile_system(held_box(0.3)).with_control(lifting(0.0))
+    state = system.state(object_twist=[0, 0, -0.1, 0, 0, 0])
+    evaluation, least = ma.evaluate(system, 0.0, state), {}
+    assert any("sliding" in states for states in evaluation.contact_states.values())
+    with system.borrow() as data:
+        held = mode_at(data, 0.0, state).data
+        for i, arm in enumerate(system.arm_names):
+            joints, contacts = np.diff(held.work.dofs)[i], np.diff(held.work.rows)[i]
+            M = read_inertia(held.arrays.pointers[i], joints)
+            W = held.work.W[i, :joints, :contacts]
+            K = W.T @ np.linalg.solve(M, W)
+            scale = np.sqrt(np.diag(K))
+            pivots = np.diag(np.linalg.cholesky(K / np.outer(scale, scale))) ** 2
+            least[arm] = np.min(pivots, initial=1.0)
+    assert min(least.values()) < 0.9
+    assert evaluation.conditioning == pytest.approx(least, rel=1e-9)

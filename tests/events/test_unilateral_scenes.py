@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app
+from multiarm.events.evaluation import evaluate_mode, mode_at
 from multiarm.simulation.inspection import inspect_system
 
 GRAVITY = 9.81
@@ -132,6 +133,29 @@ def test_an_evaluation_of_a_sliding_box_certifies_itself(tmp_path):
     np.testing.assert_allclose(
         evaluation.contact_normals["floor"].reshape(8, 3, 3)[:, 0], [[0, 0, 1]] * 8, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("slides", [True, False])
+@pytest.mark.parametrize("solver", ["node", "dense"])
+def test_given_forces_of_a_mode_are_forces_of_its_contacts(tmp_path, slides, solver):
+    """Others than the least ones: the same motion, and the equations hold with their sum."""
+    scene = sliding_box(tmp_path)
+    if not slides:
+        scene["object"] = {**scene["object"], "twist": [0.0] * 6}
+    system = ma.compile_system(ma.Scene(**scene)).with_solver(solver)
+    state = system.initial_state()
+    least = ma.evaluate(system, 0.0, state)
+    with system.borrow() as data:
+        mode = mode_at(data, 0.0, state)
+        given = {int(row): (2.0 + k) ** 2 for k, row in enumerate(mode.arrays.held)}
+        mode.set_prestress(given)
+        evaluation = evaluate_mode(data, mode, 0.0, state)
+    changes = evaluation.contact_forces["floor"] - least.contact_forces["floor"]
+    assert np.max(np.abs(changes)) > 0.1
+    np.testing.assert_allclose(
+        evaluation.object_acceleration, least.object_acceleration, rtol=0, atol=1e-10
+    )
+    assert evaluation.residuals.object < 1e-12 and evaluation.residuals.arm < 1e-12
 
 
 def test_evaluations_are_those_of_the_run(tmp_path):
