@@ -89,9 +89,9 @@ def differentiate(
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
     if applied is not None:
         of_state = np.r_[: columns["torques"].start, columns["effect_states"]]
-        matrix[rows["effect_state_rates"], of_state] = applied[layout.nv :]
         if admissible is not None:
             applied[:, : len(admissible)] = applied[:, : len(admissible)] @ admissible
+        matrix[rows["effect_state_rates"], of_state] = applied[layout.nv :]
         by_force = np.hstack([solved[:, equations.wrench], solved[:, columns["torques"]]])
         solved[:, of_state] += by_force @ applied[: layout.nv]
     if not independent:

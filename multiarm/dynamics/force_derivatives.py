@@ -92,12 +92,13 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
 
     Of generalised forces and rates of effects' states (e), by the columns of the state
     (:mod:`multiarm.dynamics.layout`) and effects' states, shape (6 + n + e, 12 + 2 n + e); None
-    where nothing depends on these.  Without ``closed_loop`` the control's torques are held.
+    where nothing depends on these.  Without ``closed_loop`` the control's torques are held, and
+    drives with states follow these.
     """
     model, layout, e = data.model, data.model.layout, data.arrays.inner.size
     constants, slopes = model.constants, data.arrays.torque_slopes
     follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
-    follows &= closed_loop or e > 0
+    follows &= closed_loop
     if not (follows or model.effects.kernels):
         return None
     slopes[:] = 0.0
@@ -109,7 +110,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     differences = Differences(laws=len(constants.control), order=4)
     powers, works = model.effects.powers, data.arrays.power.size
     applied = np.zeros((layout.nv + e + works, slopes.shape[1]))
-    status = write_applied(data.struct, differences, follows, differs, closed_loop, powers, applied)
+    status = write_applied(data.struct, differences, follows, differs, powers, applied)
     require_ok(data, status)
     return applied[: layout.nv + e, : 2 * layout.nv + e]
 
@@ -120,7 +121,6 @@ def write_applied(
     differences: Differences,
     follows: TRUTH,
     differs: TRUTH,
-    closed_loop: TRUTH,
     powers: INTS,
     applied: TABLE,
 ):
@@ -128,9 +128,7 @@ def write_applied(
 
     At the end the data are as they were.
     """
-    status = differentiate_forces(
-        struct, differences, follows, differs, closed_loop, powers, applied
-    )
+    status = differentiate_forces(struct, differences, follows, differs, powers, applied)
     if status == OK:
         status = update_kinematics(struct)
     if status != OK:
@@ -139,20 +137,20 @@ def write_applied(
 
 
 @kernel
-def differentiate_forces(struct, differences, follows, differs, closed_loop, powers, applied):
+def differentiate_forces(struct, differences, follows, differs, powers, applied):
     """Add the derivatives of what control and effects do to ``applied``; returns a status.
 
     Its rows are generalised forces, rates of effects' states, and powers of each effect and of all;
     ``powers`` are the places of the effects' powers, -1 without.  ``data.torque_slopes`` has what
     laws contribute that have no compiled derivative.  The torques follow the state where
-    ``follows``, all by differences where ``differs``, and are held without ``closed_loop``.
+    ``follows``, all by differences where ``differs``, and are held elsewhere.
     """
     model, data, _ = open_system(struct)
     controlled, status = model.control.shape[0] > 0, OK
     for k in range(model.applied_end + 1):
         if k == model.passive_end and controlled:
             status = differentiate_control(struct, differences, follows, differs)
-        if k == model.actuator_end and controlled and closed_loop:
+        if k == model.actuator_end and controlled:
             add_torque_slopes(data, applied)
         acts = controlled or not actuates(model, k)
         if status == OK and k < model.applied_end and acts:

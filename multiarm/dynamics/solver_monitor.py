@@ -107,11 +107,12 @@ def compare_solution(address, size, _a, _b):
     if data.lost[last] != rank:
         data.lost[last] = rank
         changes += 1
+    for i in range(last):
+        data.passed[i] = 0
     if model.dense or data.modes.slides:  # the elimination with friction leaves no directions
         return changes
     coupled = open_coupled(struct)
     for i in range(last):
-        data.passed[i] = 0
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
             lost = lost_directions(i, data.lost[i], work, coupled)

@@ -5,7 +5,7 @@ A force ``f`` and a torque ``m`` at a point ``p``, in world axes, add to the rig
 .. math::
     f_o \mathrel{+}= \begin{bmatrix} f \\ m + (p - x_o)\times f \end{bmatrix}
     \quad\text{or}\quad
-    h_j \mathrel{+}= J_j^T \begin{bmatrix} f \\ m + p\times f \end{bmatrix}
+    f_j \mathrel{+}= J_j^T \begin{bmatrix} f \\ m + p\times f \end{bmatrix}
 
 for the joints ``j`` that carry the link, ``J`` being the arm's Jacobian about the world's origin.
 Pinocchio has the pose of every joint after each evaluation; a compiled arm writes those of the

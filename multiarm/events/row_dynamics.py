@@ -97,11 +97,13 @@ class RowDynamics:
         if ahead > 0.0:
             b.time.now += ahead
             b.configuration[:] = retracted(data.model.layout, here, ahead * b.velocity)
-        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
-        require_ok(self.full, update_rows(self.full.struct))
-        free = self.jacobian(rows) @ b.acceleration + self.full.arrays.contacts[rows, GAP_BIAS]
-        if ahead > 0.0:
+        try:
+            require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+            require_ok(self.full, update_rows(self.full.struct))
+            free = self.jacobian(rows) @ b.acceleration + self.full.arrays.contacts[rows, GAP_BIAS]
+        finally:
             b.time.now, b.configuration[:] = now, here
+        if ahead > 0.0:
             self.update()
         return free
 

@@ -212,14 +212,16 @@ class Transition:
     ) -> tuple[Solution, np.ndarray]:
         """Impulses and rates afterwards; ``resting`` constraints do not open."""
         at: dict[int, int] = {row: k for k, row in enumerate(rows)}
-        laws: list[ContactLaw] = []
+        laws: list[ContactLaw] = []  # one for each constraint; then the tangents at rest
+        at_rest: list[ContactLaw] = []
         for u in involved:
             constraint = self._constraints[u]
             if u in resting:
                 laws.append(Bounded(at[constraint.row], -np.inf, np.inf))
-                laws += [Bounded(at[t], 0.0, 0.0) for t in constraint.tangents]
+                at_rest += [Bounded(at[t], 0.0, 0.0) for t in constraint.tangents]
             else:
                 laws.append(_law(constraint, at, None))
+        laws += at_rest
         share = 1.0
         for _ in range(40):  # halvings of restitution while it would add energy
             shifted = before.copy()

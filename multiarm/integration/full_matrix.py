@@ -21,8 +21,8 @@ their responses :math:`\partial\dot v/\partial f` are columns of the same soluti
 
 Elsewhere, and where stages are projected, they are differences of whole evaluations, central in the
 positions, on which everything depends in the most curved way, and forward in the velocities, of
-which accelerations are quadratic functions: 3 (6 + n) evaluations for n joints of all arms, two
-more when something depends on time.
+which accelerations are quadratic functions: 3 (6 + n) evaluations for n joints of all arms, one for
+each state of an effect, and two more, for the time, where there is control or an effect.
 """
 
 from __future__ import annotations
@@ -144,9 +144,7 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     clear_table(data.torque_slopes)
     clear_table(full.applied)
     follows, differs = follow_the_state(model, differences)
-    status = differentiate_forces(
-        struct, differences, follows, differs, True, full.powers, full.applied
-    )
+    status = differentiate_forces(struct, differences, follows, differs, full.powers, full.applied)
     stage.evaluations += differences.evaluations
     if status == OK:
         respond_to_forces(data, full, time_slope)

@@ -12,7 +12,7 @@ semi-implicit Euler, 2 for explicit Euler and 2.79 for RK4; ``FEEDBACK_RATIO`` i
     \qquad\text{and}\qquad
     \min_{\delta v} \tfrac12 \delta v^T M\, \delta v \ \text{ with }\ W^T (v + \delta v) = 0 .
 
-Both are the node system with other right-hand sides (``h = 0``, ``c = -\varphi`` or
+Both are the node system with other right-hand sides (``f = 0``, ``c = -\varphi`` or
 ``-\dot\varphi``), so that projection costs as much as an evaluation and stays linear in the arms.
 Where the constraints lose rank, small gaps that no motion closes to first order (a flat
 parallelogram, redundant contacts) are left.

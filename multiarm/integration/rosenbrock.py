@@ -23,7 +23,7 @@ at a cost that is linear in them (:mod:`multiarm.integration.arm_blocks`).  Else
 matrix (:mod:`multiarm.integration.full_matrix`): with the square of the number of arms grows the
 cost of its derivatives, with the cube that of its factors; for few arms both are small.
 
-*The derivatives* are exact with either, and take no further evaluation of the equations of motion.
+*The derivatives* are exact with either, and take one evaluation, that of the beginning.
 A law or effect that states no derivative is differentiated by differences, which compute its forces
 and the kinematics that these need: n of the longest arm twice where it is local, twelve and twice n
 of all arms elsewhere, and none for a function of a user, which knows the state alone.  Whole

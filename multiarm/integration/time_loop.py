@@ -201,6 +201,7 @@ def observe(arrays, clock, settings, row):
     load_chart(step.z, step.base, data)
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
+        call_cfunc(data.functions.record, struct, 0.0, 0.0)
         write_sample(struct, clock.t, step.z[chart_places(data).works :], row)
     return CALLBACK_FAILED if data.status.failed else status
 

@@ -17,7 +17,7 @@ motion, controls and effects included, and ``S`` impulses of the contacts,
     p_1 = \pi + \tfrac h2 F + W(q_1)\, S_1, &\qquad W(q_1)^T v_1 = 0,\quad p_1 = M(q_1) v_1 .
 
 For the arms :math:`\pi = \bar M q'` and :math:`F = \partial T/\partial q - \partial V/\partial q
-+ Q = h + (C + C^T) q'`, with ``h`` the forces of the equations of motion and ``C`` the arm's
++ Q = f + (C + C^T) q'`, with ``f`` the forces of the equations of motion and ``C`` the arm's
 matrix of Coriolis forces, for which :math:`\dot M = C + C^T`.  For the object, in world axes and
 with the inertia at the beginning of the step,
 

@@ -189,10 +189,11 @@ class Stepper:
         """
         if state is not None:
             self._task = replace(self._task, state=self._task.system.checked(state))
-        self._broken = ""
+        self._broken = "the start could not be evaluated"
         # times are multiples of equal durations, so that they do not add up roundings
         self._from, self._count, self._duration = 0.0, 0, 0.0
         self._begin(None)
+        self._broken = ""
 
     def advance(self, duration: float, torques: Torques | None = None) -> State:
         """Advance by a duration [s]; returns the state at its end.

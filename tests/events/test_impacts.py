@@ -21,6 +21,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import multiarm as ma
+from multiarm.contacts.unilateral import CONTACT, Constraint
+from multiarm.events.transition import Transition
 
 HEIGHT = 0.5  # [m]
 # A plate that gives way by nothing that could be seen: it slides across the fall.
@@ -229,3 +231,21 @@ def test_two_balls_of_a_chain_hit_both_ends_of_a_box_at_once():
     np.testing.assert_allclose(trajectory.object_twist, 0.0, atol=1e-12)
     assert trajectory.joint_velocities["left"][-1, 0] == pytest.approx(-0.25, abs=1e-9)
     assert trajectory.joint_velocities["right"][-1, 0] == pytest.approx(0.25, abs=1e-9)
+
+
+def test_a_joint_that_holds_both_ways_holds_in_an_impact_in_which_another_contact_rests():
+    """Rows of three contacts: a pad with friction, a joint with friction, and the one that hits."""
+    pad = Constraint(CONTACT, "a", "pad", 0, tangents=(1, 2), mu=0.3)
+    joint = Constraint(CONTACT, "b", "joint", 3, tangents=(4, 5), mu=0.3, bilateral=True)
+    hit = Constraint(CONTACT, "a", "hit", 6)
+    jacobian = np.zeros((7, 7))
+    jacobian[[0, 1, 2, 4, 5], [2, 3, 4, 5, 6]] = 1.0
+    jacobian[3, :2], jacobian[6, :2] = [1.0, 0.5], [1.0, 0.2]
+    before = np.array([0.0] * 6 + [-1.0])  # [m/s]
+    transition = Transition.__new__(Transition)  # without a system
+    transition._constraints, transition._residual = (pad, joint, hit), 0.0
+    for resting in (set(), {0}):
+        _, after = transition._collide(
+            [0, 1, 2], [*range(7)], jacobian @ jacobian.T, before, {}, resting
+        )
+        np.testing.assert_allclose(after[3:], 0.0, atol=1e-12)

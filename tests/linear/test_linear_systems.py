@@ -105,6 +105,9 @@ def test_a_sledge_on_a_spring(cart, lag):
         assert slow.damping_ratio == pytest.approx(c / (2.0 * math.sqrt(k * (CART + BOB))))
     held = ma.linearise(cart(kind="weld", control=control, effects=effects), closed_loop=False)
     assert {mode.kind for mode in held.modes} <= {"drifts", "decays"}
+    if lag is not None:  # the drive's torque, which goes to the one that is held, moves the cart
+        open_loop = [[0, 1, 0], [0, 0, 1.0 / (CART + BOB)], [0, 0, -1.0 / lag]]
+        np.testing.assert_allclose(held.A, open_loop, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("upright", [False, True])
