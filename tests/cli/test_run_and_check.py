@@ -701,4 +701,4 @@ def test_pages_are_written_from_a_result(finished, tmp_path):
 def test_replay_rejects_a_speed_that_is_none(finished, tmp_path):
     folder, _ = finished
     result = multiarm("replay", folder / "run.h5", "--html", tmp_path / "x.html", "--speed", 0)
-    assert_refused(result, "speed", "greater than 0")
+    assert_refused(result, "speed", "from 1e-09")
