@@ -103,7 +103,9 @@ def _kinds_in(tree):
 
 def kinds():
     """All kinds that a run's log may hold."""
-    found = set()
+    from multiarm.simulation.guard_log import KINDS
+
+    found = {kind for changes in KINDS.values() for kind in changes}
     for path in (ROOT / "multiarm").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         if '"kind":' in text:
