@@ -9,9 +9,10 @@ runs: it may have read the sizes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,23 +25,10 @@ from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.jit.simd import aligned_zeros
 
 Shapes = Mapping[str, tuple[int, ...]]
-Value = TypeVar("Value")
 # Constants with an entry for every row.
 CONSTANTS = "codes", "geometry", "joint_rows"
 # Selections of which all is known that selecting them again needs.
 MOST_RECENT = 32
-
-
-class Recent(dict[Any, Value]):
-    """The values that were asked for last; the others are made again."""
-
-    def value(self, key: Any, make: Callable[[], Value]) -> Value:
-        """The value of a key."""
-        value = self.pop(key) if key in self else make()
-        if len(self) >= MOST_RECENT:
-            del self[next(iter(self))]
-        self[key] = value
-        return value
 
 
 class Room:
@@ -115,13 +103,13 @@ class RowSelection:
         self._variables = _room(self.data.arrays, shapes)
         self._work = _room(self.data.work, work_shapes(self._dofs, rows.tolist()))
         self._coupled = _room(self.data.coupled, coupled_shapes(self._dofs, rows.tolist()))
-        self._recent: Recent[Selected] = Recent()
+        self._prepared = lru_cache(MOST_RECENT)(self._prepare)
         self.select(np.zeros(0, dtype=np.int64))
 
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
         data = self.data
-        selected = self._recent.value(rows.tobytes(), lambda: self._prepare(rows))
+        selected = self._prepared(tuple(rows.tolist()))
         # no result of other rows is left; columns of W beyond an arm's rows are zero
         for array in (*selected.variables.values(), selected.work.W):
             array.fill(0.0)
@@ -131,7 +119,7 @@ class RowSelection:
         data.work.by_arm[0] = 0
         data.take_rows(selected.model, selected.variables, selected.work, selected.coupled)
 
-    def _prepare(self, rows: np.ndarray) -> Selected:
+    def _prepare(self, rows: tuple[int, ...]) -> Selected:
         data, dofs = self.data, self._dofs
         model = replace(self._full.model.select(rows), unilateral=None)
         constants, counts = model.constants, np.diff(model.layout.rows).tolist()

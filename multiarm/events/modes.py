@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from multiarm.dynamics.guards import (
     make_guards,
 )
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.row_selection import Recent, Room, RowSelection
+from multiarm.dynamics.row_selection import MOST_RECENT, Room, RowSelection
 from multiarm.dynamics.solver.reactions import make_reaction_work, reaction_shapes
 from multiarm.events.kernels import (
     ModeArrays,
@@ -164,7 +164,7 @@ class Modes:
             ),
             (),
         )
-        self._recent: Recent[tuple[Mode, np.ndarray]] = Recent()
+        self._prepared = lru_cache(MOST_RECENT)(self._prepare)
         mode = self._make(everything_open)
         reactions = None if self._reactions is None else self._reactions.work
         self._struct = mode_struct(mode.arrays, mode.slides, mode.guards, reactions)
@@ -198,7 +198,7 @@ class Modes:
 
     def _select(self, choice: Choice) -> None:
         """Select the rows of a choice, and make its sliding contacts and guards."""
-        self._entered, struct = self._recent.value(choice, lambda: self._prepare(choice))
+        self._entered, struct = self._prepared(choice)
         mode = self._entered
         self._held.select(mode.arrays.held)
         self._struct[: struct.size] = struct
@@ -295,7 +295,7 @@ class _Reactions:
         own = make_reaction_work(dofs, rows)
         shapes = reaction_shapes(dofs, rows)
         self._room = Room({name: getattr(own, name) for name in shapes})
-        self._recent: Recent[tuple[np.ndarray, np.ndarray, np.ndarray]] = Recent()
+        self._prepared = lru_cache(MOST_RECENT)(self._prepare)
         self.work = own._replace(
             dofs=work.dofs,
             rows=work.rows,
@@ -310,7 +310,7 @@ class _Reactions:
     def resize(self, data: Data, struct: np.ndarray) -> np.ndarray:
         """Write the sizes for the rows of the data into a mode's struct; the arms' reactions."""
         counts = tuple(np.diff(data.model.layout.rows).tolist())
-        Wr, places, sizes = self._recent.value(counts, lambda: self._prepare(counts))
+        Wr, places, sizes = self._prepared(counts)
         struct[places] = sizes
         return Wr
 

@@ -40,7 +40,7 @@ from multiarm.integration.time_loop import advance, observe
 from multiarm.jit.structs import struct_of
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
-from multiarm.simulation.setup import Run, set_tolerance
+from multiarm.simulation.setup import Run
 from multiarm.tableaus import METHODS
 
 FOR_STIFF_SCENES = "rodas5p"
@@ -129,10 +129,7 @@ class Switch:
 
     def _change(self, run: Run, name: str, why: str) -> None:
         """Change the method of a run, at its state."""
-        old, run.stepping = run.stepping.step, stepping_of(run.data, METHODS[name])
-        new = run.stepping.step
-        set_tolerance(new, run.data, run.tolerance)
-        new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
+        run.continue_with(stepping_of(run.data, METHODS[name]))
         run.clock.switch = False
         self._until, self._spent = run.clock.steps + TRIAL_STEPS, _step_evaluations(run)
         self._since = run.clock.t

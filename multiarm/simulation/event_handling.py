@@ -40,7 +40,7 @@ from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import gains, shortest_step
 from multiarm.results.channels import ContactState
 from multiarm.results.event_log import EventLog
-from multiarm.simulation.setup import Run, Tolerance, set_tolerance
+from multiarm.simulation.setup import Run, Tolerance
 
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
 HIT_SHARE = 4.0
@@ -277,9 +277,7 @@ class EventHandler:
         """Continue the run in the new mode, from the state in its data."""
         data, clock, tolerance = run.data, run.clock, run.settings.gap_tolerance
         if run.stepping.work:  # these arrays have entries for the rows of a mode
-            before, run.stepping = run.stepping.step, make_stepping(data, run.stepping.tableau)
-            set_tolerance(run.stepping.step, data, run.tolerance)
-            run.stepping.step.z[:] = before.z
+            run.continue_with(make_stepping(data, run.stepping.tableau))
         step = run.stepping.step
         if tolerance >= 0.0 and project(data.struct, tolerance) != OK:
             data.reraise()

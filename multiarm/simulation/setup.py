@@ -111,6 +111,12 @@ class Run:
     tolerance: Tolerance | None  # None: the step is fixed
     may_switch: bool  # the program chose the method, and may change it
 
+    def continue_with(self, stepping: Stepping) -> None:
+        """Go on with another method or other arrays of it, from the state of those before."""
+        before, self.stepping, new = self.stepping.step, stepping, stepping.step
+        set_tolerance(new, self.data, self.tolerance)
+        new.z[:], new.base[:], new.slope[:] = before.z, before.base, before.slope
+
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
     """The scene's run settings with the caller's in their place, validated together.
