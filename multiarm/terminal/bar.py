@@ -1,19 +1,19 @@
-"""A bar on a terminal, with what is being done and a sentence below it."""
+"""A bar on a terminal, with what is being done and a sentence below it; and the pace of the work.
+
+The pace is Rich's: that of the last half minute, on a clock that stands still during compilation.
+There is none before the work has gone on twice, and where parts of it take longer than that: the
+time that they take would prove every estimate wrong.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
 from rich.console import Console, RenderableType
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TimeElapsedColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task
 from rich.text import Text
+
+from multiarm.jit.compilation import process_running_time
 
 __all__ = ["Bar"]
 
@@ -24,8 +24,9 @@ class Bar(Progress):
     Parameters
     ----------
     console : Console
-    words, amount : callable
-        What is being done, and how much of it is done, whenever the bar is drawn.
+    words, amount, elapsed : callable
+        What is being done, how much of it is done, and how long it has taken, whenever the bar is
+        drawn.
     hidden : bool
 
     Attributes
@@ -37,23 +38,45 @@ class Bar(Progress):
     note = ""
 
     def __init__(
-        self, console: Console, words: Callable[[], str], amount: Callable[[], str], hidden: bool
+        self,
+        console: Console,
+        words: Callable[[], str],
+        amount: Callable[[], str],
+        elapsed: Callable[[], str],
+        hidden: bool,
     ) -> None:
         super().__init__(
             SpinnerColumn(),
             _TextNow(words),
             BarColumn(),
             _TextNow(amount, "cyan"),
-            TimeElapsedColumn(),
+            _TextNow(elapsed, "progress.elapsed"),
             console=console,
             transient=True,
             disable=hidden or not console.is_terminal,
+            get_time=process_running_time,
         )
-        self._work = self.add_task("", total=None)
+        self.add_task("", total=None)
+
+    @property
+    def _work(self) -> Task:
+        return self.tasks[0]
 
     def show(self, done: float, total: float) -> None:
         """Show how much of how much is done; 0 of 0: not known."""
-        self.update(self._work, completed=done, total=total or None)
+        if done < self._work.completed:  # another stage begins
+            self.reset(self._work.id)
+        self.update(self._work.id, completed=done, total=total or None)
+
+    @property
+    def pace(self) -> float | None:
+        """How much is done in a second; None if not known."""
+        return self._work.speed
+
+    @property
+    def left(self) -> float | None:
+        """How long it will take at this pace [s]; None if that is not known."""
+        return None if self._work.finished else self._work.time_remaining
 
     def get_renderables(self) -> Iterable[RenderableType]:
         """What is drawn: the bar, and the sentence."""

@@ -2,7 +2,7 @@
 
 On a terminal it is a bar that goes away at the end.  Elsewhere it is a plain line on stderr every
 few seconds, so that work that takes less prints nothing.  Both say the same: what is being done,
-how much of it is done, and how long it will take at the pace so far.  While kernels are compiled,
+how much of it is done, and how long it will take at its recent pace.  While kernels are compiled,
 both say so; that time is no part of any pace.
 """
 
@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import Self
 
 from multiarm.errors import MultiarmError
-from multiarm.jit.compilation import is_compiling, process_running_time
+from multiarm.jit.compilation import is_compiling
 from multiarm.notation import count_of
 
 if TYPE_CHECKING:
@@ -42,11 +42,6 @@ Report = Callable[[float, float, str], None]
 LINES, SLOWEST, SHARE = 5.0, 30.0, 0.1
 """Where there is no terminal, a line comes after so long [s] at least and at most; between the two
 after such a share of the time so far."""
-SETTLED, STEADY = 1.0, 2.0
-"""The time left is estimated when the pace has been watched for so long [s], and as long as the
-latest pace and the average differ by such a factor at most."""
-SHORTEST = 1e-9
-"""[s] No pace is taken over less, as clocks may show equal times."""
 CLOCK_TIMES = 90.0
 """Where more time is left [s], the end is given as a time of day too."""
 PREPARING, SIMULATING = "preparing", "simulating"
@@ -88,8 +83,9 @@ class _Display:
         from multiarm.terminal.console import messages
 
         self._console = messages()
-        self._work, self._amount, self._pace = PREPARING, "", _Pace()
-        self._bar = Bar(self._console, self._words, self._amount_and_left, hidden=quiet)
+        self._work, self._amount, self._began = PREPARING, "", time.monotonic()
+        columns = (self._words, self._amount_and_left, self._elapsed)
+        self._bar = Bar(self._console, *columns, hidden=quiet)
         self._lines = not (quiet or self._console.is_terminal)
         self._ended = threading.Event()
         self._printer = threading.Thread(target=self._print_lines, daemon=True)
@@ -120,16 +116,14 @@ class _Display:
             self._bar.console.print(item)
 
     def _show(self, words: str, done: float, total: float, amount: str) -> None:
-        self._pace.note(done, total)
         self._work, self._amount = words, amount
         self._bar.show(done, total)
 
     def _show_simulated(self, words: str, t: float, duration: float) -> None:
         """Show what is being done until a simulated time [s], and the pace of that."""
         self._show(words, t, duration, f"{t:.4g} of {duration:g} s")
-        rate = self._pace.rate()
-        if rate is not None:
-            self._amount += f", {rate:.3g} x real time"
+        if self._bar.pace:
+            self._amount += f", {self._bar.pace:.3g} x real time"
 
     def _words(self) -> str:
         return COMPILING if is_compiling() else self._work
@@ -139,7 +133,7 @@ class _Display:
 
     def _left(self) -> str:
         """How long the work will take, and when it ends; empty if that is not known."""
-        seconds = self._pace.left()
+        seconds = self._bar.left
         if seconds is None:
             return ""
         if seconds < CLOCK_TIMES:
@@ -147,73 +141,18 @@ class _Display:
         ends = datetime.now() + timedelta(seconds=seconds)
         return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
 
+    def _elapsed(self) -> str:
+        return span(time.monotonic() - self._began)
+
     def _line(self) -> str:
-        end = self._left() or f"{span(self._pace.passed())} so far"
+        end = self._left() or f"{self._elapsed()} so far"
         return ", ".join(filter(None, (self._words(), self._amount, end)))
 
     def _print_lines(self) -> None:
         pause = LINES
         while not self._ended.wait(pause):
             self._console.print(self._line(), soft_wrap=True)
-            pause = min(max(LINES, SHARE * self._pace.passed()), SLOWEST)
-
-
-class _Mark(NamedTuple):
-    """How much was done at a time [s] of the clock that stands still during compilation."""
-
-    done: float
-    time: float
-
-
-class _Pace:
-    """How fast work goes on, and how long it will take."""
-
-    def __init__(self) -> None:
-        self._began = time.monotonic()
-        self._done = self._total = 0.0
-        self._start: float | None = None  # what is done before does not count
-        self._marks: list[_Mark] = []  # the first one, and two within the latest part of the time
-
-    def note(self, done: float, total: float) -> None:
-        """Note how much is done."""
-        if self._start is None or done < self._done:  # another stage begins
-            self._start, self._marks = done, []
-        now = process_running_time()
-        if not self._marks and done > self._start:
-            self._marks = 3 * [_Mark(done, now)]  # before that, code was loaded
-        self._done, self._total = done, total
-        if self._marks:
-            first, _, latest = self._marks
-            if now - first.time >= 2.0 * (latest.time - first.time):
-                self._marks = [first, latest, _Mark(done, now)]
-
-    def passed(self) -> float:
-        """How long the work has taken [s]."""
-        return time.monotonic() - self._began
-
-    def rate(self) -> float | None:
-        """How much was done in a second on average; None if not known."""
-        if not self._marks or not self._done > self._marks[0].done:
-            return None
-        first = self._marks[0]
-        return (self._done - first.done) / max(process_running_time() - first.time, SHORTEST)
-
-    def left(self) -> float | None:
-        """How long it will take at the pace so far [s].
-
-        None if that is not known, and where the pace changes much: parts of the work that take
-        longer than those before would prove every estimate wrong.
-        """
-        average = self.rate()
-        if average is None or not self._done < self._total:
-            return None
-        now, (first, recent, _) = process_running_time(), self._marks
-        if now - first.time < SETTLED:
-            return None
-        latest = (self._done - recent.done) / max(now - recent.time, SHORTEST)
-        if not average < STEADY * latest < STEADY**2 * average:
-            return None
-        return (self._total - self._done) / min(average, latest)
+            pause = min(max(LINES, SHARE * (time.monotonic() - self._began)), SLOWEST)
 
 
 class Progress(_Display):
@@ -257,7 +196,7 @@ class RunProgress(_Display):
         self._show_simulated(words, t - self._begin, self._duration)
 
     def _left(self) -> str:
-        seconds = self._pace.left()
+        seconds = self._bar.left
         if seconds is None or not self.checked or self._work != SIMULATING:
             return super()._left()
         return f"about {span(seconds)} until its accuracy is checked"
