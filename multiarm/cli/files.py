@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError
-from multiarm.results.files import atomic_output, create_empty, resolved, temporary_name
+from multiarm.results.files import resolved, target_fault, write_text
 from multiarm.terminal.console import print_loaded, print_warnings
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ __all__ = [
     "refuse_targets",
     "scene_to_run",
     "write_json",
-    "write_text",
 ]
 
 PLOTS = ("png", "svg", "pdf")
@@ -56,7 +54,7 @@ def check_targets(targets: Mapping[str, Path | None], source: Path | None = None
         if target in taken:
             raise MultiarmError(f"{option}: '{path}' is {taken[target]}; name another file")
         taken[target] = f"already written by {option}"
-        fault = _fault(target)
+        fault = target_fault(target)
         if fault:
             raise MultiarmError(f"{option}: cannot write '{path}': {fault}")
 
@@ -88,18 +86,6 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     write_text(path, text + "\n", "--json")
 
 
-def write_text(path: Path, text: str, option: str) -> None:
-    """Write a text file, complete or not at all.
-
-    Raises
-    ------
-    MultiarmError
-        The file cannot be written; the message names the ``option``.
-    """
-    with atomic_output(path, option) as partial:
-        partial.write_text(text, encoding="utf-8")
-
-
 def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
     """Read a scene to compile, and print which code it and a sweep over it name.
 
@@ -125,20 +111,3 @@ def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
         refuse_code(named)
     print_loaded(named)
     return scene
-
-
-def _fault(target: Path) -> str | None:
-    """Why a file cannot be written, with the remedy; None when it can."""
-    if not target.parent.is_dir():
-        return f"there is no folder '{target.parent}'; create it first"
-    if target.is_dir():
-        return "it is a folder; name a file in it"
-    if target.exists() and not target.is_file():
-        return "it is not an ordinary file; name one"
-    if target.exists() and not os.access(target, os.W_OK):
-        return "the file is write-protected; choose another name"
-    try:
-        create_empty(temporary_name(target)).unlink()
-    except OSError as error:
-        return f"{error.strerror or error}; choose a folder that you may write to"
-    return None

@@ -16,12 +16,12 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, scene_to_run, write_json, write_text
+from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.holding import carrying_rows, overload_warnings
 from multiarm.cli.options import JsonFile, NoCode, SceneFile, file_option, option
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.notation import count_of, number, numbers
-from multiarm.results.files import printable, save_figure
+from multiarm.results.files import printable, save_figure, write_text
 from multiarm.terminal.console import (
     columns,
     facts,

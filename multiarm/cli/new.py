@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from multiarm.cli.files import check_targets, write_text
+from multiarm.cli.files import check_targets
 from multiarm.cli.options import FILES, option, switch
 from multiarm.cli.schema import schema_text
 from multiarm.errors import MultiarmError
+from multiarm.results.files import write_text
 from multiarm.terminal.console import print_written
 
 __all__ = ["new"]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated
 
-from multiarm.cli.files import check_targets, scene_to_run, write_text
+from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.options import NoCode, SceneFile, switch
 from multiarm.errors import SceneError
+from multiarm.results.files import write_text
 from multiarm.terminal.console import output, print_written
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from multiarm.cli.files import check_targets, write_text
+from multiarm.cli.files import check_targets
 from multiarm.cli.options import file_option, switch
+from multiarm.results.files import write_text
 from multiarm.terminal.console import print_warnings, print_written
 
 __all__ = ["schema", "schema_text"]

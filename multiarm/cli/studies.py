@@ -15,7 +15,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import write_json
-from multiarm.results.files import save_figure, save_page
+from multiarm.results.files import printable, save_figure, write_text
 from multiarm.terminal.console import columns, print_written
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def draw_files(
     if plot is not None:
         save_figure(page.figure(study, *options), plot)
     if html is not None:
-        save_page(page.render(study, *options), html)
+        write_text(html, printable(page.render(study, *options)), "--html")
 
 
 def write_files(

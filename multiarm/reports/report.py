@@ -21,7 +21,7 @@ from multiarm.reports import pages
 from multiarm.reports.pages import heading
 from multiarm.reports.run_facts import COURSE, SETTINGS, course_facts, figures_of, motion_facts
 from multiarm.results.event_log import Event, Group, counts, grouped, who
-from multiarm.results.files import atomic_file, printable, resolved
+from multiarm.results.files import printable, resolved, write_text
 from multiarm.results.limit_use import (
     LIMITS,
     QUANTITIES,
@@ -59,14 +59,7 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
     """
     target = resolved(path, TrajectoryError)
     page = render(require_trajectory(trajectory, "ma.report(trajectory, path)"))
-    try:
-        with atomic_file(target) as partial:
-            partial.write_text(printable(page), encoding="utf-8")
-    except OSError as error:
-        raise TrajectoryError(
-            f"cannot write '{path}': {error.strerror or error}; "
-            "name a file in a folder that exists and that you may write to"
-        ) from error
+    write_text(target, printable(page), error=TrajectoryError)
     return target
 
 

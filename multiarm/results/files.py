@@ -75,20 +75,43 @@ def atomic_file(target: Path, partial: Path | None = None) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def target_fault(target: Path) -> str:
+    """Why a file cannot be written, with the remedy; empty where it can."""
+    if not target.parent.is_dir():
+        return f"there is no folder '{target.parent}'; create it first"
+    if target.is_dir():
+        return "it is a folder; name a file in it"
+    if target.exists() and not target.is_file():
+        return "it is not an ordinary file; name one"
+    if target.exists() and not os.access(target, os.W_OK):
+        return "the file is write-protected; choose another name"
+    try:
+        create_empty(temporary_name(target)).unlink()
+    except OSError as error:
+        return f"{error.strerror or error}; choose a folder that you may write to"
+    return ""
+
+
 @contextmanager
-def atomic_output(path: Path, option: str) -> Iterator[Path]:
-    """An :func:`atomic_file` for the path that a command-line option named.
+def atomic_output(
+    path: str | os.PathLike, option: str = "", error: type[MultiarmError] = MultiarmError
+) -> Iterator[Path]:
+    """An :func:`atomic_file` for a path that a user named, on the command line by an ``option``.
 
     Raises
     ------
     MultiarmError
-        It cannot be written; the message names the ``option``.
+        Of the type ``error``: it cannot be written; the message names path and option.
     """
     try:
-        with atomic_file(path.expanduser()) as partial:
+        with atomic_file(Path(path).expanduser()) as partial:
             yield partial
-    except OSError as error:
-        raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror or error}") from None
+    except OSError as problem:
+        where = f"{option}: " if option else ""
+        raise error(
+            f"{where}cannot write '{path}': {problem.strerror or problem}; name a file in a folder "
+            "that exists and that you may write to"
+        ) from problem
 
 
 def temporary_name(target: Path) -> Path:
@@ -109,16 +132,12 @@ def create_empty(path: Path) -> Path:
     return path
 
 
-def save_page(page: str, path: Path, option: str = "--html") -> None:
-    """Write an HTML page to the file that ``option`` names, with :func:`printable` text.
-
-    Raises
-    ------
-    MultiarmError
-        It cannot be written.
-    """
-    with atomic_output(path, option) as partial:
-        partial.write_text(printable(page), encoding="utf-8")
+def write_text(
+    path: str | os.PathLike, text: str, option: str = "", error: type[MultiarmError] = MultiarmError
+) -> None:
+    """Write a text file or a page, complete or not at all; raises as :func:`atomic_output`."""
+    with atomic_output(path, option, error) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path) -> None:

@@ -27,7 +27,7 @@ import h5py
 import numpy as np
 
 from multiarm.errors import MultiarmError
-from multiarm.results.files import resolved
+from multiarm.results.files import resolved, target_fault
 
 HDF5_ERRORS = (
     OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError,
@@ -195,17 +195,14 @@ class StoredFile:
             The folder is missing, or the path is a folder, a device or another kind of file.
         """
         target = resolved(path, cls.error)
-        if not target.parent.is_dir():
-            raise cls.error(
-                f"cannot write '{path}': there is no folder '{target.parent}'; create it first"
-            )
-        if target.is_dir():
-            raise cls.error(f"cannot write '{path}': it is a folder; name a file in it")
-        if target.exists() and not (cls.matches(target) and os.access(target, os.W_OK)):
+        if target.is_file() and not (cls.matches(target) and os.access(target, os.W_OK)):
             raise cls.error(
                 f"'{path}' exists and is not {cls.noun} that may be replaced: it is something "
                 "else, damaged or write-protected; move it away or choose another name"
             )
+        fault = target_fault(target)
+        if fault:
+            raise cls.error(f"cannot write '{path}': {fault}")
         return target
 
     def _open(self) -> None:

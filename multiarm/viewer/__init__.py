@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element, tostring
 
 from multiarm.errors import ReplayError
 from multiarm.public import in_notebook
-from multiarm.results.files import atomic_file, printable_texts, resolved
+from multiarm.results.files import printable_texts, resolved, target_fault, write_text
 from multiarm.scene.faults import shown
 
 if TYPE_CHECKING:
@@ -112,12 +112,15 @@ def replay(
             "a replay is either written to a file or served; leave out the file, or the address "
             "and port"
         )
-    target = None if path is None else _target(path)
+    target = None if path is None else resolved(path, ReplayError)
+    fault = "" if target is None else target_fault(target)
+    if fault:  # before the work
+        raise ReplayError(f"cannot write the replay to '{path}': {fault}")
     animation = animate(trajectory, fps=fps, speed=speed, meshes=meshes)
     commands = printable_texts(draw(animation, speed))
     page = render(commands, printable_texts(page_facts(animation, speed)))
     if target is not None:
-        _write(target, page)
+        write_text(target, page, error=ReplayError)
         return target
     if served:
         serve(page, LOOPBACK if host is None else host, port or 0, open_browser)
@@ -148,29 +151,3 @@ class InlineReplay:
         style = "width: 100%; height: 480px; border: 1px solid #ccc"
         frame = Element("iframe", srcdoc=self.page, style=style)
         return tostring(frame, encoding="unicode", method="html")
-
-
-def _target(path: str | os.PathLike) -> Path:
-    """Return the path of the page; raise before the work if it cannot be written."""
-    target = resolved(path, ReplayError)
-    if target.is_dir():
-        raise ReplayError(
-            f"cannot write the replay to {target}: it is a folder; name a file "
-            f"such as {target / 'replay.html'}"
-        )
-    if not target.parent.is_dir():
-        raise ReplayError(
-            f"cannot write the replay to {target}: there is no folder "
-            f"{target.parent}; create it first"
-        )
-    return target
-
-
-def _write(target: Path, page: str) -> None:
-    try:
-        with atomic_file(target) as partial:
-            partial.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise ReplayError(
-            f"cannot write the replay to {target}: {error.strerror or error}; choose another place"
-        ) from error

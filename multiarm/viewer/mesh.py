@@ -3,6 +3,7 @@
 Boxes, spheres and cylinders are meshes like those read from a file, so that one piece of code
 shades, tints, measures and sends them all. Solids of revolution share one generator: a profile
 (radius, height) turned about the z axis gives the cylinder, cone, sphere, capsule and arrow.
+(That of trimesh leaves out triangles below 1e-8 m^2, of which the marks of small objects consist.)
 
 Shading needs a normal per corner. Two faces around a vertex are smoothed together when the angle
 between them is below the crease angle, so that a tube looks round and the edges of a box stay
