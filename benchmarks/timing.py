@@ -20,8 +20,8 @@ from multiarm.errors import SolverError
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc, call_python
-from multiarm.studies.timing import one_thread
 from multiarm.tableaus import RK4
+from multiarm.threads import one_thread
 
 __all__ = [
     "Burst",

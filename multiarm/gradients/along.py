@@ -22,12 +22,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from itertools import chain
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.sensitivity import Derivatives
@@ -43,6 +42,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
 from multiarm.terminal.progress import Report
+from multiarm.threads import one_thread
 
 # The smallest relative error that is aimed at: evaluations are differentiated to about 1e-10.
 FINEST = 1e-8
@@ -249,7 +249,7 @@ class Along:
         SolverError
             When its error along the run is too large even so.
         """
-        with _thread_pools().limit(limits=1):  # the matrices are too small for several
+        with one_thread():  # the matrices are too small for several
             self._plan()
             self._resolve()
             solution = self._along_run(walk, show)
@@ -389,11 +389,6 @@ def _quality(error: float, tolerance: float, end: float) -> Quality:
         f"itself changes its derivatives by {error:.1g} of their size; end the run earlier, add "
         "damping, or ask for a smaller `accuracy`",
     )
-
-
-@cache
-def _thread_pools() -> ThreadpoolController:
-    return ThreadpoolController()  # looking for them takes as long as a short run
 
 
 def _show(show: Report, total: int, words: str, done: int) -> None:

@@ -38,8 +38,9 @@ from multiarm.simulation.comparison import compare, rotation_apart, undetermined
 from multiarm.simulation.inspection import active_effects
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
-from multiarm.studies.timing import clocked_run, one_thread
+from multiarm.studies.timing import clocked_run
 from multiarm.terminal.progress import Progress, Report, displayed
+from multiarm.threads import one_thread
 
 PRESENT, CANDIDATE, SETTING = "present", "candidate", "setting"
 """Kinds of entry: an effect of the scene, one that might be added, a setting of the run."""

@@ -1,11 +1,9 @@
-"""How the studies measure time: runs on a clock, on one thread."""
+"""How the studies measure time: runs on a clock."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from multiarm.dynamics.system import System
@@ -15,16 +13,6 @@ from multiarm.simulation.simulate import simulate
 
 class OutOfTime(Exception):
     """A run was ended by its time limit."""
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run linear algebra on one thread: everything else that is measured is single-threaded too."""
-    import scipy.linalg  # noqa: F401 - loaded before the limit, which binds loaded libraries only
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1):
-        yield
 
 
 def clocked_run(

@@ -61,8 +61,9 @@ from multiarm.studies.settings import (
     our_ladders,
     peer_ladders,
 )
-from multiarm.studies.timing import OutOfTime, clocked_run, one_thread
+from multiarm.studies.timing import OutOfTime, clocked_run
 from multiarm.terminal.progress import Progress, Report, displayed
+from multiarm.threads import one_thread
 
 COMPLETED, FAILED, TOO_SLOW = "completed", "failed", "too slow"
 LEVELS = tuple(float(f"1e-{k}") for k in range(1, 14))

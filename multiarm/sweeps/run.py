@@ -17,8 +17,6 @@ from functools import cache
 from typing import Any
 from uuid import uuid4
 
-from threadpoolctl import threadpool_limits
-
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
@@ -30,6 +28,7 @@ from multiarm.simulation.certified import INTERRUPTED
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import UserQuantity, measure
+from multiarm.threads import one_thread
 
 __all__ = ["Context", "Row", "lost_run", "prepare", "run", "simulate_run"]
 
@@ -92,7 +91,7 @@ def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
     began = time.perf_counter()
     numbers: dict[str, float | None] = {}
     try:
-        with threadpool_limits(1):  # workers share the processors already
+        with one_thread():  # workers share the processors already
             trajectory = _simulated(context, base, values)
         status, message = trajectory.status, trajectory.message
         if status == "completed":
@@ -124,7 +123,7 @@ def simulate_run(scene: Scene, certificate: bool) -> Trajectory:
         When it cannot begin.
     """
     system = compile_system(scene)
-    with threadpool_limits(1):
+    with one_thread():
         return simulate(system, certificate=certificate)
 
 

@@ -23,10 +23,10 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "notation", "errors", "public", "geometry", "jit", "spatial", "programs", "tableaus", "scene",
-    "results", "contacts", "arms", "dynamics", "control", "effects", "integration", "terminal",
-    "assembly", "events", "simulation", "linear", "gradients", "grasp", "sweeps", "plots",
-    "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
+    "notation", "errors", "public", "geometry", "jit", "spatial", "programs", "tableaus", "threads",
+    "scene", "results", "contacts", "arms", "dynamics", "control", "effects", "integration",
+    "terminal", "assembly", "events", "simulation", "linear", "gradients", "grasp", "sweeps",
+    "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
@@ -83,12 +83,12 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "scene.object",
         "sweeps.axes",
         "sweeps.plan",
-        "studies.timing",
+        "threads",
         "studies.pinocchio_peer",
         "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
-    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.run"),
+    "threadpoolctl": ("threads",),
     "trimesh": ("grasp.body.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),

@@ -32,6 +32,7 @@ from sweep_runs import (
     same,
     statuses,
 )
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import multiarm as ma
 from multiarm.errors import SweepError
@@ -39,6 +40,7 @@ from multiarm.sweeps import run as runs
 from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context, Row, simulate_run
+from multiarm.threads import one_thread
 
 NOTES = """
 from pathlib import Path
@@ -122,6 +124,23 @@ def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
     for thread in threads:
         thread.join()
     assert repeatable(rows) == expected
+
+
+def test_runs_at_the_same_time_leave_the_threads_of_linear_algebra_as_they_were():
+    """The run that began first ends first: it must not take the limit of the second away."""
+
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    with threadpool_limits(3, user_api="blas"):
+        before = threads()
+        first, second = one_thread(), one_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        during = threads()
+        second.__exit__(None, None, None)
+        assert (before, during, threads()) == ({3}, {1}, {3})
 
 
 def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
