@@ -20,13 +20,13 @@ from mechanics import (
     sledge_urdf,
     ur5_pair,
 )
+from random_scenes import random_scene
 from refusals import refused
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import EFFECTS
 from multiarm.errors import SceneError
-from multiarm.problems.random_scenes import random_scene
 
 MASS = 4.0  # [kg] sledge and object
 TIGHT = {"accuracy": 1e-9, "output_step": 0.01, "certificate": False}

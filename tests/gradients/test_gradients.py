@@ -19,6 +19,7 @@ from mechanics import (
     state_at,
     ur5_pair,
 )
+from random_scenes import random_scene
 from refusals import refused
 from repository import SCENES
 from scipy.integrate import quad
@@ -39,7 +40,6 @@ from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, Panel, Piec
 from multiarm.gradients.sensitivities import _Forward
 from multiarm.gradients.sensitivities import _solved as _forward
 from multiarm.gradients.variation import Parameter, Variation, displaced, displacement
-from multiarm.problems.random_scenes import random_scene
 from multiarm.scene.changes import value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]

@@ -23,6 +23,7 @@ from mechanics import (
     sledge_urdf,
     ur5_pair,
 )
+from random_scenes import random_scene
 from refusals import refused
 from repository import SCENES
 from scipy.linalg import expm, solve_continuous_are
@@ -47,7 +48,6 @@ from multiarm.linear.equilibrium import _Search
 from multiarm.linear.motion import modes_trajectory
 from multiarm.problems import HARD_CASES
 from multiarm.problems.loops import bricard_motion
-from multiarm.problems.random_scenes import random_scene
 
 G = 9.81
 CART, BOB, LEVER, TURNING = 3.0, 2.0, 0.4, 0.05  # [kg, kg, m, kg m^2]

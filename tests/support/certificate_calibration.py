@@ -19,11 +19,11 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from random_scenes import random_scene
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
-from multiarm.problems import random_scene
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import KINDS, LENGTHS, compare, undetermined_forces
