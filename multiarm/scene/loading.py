@@ -32,7 +32,7 @@ from multiarm.scene.faults import Parts, fault_at, place, shown
 from multiarm.scene.joints import JOINTS
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint, UnloadedJoint
-from multiarm.scene.registry import ByName, Code, Registry
+from multiarm.scene.registry import ByName, Registry
 from multiarm.scene.schema import Scene
 from multiarm.scene.surfaces import SURFACES
 from multiarm.scene.text import parse_yaml, read_text, written_yaml
@@ -74,7 +74,7 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
         data = parse_yaml(text)
         if isinstance(data, Mapping):
             data = {"name": path.stem.replace("_", " "), **data}
-        scene = Scene.from_mapping(data, path.resolve().parent, Code.LATER if code else Code.NEVER)
+        scene = Scene.from_mapping(data, path.resolve().parent, code)
         faults = [
             fault_at(parts, reason)
             for parts, reference, noun in _references(scene)
@@ -99,8 +99,7 @@ def parse_scene(
     folder : path, optional
         Where relative paths start; the current folder by default.
     code : bool
-        Whether the code that it names may be loaded: user classes now, functions by
-        :func:`multiarm.compile_system`. Without, user classes need not be installed.
+        As of :func:`load_scene`.
 
     Raises
     ------
@@ -108,7 +107,7 @@ def parse_scene(
         Naming every fault.
     """
     data = parse_yaml(source) if isinstance(source, str) else source
-    return Scene.from_mapping(data, folder, Code.NOW if code else Code.NEVER)
+    return Scene.from_mapping(data, folder, code)
 
 
 def dump_scene(scene: Scene) -> str:
@@ -122,7 +121,8 @@ def dump_scene(scene: Scene) -> str:
 # --- code that a scene names ----------------------------------------------------------------------
 
 
-_CONTROL, _EFFECTS = ("control",), ("effects",)
+PARTS = ("joints", "control", "effects")
+"""The parts of a scene that may name code."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def named_code(scene: Scene) -> list[NamedCode]:
     parts: list[tuple[Parts, Any, str | None]] = [
         (("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)
     ]
-    parts += [(_CONTROL, scene.control, None), (_EFFECTS, scene.effects, None)]
+    parts += [(("control",), scene.control, None), (("effects",), scene.effects, None)]
     named = []
     for where, part, arm in parts:
         for at, reference in function_references(part, where):
@@ -220,12 +220,8 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         raise SceneError(missing)
     if not (scene.may_load_code if allowed is None else allowed):
         refuse_code(named)
-    parts = {name: _plain(getattr(scene, name)) for name in ("joints", "control", "effects")}
-    scene = scene.revalidated({**dict(scene), **parts}, Code.NOW)
-    joints = loaded_functions(scene.joints, ("joints",))
-    control = loaded_functions(scene.control, _CONTROL)
-    effects = loaded_functions(scene.effects, _EFFECTS)
-    return scene.replace(joints=joints, control=control, effects=effects)
+    scene = _with_classes(scene)
+    return scene.replace({part: loaded_functions(getattr(scene, part), (part,)) for part in PARTS})
 
 
 def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
@@ -247,7 +243,7 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
         control = ControlKind(kind=control.kind)
     effects = {name: value for name, value in effects.items() if name not in unloaded}
     parts = {"joints": joints, "control": control, "effects": effects}
-    return scene.revalidated({**dict(scene), **parts}, Code.NEVER), left
+    return scene.revalidated({**dict(scene), **parts}, code=False), left
 
 
 def loaded_functions(value: Any, parts: Parts = ()) -> Any:
@@ -287,6 +283,34 @@ def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[_Unloaded]:
                     yield (*where, name), part.registry, name
 
 
+def _with_classes(scene: Scene) -> Scene:
+    """The scene with its user classes loaded, which validate their parameters.
+
+    Raises
+    ------
+    SceneError
+        When some cannot be loaded, or refuse their parameters: each with its place.
+    """
+    classes: dict[tuple[str, str], type] = {}
+    while unloaded := {
+        (registry.sort, name): (parts, registry)
+        for part in PARTS
+        for parts, registry, name in _unloaded_classes(getattr(scene, part), (part,))
+        if (registry.sort, name) not in classes
+    }:  # once more where parameters of a class name further ones
+        faults = []
+        for (sort, name), (parts, registry) in unloaded.items():
+            try:
+                classes[sort, name] = registry.load(name)
+            except ModelError as error:
+                faults.append(fault_at(parts, str(error)))
+        if faults:
+            raise SceneError(faults)
+        tables = {part: _plain(getattr(scene, part)) for part in PARTS}
+        scene = scene.revalidated({**dict(scene), **tables}, True, classes)
+    return scene
+
+
 def _plain(value: Any) -> Any:
     """A part of a scene as tables and lists, to be validated again."""
     if isinstance(value, BaseModel):
@@ -296,7 +320,7 @@ def _plain(value: Any) -> Any:
 
 def _references(scene: Scene) -> Iterator[tuple[Parts, CodeReference, str]]:
     """The functions and classes of files and modules that a scene names, with their places."""
-    for name in ("joints", "control", "effects"):
+    for name in PARTS:
         part = getattr(scene, name)
         for parts, reference in function_references(part, (name,)):
             yield parts, reference, "function"

@@ -14,10 +14,9 @@ A name that is none of ours is looked for
 3. in a file or module, where the name is written as that of a function is:
    ``effects: {"magnet.py:Magnet": {strength: 2}}``, ``kind: "hinges.py:Hinge"``.
 
-A scene that is made in Python loads the classes that it names.  Reading a scene file imports no
-package and runs no file: until a system is compiled, the parameters of such a class stay as they
-are written (:class:`Code`).  The class validates the parameters, and every fault has its place, as
-for our own classes.
+Reading a scene imports no package and runs no file: the parameters of a class that is not
+registered stay as they are written until a system is compiled.  The class then validates them, and
+every fault has its place, as for our own classes.
 
 To the registry, a class is a name, a model of its parameters, and a class method ``lacks()`` that
 says in words what it lacks to be of its sort; empty when nothing is missing.  A part of a scene
@@ -29,7 +28,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import reduce
 from importlib import metadata
 from operator import or_
@@ -70,12 +68,8 @@ Kind = TypeVar("Kind")
 AnyClass = TypeVar("AnyClass", bound=type)
 
 
-class Code(Enum):
-    """When a user class that is not known yet is loaded: ``context["code"]`` of validators."""
-
-    NOW = "when it is named: it validates its parameters"
-    LATER = "when a system is compiled; until then it must be offered, and its parameters wait"
-    NEVER = "the scene is looked at only; it need not be installed"
+Classes = Mapping[tuple[str, str], type]
+"""User classes that were loaded for a scene, by their sort and name."""
 
 
 class OwnSpec(Spec):
@@ -235,21 +229,27 @@ class Registry(Generic[Kind]):
         self.registered[name] = user_class
         return user_class
 
-    def load(self, reference: CodeReference) -> type[Kind]:
-        """The class to which a reference leads, as its file is now.
+    def load(self, name: str) -> type[Kind]:
+        """The class of a name, from its package, or from its file as that is now.
 
-        One that is named by ``kind`` gets the reference as its kind.
+        One of a file that is named by ``kind`` gets the reference as its kind.
 
         Raises
         ------
         ModelError
-            See :func:`multiarm.scene.code.load_code`; it is no class of this sort.
+            There is none; it cannot be loaded (:func:`multiarm.scene.code.load_code`), or is no
+            class of this sort.
         """
-        user_class: Any = load_code(reference, "class")
+        if not is_reference(name):
+            offered = self.find(name)
+            if offered is None:
+                raise ModelError(self.unknown(name))
+            return offered
+        user_class: Any = load_code(CodeReference(name), "class")
         self._check(user_class, "cannot be used")
         if issubclass(user_class, OwnKind):
-            user_class = _with_kind(user_class, str(reference))
-        self.registered[str(reference)] = user_class
+            user_class = _with_kind(user_class, name)
+        self.registered[name] = user_class
         return user_class
 
     def names(self) -> list[str]:
@@ -291,8 +291,6 @@ class Registry(Generic[Kind]):
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""
         assert self.not_loaded is not None, "the sort is named by 'kind'"
         if isinstance(value, OwnKind) and value.class_sort == self.sort:
-            if isinstance(value, self.not_loaded) and _code(info) is Code.NOW:
-                return self._read_user(written(value), info)
             return value
         if not isinstance(value, (Mapping, Spec)):
             return ours(value)
@@ -323,22 +321,20 @@ class Registry(Generic[Kind]):
         return str(CodeReference(name).located(folder))
 
     def class_for(self, name: str, info: ValidationInfo) -> type[Kind] | None:
-        """The class that a scene names; None where it is not to be loaded, see :class:`Code`."""
-        code = _code(info)
-        try:
-            if is_reference(name):
-                return self.load(CodeReference(name)) if code is Code.NOW else None
-            if name in self.registered or code is Code.NOW:
-                user_class = self.find(name)
-            elif code is Code.NEVER or self.offers(name):
-                return None
-            else:
-                user_class = None
-        except ModelError as error:
-            raise fault(str(error)) from None
-        if user_class is None:
+        """The class that a scene names; None where it is not loaded yet.
+
+        The context of validators has the ``classes`` that were loaded for the scene, and whether
+        it may name ``code``: then a name must be that of a class that can be loaded.
+        """
+        context = info.context or {}
+        loaded: Classes = context.get("classes", {})
+        if (self.sort, name) in loaded:
+            return loaded[self.sort, name]
+        if name in self.registered and not is_reference(name):  # a file is read again
+            return self.registered[name]
+        if context.get("code", True) and not self.offers(name):
             raise fault(self.unknown(name))
-        return user_class
+        return None
 
     def validated(
         self, name: str, model: Any, value: Any, info: ValidationInfo, *where: str
@@ -388,10 +384,6 @@ def _with_kind(user_class: type[OwnKind], kind: str) -> Any:
         __doc__=user_class.__doc__,
         kind=field,
     )
-
-
-def _code(info: ValidationInfo) -> Code:
-    return (info.context or {}).get("code", Code.NOW)
 
 
 class _Named(NamedTuple):

@@ -45,7 +45,7 @@ from multiarm.scene.joints import JointSpec, pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.object import ObjectSpec
-from multiarm.scene.registry import Code, called
+from multiarm.scene.registry import Classes, called
 from multiarm.scene.run import RunSpec
 from multiarm.scene.trunks import Robot, robot_faults, robot_warnings, robots_of
 from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
@@ -53,7 +53,7 @@ from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
 _Examined = dict[str, tuple[ArmSpec, Examination]]
 """Arms by name, with their facts."""
 _Context = dict[str, Any]
-"""What validators know: where relative paths start, and a :class:`Code`."""
+"""What validators know: where relative paths start, whether code may be named, user classes."""
 
 
 class Scene(Spec):
@@ -101,7 +101,7 @@ class Scene(Spec):
     run: RunSpec = Field(default_factory=RunSpec)
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
-    _code: Code = PrivateAttr(default=Code.NOW)
+    _may_load_code: bool = PrivateAttr(default=True)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
     _robots: tuple[Robot, ...] = PrivateAttr(default=())
     _examined: _Examined = PrivateAttr(default_factory=dict)
@@ -116,7 +116,7 @@ class Scene(Spec):
         cls,
         data: Mapping[str, Any],
         folder: Path | str | None = None,
-        code: Code = Code.NOW,
+        code: bool = True,
     ) -> Self:
         """The scene that ``data``, such as a parsed YAML file, describes.
 
@@ -125,9 +125,9 @@ class Scene(Spec):
         data : mapping
         folder : path, optional
             Where relative paths start; the current folder by default.
-        code : Code
-            When the user classes that it names are loaded, if ever.  Functions are loaded when a
-            system is compiled, if ever.
+        code : bool
+            Whether the functions and classes that it names may be loaded when a system is compiled;
+            without, the classes need not be installed.
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
@@ -144,9 +144,6 @@ class Scene(Spec):
 
     def replace(self, changes: Mapping[str, Any] | None = None, /, **parts: Any) -> Self:
         """The scene with other values at some places, all parts validated together.
-
-        User classes that it names are loaded when those of this scene are: a scene from a file
-        loads them when it is compiled.
 
         Parameters
         ----------
@@ -167,17 +164,22 @@ class Scene(Spec):
             raise SceneError(f"must be a table 'path: value', got {shown(changes)}")
         data, faults = with_changes(self, {**(changes or {}), **parts})
         try:
-            scene = self.revalidated(data, self._code)
+            scene = self.revalidated(data, self._may_load_code)
         except SceneError as error:
             faults += error.faults
         if faults:
             raise SceneError(faults)
         return scene
 
-    def revalidated(self, data: Mapping[str, Any], code: Code) -> Self:
-        """The scene with other data; arms that are as they were are not examined again."""
+    def revalidated(
+        self, data: Mapping[str, Any], code: bool, classes: Classes | None = None
+    ) -> Self:
+        """The scene with other data, whose user ``classes`` are those that were loaded for it.
+
+        Arms that are as they were are not examined again.
+        """
         scene = type(self).__new__(type(self))
-        scene._fill(data, self.folder, code, self._examined)
+        scene._fill(data, self.folder, code, classes, self._examined)
         return scene
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
@@ -193,7 +195,7 @@ class Scene(Spec):
     @property
     def may_load_code(self) -> bool:
         """Whether the functions and classes that it names may be loaded when it is compiled."""
-        return self._code is not Code.NEVER
+        return self._may_load_code
 
     @property
     def warnings(self) -> list[str]:
@@ -250,7 +252,8 @@ class Scene(Spec):
         self,
         data: Mapping[str, Any],
         folder: Path | str | None,
-        code: Code = Code.NOW,
+        code: bool = True,
+        classes: Classes | None = None,
         examined: _Examined | None = None,
     ) -> None:
         if folder is not None and not isinstance(folder, (str, Path)):
@@ -259,7 +262,7 @@ class Scene(Spec):
                 "Scene(object=..., arms=..., joints=...)"
             )
         folder = Path(folder or ".").expanduser().resolve()
-        context = {"folder": folder, "code": code}
+        context = {"folder": folder, "code": code, "classes": classes or {}}
         faults: list[Fault] = []
         try:
             self.__pydantic_validator__.validate_python(data, self_instance=self, context=context)
@@ -270,7 +273,7 @@ class Scene(Spec):
         findings = _check(parts, examined or {})
         if faults or findings.faults:
             raise SceneError([*faults, *findings.faults])
-        self._folder, self._code = folder, code
+        self._folder, self._may_load_code = folder, code
         self._warnings, self._examined = tuple(findings.warnings), findings.examined
         self._robots = findings.robots
 

@@ -22,7 +22,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.files import printable
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene
+from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene, with_code
 from multiarm.scene.code import CodeReference, is_reference, load_function
 from multiarm.simulation.certified import INTERRUPTED
 from multiarm.simulation.simulate import simulate
@@ -166,6 +166,7 @@ def prepare(context: Context) -> Base:
     scene = parse_scene(context.scene, context.folder)
     system: System | None = None
     try:
+        scene = with_code(scene)  # once, not for every run
         system = compile_system(scene)
         # compiles or loads whatever the first use of it needs
         short = min(scene.run.duration, scene.run.output_step)

@@ -15,9 +15,9 @@ from user_classes import empty_registries, offered
 
 import multiarm as ma
 from multiarm.effects.defaults import defaults
-from multiarm.scene import EFFECTS, dump_scene, parse_scene
+from multiarm.scene import EFFECTS, dump_scene, parse_scene, with_code
 
-RING = parse_scene((SCENES / "ring_weld.yaml").read_text(), SCENES)  # loads classes at once
+RING = parse_scene((SCENES / "ring_weld.yaml").read_text(), SCENES)
 
 
 @pytest.fixture(autouse=True)
@@ -339,8 +339,9 @@ NOT_A_CLASS = 3
 )
 def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
     offered(monkeypatch, f"effects spring {value}")
+    scene = RING.replace(effects={"spring": {"stiffness": 2.0}})  # which loads nothing
     with pytest.raises(ma.MultiarmError) as caught:
-        RING.replace(effects={"spring": {"stiffness": 2.0}})
+        ma.compile_system(scene)
     assert len(caught.value.faults) == 1
     assert caught.value.faults[0].startswith("$.effects.spring: ")
     assert message in caught.value.faults[0]
@@ -349,14 +350,14 @@ def test_a_broken_package_is_one_clear_fault(value, message, monkeypatch):
 def test_an_effect_must_have_the_name_that_its_package_offers(monkeypatch):
     offered(monkeypatch, f"effects sprung {__name__}:Spring")
     with refused(ma.MultiarmError, "'spring'"):
-        RING.replace(effects={"sprung": {"stiffness": 2.0}})
+        ma.compile_system(RING.replace(effects={"sprung": {"stiffness": 2.0}}))
 
 
 def test_two_packages_with_one_name_are_ambiguous(monkeypatch):
     values = [f"{__name__}:Spring", f"{__name__}:Other"]
     offered(monkeypatch, *(f"effects spring {value}" for value in values))
     with refused(ma.MultiarmError, "'spring'"):
-        RING.replace(effects={"spring": {"stiffness": 2.0}})
+        ma.compile_system(RING.replace(effects={"spring": {"stiffness": 2.0}}))
 
 
 def test_registering_refuses_names_that_are_taken(monkeypatch):
@@ -433,7 +434,7 @@ def test_the_package_of_the_example_offers_effects_that_scenes_can_name(package,
     assert list(points) == ["magnet", "compiled_magnet"]
     offered(monkeypatch, *(f"effects {name} {value}" for name, value in points.items()))
     for name in points:
-        scene = RING.replace(effects={name: {"at": [0, 0, 1], "strength": 1.0}})
+        scene = with_code(RING.replace(effects={name: {"at": [0, 0, 1], "strength": 1.0}}))
         assert type(scene.effects.named[name]) is package.Magnet.Spec
 
 

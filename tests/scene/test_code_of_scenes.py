@@ -14,7 +14,7 @@ from user_classes import empty_registries
 import multiarm as ma
 from multiarm.assembly.compilation import compile_for_inspection
 from multiarm.errors import SceneError
-from multiarm.scene import EFFECTS, dump_scene, load_scene, named_code, parse_scene
+from multiarm.scene import EFFECTS, dump_scene, load_scene, named_code, parse_scene, with_code
 
 CLASSES = """
 from __future__ import annotations
@@ -102,7 +102,7 @@ def test_a_class_of_a_file_is_loaded_when_the_scene_is_compiled(sort, folder):
     assert caught.value.faults[0].startswith(f"{code.place}: ")
     loaded = ma.compile_system(scene, assemble=False).scene
     assert named_code(loaded) == []
-    assert parse_scene(dump_scene(loaded)) == loaded
+    assert with_code(parse_scene(dump_scene(loaded))) == loaded
     assert dump_scene(loaded) == dump_scene(scene)
 
 
