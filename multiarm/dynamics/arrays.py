@@ -17,7 +17,9 @@ from multiarm.dynamics.guards import Guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
+from multiarm.dynamics.solver.solution import UNSOLVED, Solution
 from multiarm.jit.kernels import inlined
+from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import (
     Flag,
     Float,
@@ -31,6 +33,11 @@ from multiarm.jit.structs import (
     struct_of,
     view,
 )
+
+# Columns of ``Constants.control``, ``sampled`` and ``effects``: address of a function, index of its
+# first number or array in the system's struct, address of its derivative (0: none); of effects,
+# whether it is a user's that knows the state alone.
+ADDRESS, NUMBERS_AT, DERIVATIVE, STATE_ALONE = range(4)
 
 # Numbers of a tip in ``Variables.tips``.
 TIP_WIDTH = 13
@@ -60,16 +67,14 @@ class Constants(NamedTuple):
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
-    # (k, 3) address of each control law, index of its first number in the system's struct, address
-    # of its derivative (0: none), see multiarm.dynamics.control_laws
+    # (k, 3) the control laws by columns from ``ADDRESS`` on, see multiarm.dynamics.control_laws
     control: Ints2
     # (k, 3) the laws of a control that is sampled; whether its torques act one sample later, see
     # multiarm.dynamics.held_control
     sampled: Ints2
     sample_delay: Flag
-    # (k, 4): address of each effect's kernel, index of its first array in the system's struct,
-    # address of its derivative (0: none), whether it knows the state alone; in the order of the
-    # phases, and the end of each phase, see multiarm.dynamics.effect_kernels
+    # (k, 4) the effects by the same columns, in the order of the phases, and the end of each phase,
+    # see multiarm.dynamics.effect_kernels
     effects: Ints2
     passive_end: Int
     actuator_end: Int
@@ -91,17 +96,30 @@ class Time(Numbers):
 
 
 class Status(Numbers):
-    """How the equations were solved last."""
+    """What evaluations and projections leave behind beside arrays."""
 
     failed: Flag  # a Python function that compiled code called has raised an exception
-    ambiguous: Flag  # with friction: other accelerations meet the equations, too
-    rank: Int  # of the constraints
-    coupled_arms: Int  # arms in the coupled system
-    residual: Float  # largest constraint residual, relative to the largest term
-    imbalance: Float  # residual of the object's equation, relative to the largest force in it
     position_change: Float  # largest change of a coordinate by the last projection [m, rad]
     velocity_change: Float  # the same of the velocities [m/s, rad/s]
     potential_energy: Float  # of Pinocchio's arms [J], at samples only
+
+
+class Check(Numbers):
+    """Largest residuals of a result, see :mod:`multiarm.dynamics.residuals`."""
+
+    arm: Float  # of the arms' equations [N m, N]
+    on_object: Float  # [N, N m]
+    constraint: Float  # [m/s^2]
+    gap: Float  # [m]
+    gap_rate: Float  # [m/s]
+    solved: Flag  # whether the result is a solution
+
+
+class LastStep(Numbers):
+    """The solution at the end of the last step, beside ``Variables.lost`` and ``signs``."""
+
+    known: Flag  # there is one: a run has begun
+    rank: Int
 
 
 # When the laws of a control that can be held are evaluated: not at all, at the next evaluation, at
@@ -165,6 +183,9 @@ class Variables(NamedTuple):
 
     time: Time
     status: Status
+    solution: Solution
+    check: Check
+    last_step: LastStep
     interpolation: Interpolation
     functions: Functions
     pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
@@ -239,9 +260,17 @@ class Variables(NamedTuple):
     kept_configuration: Floats1
     kept_velocity: Floats1
     mixed: Floats1
-    lost: Ints1  # (n + 1,) directions that each arm has lost at the end of the last step; the rank
+    # (n,) arms that could not be eliminated as a whole, where ``solution`` has any; arms whose
+    # contact forces take part in a motion that is not unique, where it has one
+    coupled_arms: Ints1
+    loose_arms: Ints1
+    lost: Ints1  # (n,) directions that each arm has lost at the end of the last step
     signs: Floats1  # (n,) sign of the determinant of each arm (0: unknown)
     passed: Ints1  # (n,) whether it has changed
+
+
+# Whole numbers of each arm.
+_OF_ARMS = "coupled_arms", "loose_arms", "lost", "passed"
 
 
 def make_variables(
@@ -274,6 +303,9 @@ def make_variables(
     return Variables(
         time=Time(),
         status=Status(),
+        solution=UNSOLVED.copy(),
+        check=Check(),
+        last_step=LastStep(),
         interpolation=Interpolation(),
         functions=Functions(),
         modes=ModeStructs(),
@@ -281,8 +313,7 @@ def make_variables(
         pointers=pointers,
         link_poses=np.zeros(0, dtype=np.int64),
         coordinates=np.full((arms, 6), np.nan),
-        lost=np.zeros(arms + 1, dtype=np.int64),
-        passed=np.zeros(arms, dtype=np.int64),
+        **{name: np.zeros(arms, np.int64) for name in _OF_ARMS},
         **{name: np.zeros(shape) for name, shape in shapes.items()},
         **stacked_vectors(layout),
         **row_variables(constants, layout),
@@ -368,3 +399,12 @@ def open_system(struct):
 def open_data(struct):
     """The view ``data`` alone."""
     return _open_variables(struct)
+
+
+@inlined
+def call_listed(table, k, column, struct, data):
+    """Call function ``k`` of ``Constants.control``, ``sampled`` or ``effects``, or its derivative.
+
+    ``column`` is ``ADDRESS`` or ``DERIVATIVE``.
+    """
+    call_cfunc(table[k, column], struct, float(table[k, NUMBERS_AT]), data.time.now)

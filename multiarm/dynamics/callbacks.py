@@ -13,6 +13,7 @@ To detect this, the arguments and results of calls 1, 2, 4, 8 ... are recorded a
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import NodeWork
+from multiarm.dynamics.solver.solution import DENSE, write_solution
 from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.errors import USER_FAULTS, ControlError, MultiarmError, SolverError
 from multiarm.jit.kernels import cfunc
@@ -220,8 +222,9 @@ class DenseSolver:
         b.a_o[:] = solution.object_acceleration
         b.a_j[:] = np.concatenate(solution.joint_accelerations)
         b.force[:] = np.concatenate(solution.contact_forces)
-        b.status.rank, b.status.coupled_arms = solution.rank, 0
-        b.status.ambiguous = not solution.motion_unique
+        write_solution(b, DENSE, 0, b.force.size - solution.rank, math.inf, solution.motion_unique)
+        b.loose_arms[:] = 0
+        b.loose_arms[list(solution.loose_arms)] = 1
 
     def _by_arm(self, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
         rows = self.work.rows

@@ -64,7 +64,8 @@ def place_state(data: Data, t: float, state: State) -> None:
     Newton's method starts from the contacts of the start, and where that fails from many points.
     """
     data.set_state(t, state)
-    if not (data.model.constants.codes[:, KIND] == PAIR).any():
+    constants = data.model.constants
+    if not len(constants.shapes) or not (constants.codes[:, KIND] == PAIR).any():
         return
     status = update_kinematics(data.struct)
     if status == OK and np.all(np.isfinite(data.arrays.contacts)):

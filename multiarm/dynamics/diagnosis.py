@@ -66,8 +66,8 @@ def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
     if hold is None:
         return ()
     _, sizes, turned = np.linalg.svd(hold.torques)
-    kept = int(np.sum(sizes > LITTLE * sizes[0])) if sizes[0] > 0.0 else 0
-    return _lost_motions(hold, hold.basis @ turned[kept:].T, float(sizes[0]))
+    rank = int(np.sum(sizes > LITTLE * sizes[0])) if sizes[0] > 0.0 else 0
+    return _lost_motions(hold, hold.basis @ turned[rank:].T, float(sizes[0]))
 
 
 def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ...]:
@@ -82,10 +82,10 @@ def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ..
     wrenches = hold.wrenches @ directions
     size = np.linalg.norm(hold.wrenches, 2)
     space, sizes, _ = np.linalg.svd(wrenches, full_matrices=False)
-    kept = int(np.sum(sizes > NONE * size * np.linalg.norm(directions)))
-    named = _lost_motions(hold, space[:, :kept], float(np.linalg.norm(hold.torques, 2)))
+    rank = int(np.sum(sizes > NONE * size * np.linalg.norm(directions)))
+    named = _lost_motions(hold, space[:, :rank], float(np.linalg.norm(hold.torques, 2)))
     words = tuple(lost.words for lost in named)
-    if kept < directions.shape[1]:
+    if rank < directions.shape[1]:
         words += ("contacts that say the same twice",)
     return words
 
@@ -148,13 +148,13 @@ def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
 def _redundant(data: Evaluated, arm: str) -> tuple[str, ...]:
     """Contacts that depend on each other."""
     space = null_space(joint_wrenches(data, arm).T)
-    own_contacts = [row for row in data.model.contacts[arm] if isinstance(row, Contact)]
-    names = [contact.name for contact in own_contacts]
+    names = [row.name for row in data.model.contacts[arm] if isinstance(row, Contact)]
     many = len(names) - space.rank
     if not many:
         return ()
     text = f"{many} of {len(names)} contacts too many"
-    among = [n for n, own in zip(names, space.untouched, strict=True) if not own]
+    pairs = zip(names, space.untouched, strict=True)
+    among = [name for name, independent in pairs if not independent]
     if len(among) == len(names):
         return (text,)
     for count in range(len(among), 0, -1):
@@ -247,13 +247,13 @@ def _reach(axes: list[_Axis], place: np.ndarray) -> tuple[np.ndarray, list[np.nd
     return shoulder, [*wrists, place]
 
 
-def _closest(one: _Axis, other: _Axis) -> np.ndarray:
-    """Point of an axis that is closest to another one; if they are parallel, to the tip."""
-    across = _cross(one.direction, other.direction)
+def _closest(axis: _Axis, second: _Axis) -> np.ndarray:
+    """Point of an axis that is closest to a second one; if they are parallel, to the tip."""
+    across = _cross(axis.direction, second.direction)
     if np.linalg.norm(across) < ALIKE:
-        return one.point
-    way = _cross(other.point - one.point, other.direction) @ across / (across @ across)
-    return one.point + way * one.direction
+        return axis.point
+    way = _cross(second.point - axis.point, second.direction) @ across / (across @ across)
+    return axis.point + way * axis.direction
 
 
 def _line(axis: np.ndarray, offset: np.ndarray, length: float) -> np.ndarray:

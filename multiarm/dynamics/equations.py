@@ -23,14 +23,20 @@ from __future__ import annotations
 import math
 
 from multiarm.arms.compiled.tables import energy_of_arms
-from multiarm.arms.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
+from multiarm.arms.terms import BIAS_AT, GRAVITY_AT
 from multiarm.contacts.kernel import (
     GAP,
     GAP_BIAS,
     GAP_RATE,
     write_row,
 )
-from multiarm.dynamics.arrays import open_coupled, open_data, open_system
+from multiarm.dynamics.arrays import (
+    ADDRESS,
+    call_listed,
+    open_coupled,
+    open_data,
+    open_system,
+)
 from multiarm.dynamics.kinematics import (
     arm_rows,
     arm_terms,
@@ -43,6 +49,7 @@ from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.node import eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
+from multiarm.dynamics.solver.solution import SPLIT, WHOLE, write_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -171,8 +178,7 @@ def control_torques(struct, laws, model, data):
     """Let a number of control laws write ``data.torque``."""
     clear(data.torque)
     for k in range(laws):
-        law, at = model.control[k, 0], float(model.control[k, 1])
-        call_cfunc(law, struct, at, data.time.now)
+        call_listed(model.control, k, ADDRESS, struct, data)
 
 
 @inlined
@@ -200,8 +206,7 @@ def applied_forces(struct, model, data, power):
 def call_effects(first, end, struct, model, data):
     """Call the effects of one phase, rows ``first`` to ``end`` of ``Constants.effects``."""
     for k in range(first, end):
-        effect = model.effects[k]
-        call_cfunc(effect[0], struct, float(effect[1]), data.time.now)
+        call_listed(model.effects, k, ADDRESS, struct, data)
 
 
 @inlined
@@ -218,18 +223,17 @@ def solve(address, size, _a, _b):
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.dense:
-        open_coupled(struct).status.arms = 0
         call_python(data.functions.dense)
-        data.status.imbalance = imbalance(data, data.Wo)
+        data.solution.imbalance = imbalance(data, data.Wo)
         return CALLBACK_FAILED if data.status.failed else OK
     result = solve_batched(
         work, data.Wo, data.inertia, data.f_o, data.f_j, data.c, data.a_o,
         data.a_j, data.force,
     )  # fmt: skip
     if result == OK:
-        open_coupled(struct).status.arms = 0
-        data.status.imbalance = imbalance(data, data.Wo)
-        if data.status.imbalance <= IMBALANCE_BOUND:
+        write_solution(data, WHOLE, 0, 0, math.inf, 1)
+        data.solution.imbalance = imbalance(data, data.Wo)
+        if data.solution.imbalance <= IMBALANCE_BOUND:
             return OK
     return call_cfunc(data.functions.coupled, struct, 0.0, 0.0)
 
@@ -245,9 +249,9 @@ def solve_deficient(address, size, decompose_all, _b):
     _, data, work = open_system(struct)
     coupled = open_coupled(struct)
     status = solve_by_arms(data, work, coupled, decompose_all != 0.0)
-    if status != OK or data.status.imbalance <= IMBALANCE_BOUND:
+    if status != OK or data.solution.imbalance <= IMBALANCE_BOUND:
         return status
-    if decompose_all != 0.0 or coupled.status.arms == data.pointers.shape[0]:
+    if decompose_all != 0.0 or data.solution.coupled_arms == data.pointers.shape[0]:
         return status
     return solve_by_arms(data, work, coupled, True)
 
@@ -263,8 +267,21 @@ def solve_by_arms(data, work, coupled, decompose_all):
     if not pivot > 0.0:
         return data.pointers.shape[0] if pivot == pivot else NOT_FINITE
     solve_coupled(work, coupled, data.f_o, data.f_j, data.c, data.a_o, data.a_j, data.force)
-    data.status.imbalance = imbalance(data, data.Wo)
+    write_coupled_solution(data, coupled)
+    data.solution.imbalance = imbalance(data, data.Wo)
     return OK
+
+
+@inlined
+def write_coupled_solution(data, coupled):
+    """What the solver of deficient arms has found out; all arms may turn out to be regular."""
+    status = coupled.status
+    if status.arms == 0:
+        write_solution(data, WHOLE, 0, 0, math.inf, 1)
+        return
+    for i in range(data.coupled_arms.size):
+        data.coupled_arms[i] = coupled.deficient[i]
+    write_solution(data, SPLIT, status.arms, status.unknowns - status.rank, status.margin, 1)
 
 
 @kernel
@@ -289,26 +306,6 @@ def write_general_row(address, size, row, arm):
         data.functions.surface, data.contacts, data.parts, data.query, data.places, data.located,
     )  # fmt: skip
     return OK
-
-
-@kernel
-def kinetic_energy(data, work):
-    """Kinetic energy of arms and object [J] at the last evaluated state."""
-    energy = 0.0
-    for i in range(data.pointers.shape[0]):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        stride = data.pointers[i, M_STRIDE]
-        M = floats_at(data.pointers[i, M_AT], d * stride)
-        for a in range(d):
-            va = data.v[d0 + a]
-            energy += 0.5 * M[a * stride + a] * va * va
-            for b in range(a):
-                energy += M[a * stride + b] * va * data.v[d0 + b]
-    twist = data.twist
-    for a in range(6):
-        for b in range(6):
-            energy += 0.5 * twist[a] * data.inertia[a, b] * twist[b]
-    return energy
 
 
 @kernel

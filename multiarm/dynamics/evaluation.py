@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TypeVar
+from types import SimpleNamespace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
-from multiarm.dynamics.arrays import Variables
+from multiarm.dynamics.arrays import Check
 from multiarm.dynamics.contact_geometry import (
     constraint_matrix,
     contact_terms,
@@ -38,8 +39,8 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.solver.node import NodeWork
-from multiarm.dynamics.solver.singular import CoupledWork, loose_rows
+from multiarm.dynamics.solver.singular import loose_rows
+from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
 from multiarm.geometry.records import Contact
@@ -48,7 +49,6 @@ from multiarm.public import facts_html, public_names
 from multiarm.scene.values import SURROUNDINGS
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
-Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)
 
 
 @dataclass(frozen=True)
@@ -81,13 +81,16 @@ def residuals_of(
 
     ``generalised_forces`` (6 + n,) and ``c`` (N,) are the right-hand sides.
     """
-    largest = np.empty(3)
-    write_residuals(data.struct, acceleration, generalised_forces, force, c, largest)
-    return Residuals(*largest.tolist())
+    write_residuals(data.struct, acceleration, generalised_forces, force, c)
+    return _residuals(data.arrays.check)
 
 
-# Variables that a snapshot copies: always, and where some arm could not be eliminated as a whole or
-# the dense solver was used.
+def _residuals(check: Check) -> Residuals:
+    return Residuals(check.arm, check.on_object, check.constraint)
+
+
+# What a snapshot copies of the variables: always, and where some arm could not be eliminated as a
+# whole or the dense solver was used.
 _MOTION = ("arms", "body", "contacts", "parts", "Wo")
 _COORDINATES = ("angles", "inertia")
 
@@ -95,23 +98,25 @@ _COORDINATES = ("angles", "inertia")
 class Snapshot:
     """Copies of the arrays of a Data after an evaluation, for results that are computed later.
 
-    It has the attributes of the Data.  Of a ``regular`` one, in which all arms were eliminated as a
-    whole, only motion and contacts are copied; the other arrays are shared with the Data, which
-    other evaluations overwrite.
+    It has those of the Data's attributes and arrays that these results need: of a ``regular`` one,
+    in which all arms were eliminated as a whole, motion and contacts alone.
     """
 
+    work: Any
+    coupled: Any
+
     def __init__(self, data: Data) -> None:
-        self.model = data.model
-        self.regular = not (data.model.constants.dense or data.coupled.status.arms)
+        self.model, solution = data.model, data.arrays.solution
+        self.dense = solution.elimination == Elimination.DENSE
+        self.regular = not (self.dense or solution.coupled_arms)
         self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
-        self.work, self.coupled = data.work, data.coupled
         if not self.regular:
             self.work = _copied(data.work, ("rows", "M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 
-def _copied(arrays: Arrays, names: Sequence[str]) -> Arrays:
-    return arrays._replace(**{name: getattr(arrays, name).copy() for name in names})
+def _copied(arrays: tuple, names: Sequence[str]) -> SimpleNamespace:
+    return SimpleNamespace(**{name: getattr(arrays, name).copy() for name in names})
 
 
 @dataclass(frozen=True)
@@ -288,13 +293,13 @@ class Evaluation:
         Along the two tangents that follow the contact's normal in ``contact_normals``; zero where a
         contact has no friction.
         """
-        model, found = self._all.model, {}
+        model, forces = self._all.model, {}
         for owner, records in rows_by_owner(model.layout, model.records).items():
-            found[owner] = np.zeros((len(self._normal_rows[owner]), 2))
-            for pair, row in zip(found[owner], self._normal_rows[owner], strict=True):
+            forces[owner] = np.zeros((len(self._normal_rows[owner]), 2))
+            for pair, row in zip(forces[owner], self._normal_rows[owner], strict=True):
                 if any(record.tangent for record in records[row + 1 : row + 2]):
                     pair[:] = self.contact_forces[owner][row + 1 : row + 3]
-        return found
+        return forces
 
     @cached_property
     def _normal_rows(self) -> dict[str, list[int]]:
@@ -403,16 +408,16 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     """
     state = state.copy()
     place_state(data, t, state)
-    b, layout, found = data.arrays, data.model.layout, np.empty(6)
+    b, layout = data.arrays, data.model.layout
     if data.model.effects.states:
         require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
         b.inner[:] = data.effect_states()
-    require_ok(data, evaluate_and_check(data.struct, found))
-    arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
+    require_ok(data, evaluate_and_check(data.struct))
+    check = b.check
     a_j, torques, snapshot = b.a_j.copy(), b.torque.copy(), Snapshot(data)
     forces = layout.split_contacts(b.force.copy())
     coupled = _coupled_arms(data)
-    pivots = () if data.model.constants.dense else data.work.pivot.tolist()
+    pivots = () if snapshot.dense else data.work.pivot.tolist()
     return Evaluation(
         time=float(t),
         state=state,
@@ -420,15 +425,15 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         joint_accelerations=layout.split_joints(a_j),
         joint_torques=layout.split_joints(torques),
         contact_forces=forces,
-        position_residual=gap,
-        velocity_residual=gap_rate,
-        residuals=Residuals(arm, on_object, constraint),
+        position_residual=check.gap,
+        velocity_residual=check.gap_rate,
+        residuals=_residuals(check),
         conditioning={
             name: max(pivot, 0.0) for name, pivot in zip(layout.names, pivots, strict=False)
         },
-        rank=b.status.rank,
+        rank=b.solution.rank,
         coupled_arms=coupled,
-        message=ambiguity_text(data) if solved else contradiction_text(data),
+        message=ambiguity_text(data) if check.solved else contradiction_text(data),
         effect_state_rates=b.inner_rate.copy(),
         contact_states={},
         _held=snapshot,
@@ -442,18 +447,16 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
 def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
     """Values of all rows, shape (N, ...), by arm, and of the surroundings where there are any."""
     bounds, around = layout.rows, values[layout.surroundings]
-    found = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(layout.names)}
-    return {**found, SURROUNDINGS: around} if len(around) else found
+    of_arms = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(layout.names)}
+    return {**of_arms, SURROUNDINGS: around} if len(around) else of_arms
 
 
 def _coupled_arms(data: Data) -> tuple[str, ...]:
-    """Arms that went through the coupled system in the last solution."""
-    if not data.arrays.status.coupled_arms:
+    """Arms that could not be eliminated as a whole in the last solution."""
+    if not data.arrays.solution.coupled_arms:
         return ()
-    deficient = data.coupled.deficient
-    return tuple(
-        name for name, is_so in zip(data.model.arm_names, deficient, strict=False) if is_so
-    )
+    coupled = data.arrays.coupled_arms
+    return tuple(name for name, is_so in zip(data.model.arm_names, coupled, strict=False) if is_so)
 
 
 def _lost_motions(snapshot: Snapshot, arms: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -464,6 +467,6 @@ def _unique_forces(snapshot: Snapshot) -> np.ndarray:
     """Which contact forces are determined: all, when every arm was eliminated as a whole."""
     if snapshot.regular:
         return np.ones(snapshot.model.layout.contacts, dtype=bool)
-    if snapshot.model.constants.dense:
+    if snapshot.dense:
         return null_space(constraint_matrix(snapshot)).untouched
     return loose_rows(snapshot.work, snapshot.coupled) < PART_TOLERANCE

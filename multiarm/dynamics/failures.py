@@ -8,6 +8,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.node import NO_INERTIA
 from multiarm.dynamics.status import CONTRADICTION, NOT_FINITE, OK, PROJECTION_FAILED
 from multiarm.errors import SolverError
+from multiarm.scene.values import SURROUNDINGS
 
 
 def require_ok(data: Data, status: int) -> None:
@@ -59,8 +60,8 @@ def failure_text(data: Data, status: int) -> str:
 
 def contradiction_text(data: Data) -> str:
     """Why the last solution does not satisfy the equations."""
-    residual = float(data.arrays.status.residual)
-    if data.arrays.status.imbalance >= residual:
+    residual = float(data.arrays.solution.residual)
+    if data.arrays.solution.imbalance >= residual:
         return (
             f"the contact forces do not balance the object (relative residual {residual:.2g}): "
             f"rounding errors are too large next to a posture in which arms cannot move; start "
@@ -76,11 +77,13 @@ def contradiction_text(data: Data) -> str:
 
 def ambiguity_text(data: Data) -> str:
     """That the last solution is one of several; empty where it is the only one."""
-    if not data.arrays.status.ambiguous:
+    if data.arrays.solution.motion_unique:
         return ""
+    owners = zip([*data.model.arm_names, SURROUNDINGS], data.arrays.loose_arms, strict=False)
+    loose = ", ".join(owner for owner, is_loose in owners if is_loose)
     return (
-        "friction leaves the motion open: other accelerations meet the equations, too; these are "
-        "those of the least contact forces"
+        "friction leaves the motion open: other accelerations meet the equations, too, with other "
+        f"contact forces of {loose}; these are those of the least contact forces"
     )
 
 

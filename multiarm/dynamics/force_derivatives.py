@@ -26,7 +26,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.arrays import HELD, OPEN_LOOP, open_data, open_system
+from multiarm.dynamics.arrays import (
+    ADDRESS,
+    DERIVATIVE,
+    HELD,
+    OPEN_LOOP,
+    STATE_ALONE,
+    call_listed,
+    open_data,
+    open_system,
+)
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
 from multiarm.dynamics.coordinates import chart_places, force_columns, retract
 from multiarm.dynamics.equations import (
@@ -83,7 +92,7 @@ def follow_the_state(model, differences):
     """Whether the torques of the laws follow the state, and whether some law has no derivative."""
     differs = False
     for k in range(differences.laws):
-        differs = differs or model.control[k, 2] == 0
+        differs = differs or model.control[k, DERIVATIVE] == 0
     return model.control_reach > OPEN_LOOP and not differences.held, differs
 
 
@@ -102,7 +111,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     if not (follows or model.effects.kernels):
         return None
     slopes[:] = 0.0
-    differs = follows and not constants.control[:, 2].all()
+    differs = follows and not constants.control[:, DERIVATIVE].all()
     if differs and model.control_derivative is not None and not data.arrays.modes.active:
         by_law = model.control_derivative(data)
         if by_law is not None:
@@ -213,9 +222,8 @@ def differentiate_control(struct, differences, follows, differs):
     clear_slopes(model, data, work, differences.local, data.force_slopes, chart_places(data).joints)
     if follows and not differs:
         for k in range(differences.laws):
-            law = model.control[k]
-            if law[2] != 0:
-                call_cfunc(law[2], struct, float(law[1]), data.time.now)
+            if model.control[k, DERIVATIVE] != 0:
+                call_listed(model.control, k, DERIVATIVE, struct, data)
     if follows and differs:
         status = add_differences(struct, differences, CONTROL, True)
         take_torque_slopes(data, 0, columns.end)
@@ -243,13 +251,14 @@ def differentiate_effect(struct, differences, k):
     of this effect alone are in ``data.generalised_forces``.
     """
     model, data, work = open_system(struct)
-    status, effect, first = OK, model.effects[k], chart_places(data).joints
+    status, first = OK, chart_places(data).joints
+    stated = model.effects[k, DERIVATIVE] != 0
     clear_slopes(model, data, work, differences.local, data.force_slopes, first)
-    if effect[2] != 0:
-        call_cfunc(effect[2], struct, float(effect[1]), data.time.now)
-    if effect[2] == 0 or (differences.time_change > 0.0 and not actuates(model, k)):
-        status = add_differences(struct, differences, k, effect[2] == 0)
-    if actuates(model, k) and effect[2] == 0:
+    if stated:
+        call_listed(model.effects, k, DERIVATIVE, struct, data)
+    if not stated or (differences.time_change > 0.0 and not actuates(model, k)):
+        status = add_differences(struct, differences, k, not stated)
+    if actuates(model, k) and not stated:
         for j in range(data.torque.size):
             copy(data.force_slopes[first + j], data.torque_slopes[j])
             clear(data.force_slopes[first + j])
@@ -300,7 +309,7 @@ def act(struct, differences, k, model, data, work):
     """Let one effect write its forces alone, an actuator its torques, or the control these."""
     if k != CONTROL:
         clear(data.generalised_forces)
-        call_cfunc(model.effects[k, 0], struct, float(model.effects[k, 1]), data.time.now)
+        call_listed(model.effects, k, ADDRESS, struct, data)
         return
     object_terms(model, data)  # laws may compensate the forces before them
     passive_forces(struct, model, data, work)
@@ -408,7 +417,7 @@ def add_differences(struct, differences, k, by_state):
 @inlined
 def knows_state_alone(model, data, k):
     """Whether an effect, or the control, is a function ``f(t, state)`` of a user."""
-    return data.functions.control != 0 if k == CONTROL else model.effects[k, 3] != 0
+    return data.functions.control != 0 if k == CONTROL else model.effects[k, STATE_ALONE] != 0
 
 
 @inlined

@@ -23,17 +23,19 @@ from numbers import Real
 import numpy as np
 
 from multiarm.dynamics.arrays import (
+    ADDRESS,
     CARRYING,
     COUPLED,
     HELD,
     ONCE,
     OPEN_LOOP,
     Constants,
+    call_listed,
     open_system,
 )
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, copy
-from multiarm.jit.pointers import address_of, call_cfunc
+from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import struct_at
 
 
@@ -90,8 +92,7 @@ def hold_torques(address, size, _at, _t):
     sampling, held = data.sampling, data.held
     if sampling.due != HELD:
         for k in range(model.sampled.shape[0]):
-            law, at = model.sampled[k, 0], float(model.sampled[k, 1])
-            call_cfunc(law, struct, at, data.time.now)
+            call_listed(model.sampled, k, ADDRESS, struct, data)
         at_once = not model.sample_delay or sampling.samples == 0
         for j in range(data.torque.size):
             held[0, j] = data.torque[j] if at_once else held[1, j]

@@ -262,12 +262,14 @@ def with_effects(constants: Constants, effects: EffectProgram) -> Constants:
 
 
 class Evaluated(Protocol):
-    """Results of an evaluation: a Data, or copies of its arrays."""
+    """Results of an evaluation: a Data, or copies of some of its arrays.
+
+    ``arrays`` has these of the ``Variables``, ``work`` of the ``NodeWork``.
+    """
 
     model: Model
-    arrays: Variables
-    work: NodeWork
-    coupled: CoupledWork
+    arrays: Any
+    work: Any
 
 
 class Data:
@@ -464,9 +466,8 @@ class Data:
         b.coordinates[:] = np.nan
         b.tips[:] = 0.0
         reset_guards(self.guards)
-        b.status.rank = b.status.coupled_arms = 0
-        b.status.ambiguous = False
-        b.status.residual = b.status.imbalance = 0.0
+        b.solution.forget()
+        b.last_step.known = False
         b.status.position_change = b.status.velocity_change = 0.0
         b.lost[:] = 0
         b.signs[:] = 0.0

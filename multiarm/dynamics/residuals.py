@@ -16,6 +16,7 @@ import math
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
+from multiarm.dynamics.momenta import times_arm_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.bounds import AT_REST, IMBALANCE_BOUND
 from multiarm.dynamics.solver.factors import norm
@@ -30,9 +31,8 @@ def write_residuals(
     generalised_forces: NUMBERS,
     force: NUMBERS,
     c: NUMBERS,
-    largest: NUMBERS,
 ):
-    """Write the largest residuals of arms, object and constraints into ``largest`` (3,).
+    """Write the largest residuals of arms, object and constraints into ``data.check``.
 
     Of accelerations (6 + n,) and contact forces (N,), with the right-hand sides
     ``generalised_forces`` (6 + n,) and ``c`` (N,).
@@ -42,22 +42,18 @@ def write_residuals(
     a_o, a, forces = acceleration[:first], acceleration[first:], data.total_forces
     copy(generalised_forces, forces)
     add_contact_forces(work, data.Wo, work.W, force, forces[:first], forces[first:])
-    largest[0] = largest[1] = largest[2] = 0.0
+    check = data.check
+    check.arm = check.on_object = check.constraint = 0.0
     for k in range(first):
-        residual = -forces[k]
-        for j in range(first):
-            residual += data.inertia[k, j] * a_o[j]
-        largest[1] = larger(largest[1], residual)
+        residual = times_object_inertia(k, data, a_o) - forces[k]
+        check.on_object = larger(check.on_object, residual)
     for i in range(work.dofs.size - 1):
-        d0, d, M = work.dofs[i], work.dofs[i + 1] - work.dofs[i], work.M[i]
-        for j in range(d):
-            residual = -forces[first + d0 + j]
-            for k in range(d):
-                residual += M[max(j, k), min(j, k)] * a[d0 + k]
-            largest[0] = larger(largest[0], residual)
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            residual = times_arm_inertia(i, j, work, a) - forces[first + work.dofs[i] + j]
+            check.arm = larger(check.arm, residual)
         for row in range(work.rows[i], work.rows[i + 1]):
             residual = rate_by_object(row, data, a_o) + rate_by_arm(i, row, work, a) - c[row]
-            largest[2] = larger(largest[2], residual)
+            check.constraint = larger(check.constraint, residual)
 
 
 @inlined
@@ -90,7 +86,7 @@ def larger(worst, residual):
 @inlined
 def residual_of_all(model, data, work):
     """The constraints' relative residual or the object's, the larger of them; NaN if either is."""
-    constraint, of_object = constraint_residual(model, data, work), data.status.imbalance
+    constraint, of_object = constraint_residual(model, data, work), data.solution.imbalance
     return constraint if of_object <= constraint or constraint != constraint else of_object
 
 

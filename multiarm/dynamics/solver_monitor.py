@@ -27,72 +27,59 @@ from multiarm.dynamics.solver.bounds import (
     REGAINED,
     RESIDUAL_BOUND,
 )
+from multiarm.dynamics.solver.solution import DENSE, SPLIT, WHOLE
 from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import INTS, NUMBERS, cfunc, kernel
+from multiarm.jit.kernels import INTS, cfunc, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
 
 @kernel
-def evaluate_and_check(struct: INTS, found: NUMBERS):
-    """Evaluate the state in ``data``, and insert the result into the equations.
+def evaluate_and_check(struct: INTS):
+    """Evaluate the state in ``data``, and insert the result into the equations: ``data.check``.
 
-    Writes into ``found`` (6,) the residuals of arms, object and constraints
-    (:class:`multiarm.dynamics.evaluation.Residuals`), the largest gap [m] and gap rate [m/s], and
-    whether the result is a solution.  Returns the status of
-    :func:`multiarm.dynamics.equations.evaluate_state`.
+    Returns the status of :func:`multiarm.dynamics.equations.evaluate_state`.
     """
     status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:
         return status
     data = open_data(struct)
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
-    found[5] = 1.0 if believable(struct, data.status.residual) else 0.0
-    write_residuals(
-        struct, data.acceleration, data.generalised_forces, data.force, data.c, found[:3]
-    )
-    found[3], found[4] = largest(data.contacts, GAP), largest(data.contacts, GAP_RATE)
+    check = data.check
+    check.solved = 1 if believable(data.solution, data.solution.residual) else 0
+    write_residuals(struct, data.acceleration, data.generalised_forces, data.force, data.c)
+    check.gap, check.gap_rate = largest(data.contacts, GAP), largest(data.contacts, GAP_RATE)
     return status
 
 
 @cfunc
 def record_solution(address, size, _a, _b):
-    """Write rank, coupled arms and residual of the last solution into ``data.status``.
+    """Write the residual of the last solution into ``data.solution``.
 
     Where the residual is too large, the equations are solved again with every arm decomposed.
     """
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    coupled = open_coupled(struct)
-    status, arms = data.status, data.pointers.shape[0]
-    status.residual = residual_of_all(model, data, work)
-    solved = believable(struct, status.residual)
+    solution, arms = data.solution, data.pointers.shape[0]
+    solution.residual = residual_of_all(model, data, work)
     # modes have solutions of their own
-    repeatable = not (model.dense or data.modes.active)
-    if not solved and repeatable and coupled.status.arms < arms:
+    repeatable = solution.elimination != DENSE and not data.modes.active
+    solved = believable(solution, solution.residual)
+    if not solved and repeatable and solution.coupled_arms < arms:
         if call_cfunc(data.functions.coupled, struct, 1.0, 0.0) != OK:
-            status.imbalance = math.nan
-        status.residual = residual_of_all(model, data, work)
-    if not model.dense:
-        status.coupled_arms = coupled.status.arms
-        status.rank = data.force.size
-        if coupled.status.arms > 0:
-            status.rank += coupled.status.rank - coupled.status.unknowns
+            solution.imbalance = math.nan
+        solution.residual = residual_of_all(model, data, work)
     return OK
 
 
 @kernel
-def believable(struct, residual):
+def believable(solution, residual):
     """Whether a relative residual is that of a solution.
 
     Near a loss of rank, rounding errors of the gaps are magnified by the square of the distance
     from it.
     """
-    coupled = open_coupled(struct)
-    if coupled.status.arms == 0:
-        return residual <= RESIDUAL_BOUND
-    margin = coupled.status.margin
-    rounded = min(MOST_ROUNDED_RESIDUAL, 1e-13 / (margin * margin))
+    rounded = min(MOST_ROUNDED_RESIDUAL, 1e-13 / (solution.margin * solution.margin))
     return residual <= max(RESIDUAL_BOUND, rounded)
 
 
@@ -100,19 +87,17 @@ def believable(struct, residual):
 def compare_solution(address, size, _a, _b):
     """Compare the recorded solution with that of the previous step; returns the changes' number."""
     struct = struct_at(address, size)
-    model, data, work = open_system(struct)
-    changes = 0
-    rank = data.status.rank
-    last = data.lost.size - 1
-    if data.lost[last] != rank:
-        data.lost[last] = rank
+    _, data, work = open_system(struct)
+    solution, last, changes = data.solution, data.last_step, 0
+    if not last.known or last.rank != solution.rank:
+        last.known, last.rank = 1, solution.rank
         changes += 1
-    for i in range(last):
+    for i in range(data.passed.size):
         data.passed[i] = 0
-    if model.dense or data.modes.slides:  # the elimination with friction leaves no directions
+    if solution.elimination != WHOLE and solution.elimination != SPLIT:  # no directions of arms
         return changes
     coupled = open_coupled(struct)
-    for i in range(last):
+    for i in range(data.lost.size):
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
             lost = lost_directions(i, data.lost[i], work, coupled)

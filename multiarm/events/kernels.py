@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_coupled, open_data, open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
@@ -31,6 +31,7 @@ from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
     solve_for_reactions,
 )
+from multiarm.dynamics.solver.solution import FRICTION, write_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.events.sliding import Slides, follow_slip, friction_power, write_reactions
 from multiarm.jit.kernels import INTS, cfunc, copy, kernel
@@ -99,7 +100,6 @@ def solve_held(address, size, _a, _b):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     mode = open_mode(struct_at(data.modes.mode, 0))
-    data.status.ambiguous = 0
     if mode.numbers.stressed:
         add_prestress(mode, data.Wo, work.W, data, work)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
@@ -133,28 +133,17 @@ def solve_sliding(address, size, _a, _b):
     write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
-    coupled = open_coupled(struct)
-    coupled.status.arms = 0
     if model.dense:
         call_python(data.functions.dense)
         if data.status.failed:
             return CALLBACK_FAILED
-        data.status.imbalance = imbalance(data, mode.Wr)
+        data.solution.imbalance = imbalance(data, mode.Wr)
     else:
         status = solve_reactions(data, work, mode, reactions, False)
-        if status == OK and not data.status.imbalance <= IMBALANCE_BOUND:
+        if status == OK and not data.solution.imbalance <= IMBALANCE_BOUND:
             status = solve_reactions(data, work, mode, reactions, True)
         if status != OK:
             return status
-        data.status.ambiguous = 1 if reactions.status.motions > 0 else 0
-        lacking = reactions.status.rows - reactions.status.rank
-        if lacking > 0:
-            for i in range(reactions.coupled.size):
-                coupled.deficient[i] = reactions.coupled[i]
-                coupled.status.arms += reactions.coupled[i]
-            coupled.status.unknowns = reactions.status.rows
-            coupled.status.rank = reactions.status.rank
-            coupled.status.margin = math.inf
     if mode.numbers.stressed:
         take_prestress(mode, data)
     power = friction_power(slides, data.force)
@@ -175,8 +164,26 @@ def solve_reactions(data, work, mode, reactions, couple_all):
         reactions, data.Wo, mode.Wr, data.f_o, data.f_j, data.c, data.a_o,
         data.a_j, data.force,
     )  # fmt: skip
-    data.status.imbalance = imbalance(data, mode.Wr)
+    write_reaction_solution(data, reactions)
+    data.solution.imbalance = imbalance(data, mode.Wr)
     return OK
+
+
+@kernel
+def write_reaction_solution(data, reactions):
+    """What the solver with friction has found out.
+
+    Arms are coupled for the digits, too; they count where some of their constraints are dependent.
+    """
+    dependent, coupled_arms = reactions.status.rows - reactions.status.rank, 0
+    for i in range(reactions.coupled.size):
+        data.loose_arms[i] = reactions.undetermined[i]
+        data.coupled_arms[i] = reactions.coupled[i]
+        coupled_arms += reactions.coupled[i]
+    unique = 1 if reactions.status.motions == 0 else 0
+    write_solution(
+        data, FRICTION, coupled_arms if dependent > 0 else 0, dependent, math.inf, unique
+    )
 
 
 @cfunc

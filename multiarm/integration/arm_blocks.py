@@ -53,12 +53,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import (
-    CARRYING,
-    open_coupled,
-    open_data,
-    open_system,
-)
+from multiarm.dynamics.arrays import ADDRESS, CARRYING, call_listed, open_data, open_system
 from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
@@ -80,10 +75,10 @@ from multiarm.dynamics.force_derivatives import (
 from multiarm.dynamics.forces.compiled import write_wrench_products
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
+from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.step import Step
 from multiarm.jit.kernels import clear, inlined, kernel, plain
-from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, Ints2
 
 # Contacts that carry wrenches in some direction by so much less than in others leave s to rounding.
@@ -238,7 +233,7 @@ def acts_locally(step):
 @kernel
 def is_regular(struct):
     """Whether the last evaluation has eliminated every arm as a whole."""
-    return open_coupled(struct).status.arms == 0
+    return open_data(struct).solution.elimination == WHOLE
 
 
 # --- derivatives ---------------------------------------------------------------------------------
@@ -389,7 +384,7 @@ def differentiate_laws(struct, differences):
     follows, differs = follow_the_state(model, differences)
     status = differentiate_control(struct, differences, follows, differs)
     for k in range(differences.laws, model.control.shape[0]):
-        call_cfunc(model.control[k, 0], struct, float(model.control[k, 1]), data.time.now)
+        call_listed(model.control, k, ADDRESS, struct, data)
     return status
 
 

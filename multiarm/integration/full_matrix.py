@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_coupled, open_data, open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
@@ -50,9 +50,10 @@ from multiarm.dynamics.force_derivatives import (
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
+from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.integration.arm_stages import turn_frames
-from multiarm.integration.near_singular import ZONE, excess
+from multiarm.integration.near_singular import ZONE
 from multiarm.integration.projection import greatest
 from multiarm.integration.step import Step, slope_at
 from multiarm.jit.kernels import clear, copy, inlined, kernel
@@ -117,13 +118,10 @@ def differentiate_full(step, full, slope, time_slope, t, h):
 @inlined
 def is_smooth(step):
     """Whether the accelerations are those of independent constraints, without friction."""
-    model, data, _ = open_system(step.system)
-    coupled = open_coupled(step.system)
+    data = open_data(step.system)
     if step.stage.gap >= 0.0 or data.modes.slides:
         return False
-    if model.dense:
-        return data.status.rank == data.force.size
-    return coupled.status.arms == 0 or (excess(coupled) == 0 and coupled.status.margin >= ZONE)
+    return data.solution.dependent == 0 and data.solution.margin >= ZONE
 
 
 # --- exact ----------------------------------------------------------------------------------------
@@ -154,12 +152,12 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
 @inlined
 def solve_equations(struct, full):
     """Solve for the derivatives at fixed forces and those by forces; returns a status."""
-    model, data, _ = open_system(struct)
+    data = open_data(struct)
     wrench = state_columns(data).wrench
     dF_o = open_equations(full.equations).dF_o
     for l in range(chart_places(data).joints):  # noqa: E741
         dF_o[l, wrench + l] = -1.0
-    if open_coupled(struct).status.arms == 0 and not model.dense:
+    if data.solution.elimination == WHOLE:
         return solve_by_arms(struct, full.equations, full.solution)
     return solve_at_once(struct, full.equations, full.solution)
 

@@ -20,9 +20,7 @@ toggle.  User callbacks are called for the state itself only: systems with any a
 
 from __future__ import annotations
 
-import math
-
-from multiarm.dynamics.arrays import open_coupled, open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.residuals import constraint_residual
@@ -46,9 +44,9 @@ def evaluate_on_branch(struct, gap_tolerance, alpha, beta):
     ``gap_tolerance`` is the gap that projection leaves [m]; negative: nothing is interpolated.
     """
     status = evaluate_state(struct, alpha, beta)
-    if status != OK or gap_tolerance < 0.0 or open_coupled(struct).status.arms == 0:
+    data = open_data(struct)
+    if status != OK or gap_tolerance < 0.0 or data.solution.coupled_arms == 0:
         return status
-    _, data, _ = open_system(struct)
     data.interpolation.gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)
 
@@ -58,10 +56,9 @@ def evaluate_near_singular(address, size, alpha, beta):
     """Continue an evaluation in which some arms are deficient, see :func:`evaluate_on_branch`."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    coupled = open_coupled(struct)
     # before a run the rank elsewhere is unknown: the state may be exactly on the crossing
-    unknown = data.lost[data.lost.size - 1] == 0 and excess(coupled) > 0
-    if not (coupled.status.margin < ZONE or unknown) or model.calls_user:
+    unknown = not data.last_step.known and data.solution.dependent > 0
+    if not (data.solution.margin < ZONE or unknown) or model.calls_user:
         return OK
     rate = greatest(data.velocity)
     if rate < 1e-8:  # [rad/s, m/s]: at rest
@@ -75,15 +72,9 @@ def evaluate_near_singular(address, size, alpha, beta):
     status = evaluate_state(struct, alpha, beta)
     if status == OK and interpolated:
         exchange_solution(data)
-        if not believable(struct, constraint_residual(model, data, work)):
+        if not believable(data.solution, constraint_residual(model, data, work)):
             exchange_solution(data)
     return status
-
-
-@kernel
-def excess(coupled):
-    """Number of redundant unknown forces."""
-    return coupled.status.unknowns - coupled.status.rank
 
 
 @kernel
@@ -93,11 +84,10 @@ def interpolate_accelerations(struct, alpha, beta, delay):
     Returns whether it succeeded: not when a state cannot be reached, or when the constraints are
     not further from losing rank there.
     """
-    _, data, _ = open_system(struct)
-    coupled = open_coupled(struct)
-    mixed = data.mixed
-    here, there = coupled.status.margin, 0.0
-    redundant = fewest = excess(coupled)
+    data = open_data(struct)
+    mixed, solution = data.mixed, data.solution
+    here, there = solution.margin, 0.0
+    redundant = fewest = solution.dependent
     clear(mixed)
     for side in range(6):
         k = 1 + side // 2
@@ -109,8 +99,8 @@ def interpolate_accelerations(struct, alpha, beta, delay):
             or evaluate_state(struct, alpha, beta) != OK
         ):
             return False
-        there = max(there, coupled.status.margin if coupled.status.arms > 0 else math.inf)
-        fewest = min(fewest, excess(coupled) if coupled.status.arms > 0 else 0)
+        there = max(there, solution.margin)
+        fewest = min(fewest, solution.dependent)
         if side == 1 and fewest == redundant and not (here < ZONE and there >= 2.0 * here):
             return False
         weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)

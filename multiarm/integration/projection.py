@@ -23,9 +23,10 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import open_coupled, open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import largest, solve_constrained, update_kinematics
+from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
 from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, kernel
 
@@ -110,15 +111,13 @@ def project_positions(
 @kernel
 def near_loss(struct):
     """Whether the constraints were near a loss of rank when they were solved last."""
-    status = open_coupled(struct).status
-    return status.arms > 0 and status.margin < 0.3
+    return open_data(struct).solution.margin < NEAR_LOSS
 
 
 @kernel
 def lacks_rank(struct):
     """Whether some constraints of the last solution depended on others."""
-    status = open_coupled(struct).status
-    return status.arms > 0 and status.rank < status.unknowns
+    return open_data(struct).solution.dependent > 0
 
 
 @kernel

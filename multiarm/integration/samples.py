@@ -12,7 +12,8 @@ from multiarm.contacts.joint import unwrapped, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
 from multiarm.dynamics.arrays import TIP_WIDTH, open_system
 from multiarm.dynamics.contact_forces import write_wrenches
-from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
+from multiarm.dynamics.equations import largest, potential_energy
+from multiarm.dynamics.momenta import kinetic_energy
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec
@@ -54,9 +55,9 @@ def write_sample(struct, t, works, row):
     at += works.size
     row[at] = largest(data.contacts, GAP)
     row[at + 1] = largest(data.contacts, GAP_RATE)
-    row[at + 2] = data.status.rank
-    row[at + 3] = data.status.coupled_arms
-    row[at + 4] = data.status.residual
+    row[at + 2] = data.solution.rank
+    row[at + 3] = data.solution.coupled_arms
+    row[at + 4] = data.solution.residual
 
 
 @kernel

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_coupled, open_system
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.dynamics.status import CONTRADICTION, LARGE_CORRECTION, OK, STEP_TOO_SMALL
 from multiarm.integration.projection import FEEDBACK_RATIO, near_loss
@@ -228,7 +228,7 @@ def length_after_rejection(method, h, error):
 def choose_stage_projection(step, clock, settings):
     """Decide whether the stages of the next step are projected."""
     struct = step.system
-    open_coupled(struct).status.least_margin = math.inf
+    open_data(struct).solution.least_margin = math.inf
     retry = clock.retry_steps > 0
     if not settings.adaptive and settings.gap_tolerance >= 0.0:
         retry = near_loss(struct)
@@ -244,7 +244,7 @@ def rounding_floor(struct, clock):
     """
     if clock.retry_steps == 0:
         return 0.0
-    margin = open_coupled(struct).status.least_margin
+    margin = open_data(struct).solution.least_margin
     return min(1e-9, 2e-15 / margin**3)
 
 
@@ -256,13 +256,13 @@ def check_solution(struct, clock, settings):
     far: a shorter step ends nearer to the branch that the motion is on.  There the change has other
     causes too, and may be 30 tolerances.
     """
-    _, data, _ = open_system(struct)
-    if not believable(struct, data.status.residual):
+    data = open_data(struct)
+    if not believable(data.solution, data.solution.residual):
         return CONTRADICTION
     if not settings.adaptive or settings.gap_tolerance < 0.0:
         return OK
     floor = max(settings.tolerance, rounding_floor(struct, clock))
-    margin, bound = open_coupled(struct).status.least_margin, 1.0
+    margin, bound = data.solution.least_margin, 1.0
     # changes that are roundings, in gaps
     of_position, of_velocity = 10.0 * settings.gap_tolerance, 1e3 * settings.gap_tolerance
     if not math.isinf(margin):

@@ -343,13 +343,14 @@ def complete_step(method, step, clock, settings, h, end):
 def count_solution(struct, clock):
     """Statistics of how the end of an accepted step was solved."""
     _, data, _ = open_system(struct)
-    status = data.status
-    clock.lowest_rank = min(clock.lowest_rank, status.rank)
-    clock.highest_rank = max(clock.highest_rank, status.rank)
-    if status.coupled_arms > 0:
+    status, solution = data.status, data.solution
+    clock.lowest_rank = min(clock.lowest_rank, solution.rank)
+    clock.highest_rank = max(clock.highest_rank, solution.rank)
+    if solution.coupled_arms > 0:
         clock.coupled_steps += 1
-    clock.ambiguous_steps += status.ambiguous
-    clock.worst_residual = max(clock.worst_residual, status.residual)
+    if not solution.motion_unique:
+        clock.ambiguous_steps += 1
+    clock.worst_residual = max(clock.worst_residual, solution.residual)
     clock.worst_correction = max(
         clock.worst_correction, status.position_change, status.velocity_change
     )

@@ -42,7 +42,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.terms import M_AT, M_STRIDE
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import open_system
@@ -50,6 +49,7 @@ from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_CONVERGED, OK
 from multiarm.integration.projection import greatest
 from multiarm.integration.step import METHOD_WORK, Step, open_step
@@ -129,7 +129,7 @@ def variational_step(address, size, t, h):
 @kernel
 def begin_step(step, work, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of the unknowns."""
-    model, data, node = open_system(step.system)
+    _, data, node = open_system(step.system)
     velocity = chart_places(data).velocity
     for k in range(data.force.size):  # of the last evaluation, which was here or near
         work.impulse[k] = 0.5 * h * data.force[k]
@@ -143,7 +143,7 @@ def begin_step(step, work, t, h):
     for a in range(3):
         for b in range(3):
             work.inertia[a, b] = data.inertia[3 + a, 3 + b]
-    momenta(model, data, node, work.start)
+    write_momenta(step.system, work.start)
     for k in range(work.Wo.shape[0]):
         copy(data.Wo[k], work.Wo[k])
     for i in range(data.pointers.shape[0]):
@@ -152,26 +152,6 @@ def begin_step(step, work, t, h):
     for k in range(work.xi.size):
         work.xi[k] = step.z[velocity + k] + 0.5 * h * step.k[0, velocity + k]
     return OK
-
-
-@kernel
-def momenta(model, data, node, out):
-    """``M v`` of object and arms at the kinematics in ``data``, from ``twist`` and ``v``."""
-    for a in range(6):
-        s = 0.0
-        for b in range(6):
-            s += data.inertia[a, b] * data.twist[b]
-        out[a] = s
-    first_joint = chart_places(data).joints
-    for i in range(data.pointers.shape[0]):
-        d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
-        stride = data.pointers[i, M_STRIDE]
-        M = floats_at(data.pointers[i, M_AT], d * stride)
-        for a in range(d):
-            s = 0.0
-            for b in range(d):  # one triangle is filled
-                s += M[a * stride + b if b <= a else b * stride + a] * data.v[d0 + b]
-            out[first_joint + d0 + a] = s
 
 
 @kernel
@@ -298,9 +278,9 @@ def momentum_residual(step, work, h):
 
     Needs the kinematics of the midpoint in ``data``.
     """
-    model, data, node = open_system(step.system)
+    _, data, node = open_system(step.system)
     momentum, turn, spin = work.momentum, work.turn, work.spin
-    momenta(model, data, node, momentum)
+    write_momenta(step.system, momentum)
     for a in range(3):
         turn[a] = -h * work.xi[3 + a]
         spin[a] = 0.0

@@ -180,7 +180,9 @@ class Numbers:
 
     def __init__(self, **values: float) -> None:
         self.struct = np.zeros(WIDTH * len(self._fields), dtype=np.int64)
-        self._floats = self.struct.view(np.float64)
+        # Python's own views are read and written in half the time that NumPy's take
+        self._integers = memoryview(self.struct.data)
+        self._floats = self._integers.cast("B").cast("d")
         for name, value in values.items():
             setattr(self, name, value)
 
@@ -200,12 +202,18 @@ def _number_property(place: int, real: bool) -> property:
     """A field of :class:`Numbers` at one place of its struct."""
 
     def read(numbers: Numbers) -> float:
-        return (numbers._floats if real else numbers.struct)[place].item()
+        return numbers._floats[place]
 
     def write(numbers: Numbers, value: float) -> None:
-        (numbers._floats if real else numbers.struct)[place] = value
+        numbers._floats[place] = value
 
-    return property(read, write)
+    def read_integer(numbers: Numbers) -> int:
+        return numbers._integers[place]
+
+    def write_integer(numbers: Numbers, value: int) -> None:
+        numbers._integers[place] = int(value)
+
+    return property(read, write) if real else property(read_integer, write_integer)
 
 
 @functools.cache  # reading annotations takes longer than a call of a kernel

@@ -501,17 +501,24 @@ def causes_of_events(effects: EffectsSpec, has_friction: bool) -> tuple[str, ...
     return ("mu",)
 
 
+def carries_all_effects(integrator: str | None) -> bool:
+    """Whether a method carries effects with states and with events."""
+    return integrator != "variational"
+
+
 def method_fault(
     integrator: str | None, with_states: Sequence[str], with_events: Sequence[str] = ()
 ) -> str:
     """Why a method cannot carry effects that have states or events; empty when it can."""
-    if integrator == "variational" and with_events:
+    if carries_all_effects(integrator):
+        return ""
+    if with_events:
         return (
             f"'variational' takes its steps as wholes and knows no events of "
             f"{listed(with_events)}; use another method, such as 'dop853' or 'rk4', or leave the "
             f"effect out"
         )
-    if integrator != "variational" or not with_states:
+    if not with_states:
         return ""
     return (
         f"'variational' knows positions and velocities only, no states of {listed(with_states)}; "

@@ -40,7 +40,6 @@ leaves about 1e-8 near a loss of rank, which is always allowed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -48,8 +47,8 @@ import numpy as np
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.notation import number
@@ -292,7 +291,7 @@ def _energy_check(
         names = ["object/twist", *(f"arms/{arm}/joint_velocity" for arm in data.model.arm_names)]
         slow = np.concatenate([comparison.velocity[name] for name in names])
         explained = float(
-            np.abs(_energy_gradient(data, state)) @ off + np.abs(_momentum(data, state)) @ slow
+            np.abs(_energy_gradient(data, state)) @ off + np.abs(_momenta(data, state)) @ slow
         )
     except MultiarmError:
         return None
@@ -334,16 +333,13 @@ def _work_on_gaps(run: Trajectory) -> float:
     return largest * (gap + opened)
 
 
-def _momentum(data: Data, state: State) -> np.ndarray:
+def _momenta(data: Data, state: State) -> np.ndarray:
     """Generalised momenta M v, shape (6 + n,)."""
     place_state(data, 0.0, state)
     require_ok(data, update_kinematics(data.struct))
-    layout, momentum = data.model.layout, np.zeros(state.velocity.size)
-    momentum[layout.of_frames] = data.arrays.inertia @ state.object_twist
-    for i, (a, b) in enumerate(pairwise(layout.dofs)):
-        inertia, joints = read_inertia(data.arrays.pointers[i], b - a), layout.of_arm(i)
-        momentum[joints] = inertia @ state.velocity[joints]
-    return momentum
+    momenta = np.empty_like(state.velocity)
+    write_momenta(data.struct, momenta)
+    return momenta
 
 
 def _energy_gradient(data: Data, state: State) -> np.ndarray:
@@ -351,8 +347,8 @@ def _energy_gradient(data: Data, state: State) -> np.ndarray:
     change = 1e-5  # [m, rad]
 
     def energy(displacement: np.ndarray) -> float:
-        momentum = _momentum(data, state.displaced(displacement))
-        return 0.5 * float(momentum @ state.velocity) + data.potential_energy()
+        momenta = _momenta(data, state.displaced(displacement))
+        return 0.5 * float(momenta @ state.velocity) + data.potential_energy()
 
     steps = change * np.eye(state.velocity.size)
     differences = [energy(step) - energy(-step) for step in steps]

@@ -37,7 +37,7 @@ from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
-from multiarm.scene.schema import causes_of_events, method_fault
+from multiarm.scene.schema import carries_all_effects, causes_of_events, method_fault
 from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS
@@ -208,11 +208,8 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     data, spec, begin = task.data, task.spec, task.begin
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
-    effects, with_states = task.system.scene.effects, data.model.effects.with_states
-    has_friction = task.system.model.unilateral is not None
-    with_events = causes_of_events(effects, has_friction)
-    if fault := method_fault(name, with_states, with_events):
-        raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
+    if not carries_all_effects(name):
+        _check_effects(task, name)
     stepping = stepping_of(data, METHODS[name])
     step = stepping.step
     set_tolerance(step, data, tolerance)
@@ -221,7 +218,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
     step.stage.alpha, step.stage.beta = gains(settings, first_length)
     _evaluate_start(task, stepping)
-    if settings.gap_tolerance >= 0.0 and data.coupled.status.arms:
+    if settings.gap_tolerance >= 0.0 and data.arrays.solution.coupled_arms:
         # two motions may cross at the start
         step.stage.gap = settings.gap_tolerance
         _first_slope(task, stepping)
@@ -257,6 +254,14 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         tolerance=tolerance,
         may_switch=bool(clock.switch),
     )
+
+
+def _check_effects(task: Task, name: str) -> None:
+    """Refuse effects that a method cannot carry."""
+    has_friction = task.system.model.unilateral is not None
+    with_events = causes_of_events(task.system.scene.effects, has_friction)
+    if fault := method_fault(name, task.data.model.effects.with_states, with_events):
+        raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
 
 
 def positive(name: str, value: float) -> float:

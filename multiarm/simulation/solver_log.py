@@ -29,12 +29,12 @@ class SolverLog:
     def __init__(self, data: Data, log: EventLog) -> None:
         self._log, self._added = log, 0
         self._lost = np.zeros(len(data.model.arm_names), dtype=np.int64)
-        self._rank = int(data.arrays.lost[-1])
+        self._rank = data.arrays.last_step.rank
 
     def collect(self, data: Data, t: float, state: State) -> None:
         """Log the changes in the step that ended at ``t``, in this state."""
         arrays = data.arrays
-        count, rank = len(data.model.arm_names), int(arrays.lost[-1])
+        count, rank = len(data.model.arm_names), arrays.last_step.rank
         lost, passed = arrays.lost[:count].copy(), arrays.passed[:count].copy()
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
@@ -44,8 +44,8 @@ class SolverLog:
                 data.move_to(state)  # the kinematics in the data may be those of another state
                 # a callback that fails here ends the run at the next step
                 in_words = update_kinematics(data.struct) == OK
-            other = changed[lost[changed] != self._lost[changed]] if in_words else []
-            words = lost_motions(data, [data.model.arm_names[i] for i in other])
+            altered = changed[lost[changed] != self._lost[changed]] if in_words else []
+            words = lost_motions(data, [data.model.arm_names[i] for i in altered])
             for i in map(int, changed):
                 arm = data.model.arm_names[i]
                 if lost[i] != self._lost[i]:
@@ -62,7 +62,7 @@ class SolverLog:
     def reset(self, data: Data) -> None:
         """Compare later solutions with the last one, without logging anything."""
         self._lost = data.arrays.lost[: len(data.model.arm_names)].copy()
-        self._rank = int(data.arrays.lost[-1])
+        self._rank = data.arrays.last_step.rank
 
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
         if rank == self._rank:

@@ -14,6 +14,7 @@ from repository import SCENES
 
 import multiarm as ma
 from multiarm.control.joint_pd import joint_pd
+from multiarm.dynamics.arrays import ADDRESS
 from multiarm.errors import ControlError, SceneError, SolverError
 from multiarm.jit.pointers import address_of
 from multiarm.scene import parse_scene
@@ -192,7 +193,7 @@ def test_samples_that_meet_the_end_but_for_roundings_make_no_tiny_steps(
 
 def test_control_without_samples_calls_its_laws_and_nothing_else(tmp_path):
     free, held = cart(tmp_path, spring()), cart(tmp_path, spring(sample_time=SLOW))
-    assert free.model.constants.control[:, 0].tolist() == [address_of(joint_pd)]
+    assert free.model.constants.control[:, ADDRESS].tolist() == [address_of(joint_pd)]
     assert free.model.constants.sampled.size == 0
     assert held.model.constants.sampled.tolist() == free.model.constants.control.tolist()
     assert held.model.breakpoints.size == 0

@@ -67,7 +67,8 @@ def overwrite(system) -> None:
         if isinstance(array, np.ndarray) and array is not data.arrays.pointers:
             array[:] = 0 if array.dtype == np.int64 else np.nan
     addresses = data.arrays.functions.struct.copy()
-    for numbers in (data.arrays.time, data.arrays.status, data.coupled.status):
+    b = data.arrays
+    for numbers in (b.time, b.status, b.solution, b.check, b.last_step, data.coupled.status):
         numbers.struct[:] = 0
     np.testing.assert_array_equal(data.arrays.functions.struct, addresses)
 

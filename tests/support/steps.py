@@ -9,6 +9,7 @@ import numpy as np
 from mechanics import data_of, first_difference
 
 import multiarm as ma
+from multiarm.dynamics.arrays import DERIVATIVE
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.model import with_effects
 from multiarm.dynamics.status import OK
@@ -30,7 +31,7 @@ def without_derivatives(system):
     effects = EffectProgram(tuple(kernels))
     constants = with_effects(system.model.constants, effects)
     control = constants.control.copy()
-    control[:, 2] = 0
+    control[:, DERIVATIVE] = 0
     constants = constants._replace(control=control)
     changes = {"effects": effects, "constants": constants, "control_derivative": None}
     return replace(system, model=replace(system.model, **changes))

@@ -38,14 +38,26 @@ SPLIT_BY_OBJECT, IMMOVABLE_BY_OBJECT = 1e-3, 1e-9
 # ``gamma``, a bound of ``g``: below it, the joints of an arm hardly move any of its contacts.
 HARDLY_ALIGNED = 1e-3
 
-# Singular values below this fraction of their scale count as zero.
+# Singular values below this fraction of their scale count as zero, with friction too.
 COUPLED_RANK_TOLERANCE = 1e-6
+
+# Singular values below this fraction are rounding errors of gaps and sums: they say nothing about
+# the distance from a loss of rank.
+ROUNDED_SIGMA = 1e-10
+
+# The constraints are near a loss of rank when a singular value is below this fraction: gaps have
+# large effects there (:mod:`multiarm.integration.projection`).
+NEAR_LOSS = 0.3
 
 # --- Reaction matrices with friction (:mod:`multiarm.dynamics.solver.reactions`).
 
 # Arms (and the node matrix) with relative pivots below this are solved together with the object:
 # more work, the same result.  The elimination loses the digits that this number has.
 COUPLING_TOLERANCE = 1e-6
+
+# Arms whose mobility is below this fraction of that of the object alone leave no digits of its
+# inertia in the node matrix.
+STIFFER_THAN_OBJECT = 1e-3
 
 # Singular values of the core (of the order of 1) below this count as zero.
 CORE_TOLERANCE = 1e-9
@@ -57,6 +69,10 @@ RANK_TOLERANCE = 1e-9
 
 # The same for the whole matrix, whose small singular values are the squares of those of W.
 SYSTEM_TOLERANCE = 1e-12
+
+# Null vectors with a smaller motion do not move the system: constraints that are dependent up to
+# rounding leave motions of the square root of SYSTEM_TOLERANCE.
+UNMOVED = 1e-5
 
 # Unknowns with a smaller part in every null vector are determined.
 PART_TOLERANCE = 1e-7

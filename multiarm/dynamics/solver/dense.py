@@ -21,7 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.solver.bounds import PART_TOLERANCE, RANK_TOLERANCE, SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.bounds import (
+    PART_TOLERANCE,
+    RANK_TOLERANCE,
+    SYSTEM_TOLERANCE,
+    UNMOVED,
+)
 
 
 class NodeSolution(NamedTuple):
@@ -134,8 +139,7 @@ def _solve_regular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
 def _moving(free: np.ndarray, size: int) -> np.ndarray:
     """Force parts (N, k) of those combinations of null vectors that move the system."""
     _, motion, vt = np.linalg.svd(free[:size], full_matrices=False)
-    # constraints that are dependent up to rounding leave motions of sqrt(SYSTEM_TOLERANCE)
-    return free[size:] @ vt[motion > 1e-5].T
+    return free[size:] @ vt[motion > UNMOVED].T
 
 
 def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:

@@ -338,11 +338,11 @@ def recover_forces(i, work, a_o, force):
 
 
 @inlined
-def recover_joints(i, work, force, a_j):
-    """Joint accelerations of an arm for its contact forces."""
+def recover_joints(i, work, Y, force, a_j):
+    """Joint accelerations of an arm for its contact forces; ``Y`` is ``L^-1 W``, or of ``W~``."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
-    L, Y, y = work.L[i], work.Y[i], work.y
+    L, y = work.L[i], work.y
     for j in range(d):
         s = y[d0 + j]
         for a in range(m):

@@ -30,7 +30,11 @@ from __future__ import annotations
 
 import math
 
-from multiarm.dynamics.solver.bounds import CORE_TOLERANCE, PART_TOLERANCE
+from multiarm.dynamics.solver.bounds import (
+    CORE_TOLERANCE,
+    COUPLED_RANK_TOLERANCE,
+    PART_TOLERANCE,
+)
 from multiarm.dynamics.solver.factors import decompose, solve_lu, solve_lu_transposed
 from multiarm.dynamics.solver.node import node_backward, node_forward
 from multiarm.jit.kernels import clear, inlined, kernel
@@ -108,10 +112,10 @@ def normalize(x, n):
 
 @inlined
 def rank_of(sigma, n):
-    """Number of singular values above 1e-6 of the largest."""
+    """Number of singular values that do not count as zero, relative to the largest."""
     rank = 0
     for k in range(n):
-        if sigma[k] > 1e-6 * sigma[0]:
+        if sigma[k] > COUPLED_RANK_TOLERANCE * sigma[0]:
             rank += 1
     return rank
 

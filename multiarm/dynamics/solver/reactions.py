@@ -33,14 +33,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.solver.bounds import COUPLING_TOLERANCE, MOBILITY_WEIGHT
+from multiarm.dynamics.solver.bounds import (
+    COUPLING_TOLERANCE,
+    MOBILITY_WEIGHT,
+    STIFFER_THAN_OBJECT,
+)
 from multiarm.dynamics.solver.factors import (
     copy_block,
     factor_cholesky,
     factor_lu,
     forward_columns,
 )
-from multiarm.dynamics.solver.node import NO_INERTIA, mobility, node_backward, node_forward
+from multiarm.dynamics.solver.node import (
+    NO_INERTIA,
+    mobility,
+    node_backward,
+    node_forward,
+    recover_joints,
+    unconstrained_motion,
+)
 from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
@@ -193,7 +204,7 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
     if not work.status.evenness > COUPLING_TOLERANCE:
         for i in range(n):
             # arms that are stiffer than the object alone leave no digits of its inertia
-            if relative_mobility(i, work, Wo) < 1e-3:
+            if relative_mobility(i, work, Wo) < STIFFER_THAN_OBJECT:
                 work.coupled[i] = 1
         work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
     if not work.pivot[n] > COUPLING_TOLERANCE:
@@ -395,7 +406,8 @@ def solve_for_reactions(work, Wo, Wr, f_o, f_j, c, a_o, a_j, force):
             force[a] -= part * work.null_force[k, a]
         for k6 in range(6):
             a_o[k6] -= part * work.null_force[k, total + k6]
-    joint_accelerations(work, a_j, force)
+    for i in range(work.coupled.size):
+        recover_joints(i, work, work.Yr[i], force, a_j)
 
 
 @inlined
@@ -409,12 +421,7 @@ def unconstrained_motions(work, Wo, f_o, f_j, c):
     node_backward(work.Lo, work.unloaded)
     for i in range(work.coupled.size):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        L = work.L[i]
-        for j in range(d):
-            s = f_j[d0 + j]
-            for k in range(j):
-                s -= L[j, k] * work.y[d0 + k]
-            work.y[d0 + j] = s * L[j, j]
+        unconstrained_motion(i, work, f_j)
         for row in range(work.rows[i], work.rows[i + 1]):
             work.z[row] = c[row]
             for j in range(d):
@@ -487,23 +494,3 @@ def solve_coupled_forces(work, Wo, x, force):
         for j in range(status.reaction_rank):
             s += work.Vr[j, a] * right[j]
         force[place[a]] = work.scale_r[a] * s
-
-
-@inlined
-def joint_accelerations(work, a_j, force):
-    """Joint accelerations for the contact forces."""
-    for i in range(work.coupled.size):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
-        L, Yr = work.L[i], work.Yr[i]
-        for j in range(d):
-            s = 0.0
-            for a in range(m):
-                s += Yr[j, a] * force[first + a]
-            a_j[d0 + j] = s + work.y[d0 + j]
-        for j in range(d - 1, -1, -1):
-            s = a_j[d0 + j] * L[j, j]
-            a_j[d0 + j] = s
-            for k in range(j):
-                a_j[d0 + k] -= L[j, k] * s

@@ -49,6 +49,7 @@ from multiarm.dynamics.solver.bounds import (
     HARDLY_ALIGNED,
     IMMOVABLE,
     IMMOVABLE_BY_OBJECT,
+    ROUNDED_SIGMA,
     SPLIT,
     SPLIT_BY_OBJECT,
 )
@@ -74,10 +75,7 @@ class CoupledStatus(Numbers):
     unknowns: Int  # unknown forces
     movable: Int  # those with a sigma
     rank: Int  # of the coupled system
-    # smallest singular value in the decision on the rank that is not a rounding error: distance
-    # from a loss of rank (of the order of 1 when it is far); now, and least since the last reset
-    margin: Float
-    least_margin: Float
+    margin: Float  # ``Solution.margin``, of the order of 1 when a loss of rank is far
 
 
 class CoupledWork(NamedTuple):
@@ -118,7 +116,7 @@ def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
         split=np.zeros(n),
         inertia=np.zeros((6, 6)),
         wrench=np.zeros(6),
-        status=CoupledStatus(margin=np.inf, least_margin=np.inf),
+        status=CoupledStatus(margin=np.inf),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
 
@@ -248,14 +246,13 @@ def find_rank(work, coupled, lever):
     status.margin = math.inf
     for r in range(rows):
         size = norm(basis[r], p)
-        if size > 1e-10:  # smaller ones are rounding errors of gaps and sums
+        if size > ROUNDED_SIGMA:
             status.margin = min(status.margin, size)
         if size > COUPLED_RANK_TOLERANCE:
             for u in range(p):
                 basis[rank, u] = basis[r, u] / size
             rank += 1
     status.rank = rank
-    status.least_margin = min(status.least_margin, status.margin)
 
 
 @kernel
@@ -420,4 +417,4 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
         for b in range(m):
             force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.row[u], b]
     for i in range(n):
-        recover_joints(i, work, force, a_j)
+        recover_joints(i, work, work.Y[i], force, a_j)

@@ -1,0 +1,55 @@
+r"""Momenta and kinetic energy: what the inertias make of velocities.
+
+.. math:: p = M v, \qquad T = \tfrac12 v^T M v
+
+with the object's inertia :math:`M_o` and those of the arms :math:`M_i` at the kinematics in the
+data, in world axes.
+"""
+
+from __future__ import annotations
+
+from multiarm.dynamics.arrays import open_system
+from multiarm.jit.kernels import INTS, NUMBERS, inlined, kernel
+
+
+@inlined
+def times_object_inertia(k, data, x):
+    """Entry ``k`` of ``M_o x``."""
+    product = 0.0
+    for l in range(6):  # noqa: E741
+        product += data.inertia[k, l] * x[l]
+    return product
+
+
+@inlined
+def times_arm_inertia(i, j, work, x):
+    """Entry of ``M_i x_i`` for joint ``j`` of arm ``i``; ``x`` has all joints."""
+    first, product = work.dofs[i], 0.0
+    for k in range(work.dofs[i + 1] - first):  # the lower triangle is filled
+        product += work.M[i, max(j, k), min(j, k)] * x[first + k]
+    return product
+
+
+@kernel
+def write_momenta(struct: INTS, momenta: NUMBERS):
+    """Write ``M v`` of object and joints, in the order of a velocity [N s, N m s]."""
+    _, data, work = open_system(struct)
+    first = momenta.size - data.v.size
+    for k in range(6):
+        momenta[k] = times_object_inertia(k, data, data.twist)
+    for i in range(work.dofs.size - 1):
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            momenta[first + work.dofs[i] + j] = times_arm_inertia(i, j, work, data.v)
+
+
+@kernel
+def kinetic_energy(data, work):
+    """Kinetic energy of arms and object [J] at the last evaluated state."""
+    energy = 0.0
+    for k in range(6):
+        energy += 0.5 * data.twist[k] * times_object_inertia(k, data, data.twist)
+    for i in range(work.dofs.size - 1):
+        d0 = work.dofs[i]
+        for j in range(work.dofs[i + 1] - d0):
+            energy += 0.5 * data.v[d0 + j] * times_arm_inertia(i, j, work, data.v)
+    return energy
