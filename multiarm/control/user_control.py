@@ -71,13 +71,13 @@ class Control(SampledControl):
         return ControlProgram(python=PythonControl(self.torques, who, True, instance))
 
     @classmethod
-    def lacks(cls) -> str:
-        """What the class lacks to be a kind of control; empty when nothing is missing."""
-        if cls.lacks_kind():
-            return cls.lacks_kind()
+    def definition_fault(cls) -> str:
+        """Why the class cannot be a kind of control; empty when it can."""
+        if cls.kind_fault():
+            return cls.kind_fault()
         if cls.torques is Control.torques and cls.build is Control.build:
             return "it defines neither 'torques' nor 'build'"
-        return cls.lacks_sample()
+        return cls.example_fault()
 
 
 def user_program(control: Control, context: ControlContext) -> ControlProgram:

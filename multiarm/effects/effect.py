@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm
 from multiarm.errors import ControlError
-from multiarm.scene.registry import OwnSpec
+from multiarm.scene.registry import UserSpec
 
 if TYPE_CHECKING:
     from multiarm.dynamics.effect_kernels import EffectKernel
@@ -81,7 +81,7 @@ class Effect:
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
     name: ClassVar[str] = ""
-    Spec: ClassVar[type] = OwnSpec
+    Spec: ClassVar[type] = UserSpec
 
     def __init__(self, spec: Any) -> None:
         self.spec = spec
@@ -107,8 +107,8 @@ class Effect:
         return other
 
     @classmethod
-    def lacks(cls) -> str:
-        """What the class lacks to be an effect, in words; empty when nothing is missing."""
+    def definition_fault(cls) -> str:
+        """Why the class cannot be an effect; empty when it can."""
         if not isinstance(cls.name, str) or not cls.name.isidentifier():
             return f"'name' must be a word that a scene can have as a key, it is {cls.name!r}"
         if not isinstance(cls.Spec, type) or not hasattr(cls.Spec, "model_validate"):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 import numpy as np
+import pandas
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
@@ -51,13 +52,14 @@ class Variable:
     labels: tuple[str, ...]  # of the levels, where they are no numbers
     log: bool
 
-    def groups(self) -> list[tuple[float, np.ndarray]]:
-        """Place on the axis, and runs there: of each level, or of each part."""
+    @property
+    def part(self) -> np.ndarray:
+        """The level of each run, or the number of its part, shape (K,)."""
         if self.levels is not None:
-            return [(float(level), np.flatnonzero(self.at == level)) for level in self.levels]
-        order = np.argsort(self.at, kind="stable")
-        count = max(1, min(PARTS, len(order) // PART_RUNS))
-        return [(float(np.median(self.at[part])), part) for part in np.array_split(order, count)]
+            return self.at
+        count = max(1, min(PARTS, len(self.at) // PART_RUNS))
+        ranks = pandas.Series(self.at).rank(method="first")
+        return pandas.qcut(ranks, count, labels=False).to_numpy()
 
 
 def variable(name: str, values: np.ndarray) -> Variable | None:
@@ -78,14 +80,9 @@ def variable(name: str, values: np.ndarray) -> Variable | None:
 
 def bands(axis: Variable, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places on the axis, shape (L,), and the quantiles ``BAND`` of the values there, (L, 5)."""
-    places, quantiles = [], []
-    for place, runs in axis.groups():
-        there = values[runs]
-        there = there[np.isfinite(there)]
-        if len(there):
-            places.append(place)
-            quantiles.append(np.quantile(there, BAND))
-    return np.array(places), np.array(quantiles).reshape(-1, len(BAND))
+    runs = pandas.DataFrame({"at": axis.at, "value": _finite(values)}).groupby(axis.part)
+    quantiles = runs["value"].quantile(BAND).unstack().dropna()
+    return runs["at"].median()[quantiles.index].to_numpy(), quantiles.to_numpy()
 
 
 def cells(x: Variable, y: Variable, values: np.ndarray) -> np.ndarray | None:
@@ -95,14 +92,13 @@ def cells(x: Variable, y: Variable, values: np.ndarray) -> np.ndarray | None:
     """
     if x.levels is None or y.levels is None:
         return None
-    table = np.full((len(y.levels), len(x.levels)), np.nan)
-    finite = np.isfinite(values)
-    for i, row in enumerate(y.levels):
-        for k, column in enumerate(x.levels):
-            there = values[finite & (x.at == column) & (y.at == row)]
-            if len(there):
-                table[i, k] = np.median(there)
-    return table
+    runs = pandas.DataFrame({"x": x.at, "y": y.at, "value": _finite(values)})
+    medians = runs.pivot_table("value", index="y", columns="x", aggfunc="median")
+    return medians.reindex(index=y.levels, columns=x.levels).to_numpy()
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def is_wide(values: np.ndarray) -> bool:

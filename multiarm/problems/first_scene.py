@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files, load_robots
@@ -35,6 +34,7 @@ from multiarm.scene import (
 from multiarm.scene.faults import unknown
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.parameters import description_of, example_of, picture_of
+from multiarm.scene.values import roll_pitch_yaw
 
 ABOVE_FLOOR = 0.05
 """Least distance of the object from the floor [m]."""
@@ -411,8 +411,7 @@ def _held(robot: _Robot, posture: np.ndarray) -> _Hold:
     posture = np.round(posture, 4) + 0.0
     pose = robot.arm.tip_pose(posture)
     x, y, z = pose[:3, 3].tolist()
-    roll, pitch, yaw = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz").tolist()
-    return _Hold(robot.tip, (x, y, z), (roll, pitch, yaw), posture.tolist())
+    return _Hold(robot.tip, (x, y, z), roll_pitch_yaw(pose[:3, :3]), posture.tolist())
 
 
 def _two_digits(number: float) -> float:

@@ -11,10 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from multiarm import plots
-from multiarm.errors import TrajectoryError
+from multiarm.errors import SceneError, TrajectoryError
 from multiarm.notation import number, numbers, value_text
 from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
@@ -32,6 +30,7 @@ from multiarm.results.limit_use import (
     percent,
 )
 from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
+from multiarm.scene.text import parse_yaml
 
 SHOWN_EVENTS = 200
 # What a certificate has that this program wrote; one of another program is shown unchanged.
@@ -91,8 +90,8 @@ def render(trajectory: Trajectory) -> str:
 def _scene_name(text: str) -> str:
     """The scene's name; the scene itself may not load here, as its robots may be missing."""
     try:
-        scene = yaml.safe_load(text)
-    except yaml.YAMLError:
+        scene = parse_yaml(text)
+    except SceneError:
         scene = None
     name = scene.get("name") if isinstance(scene, dict) else None
     return str(name) if name else "A run without a name"

@@ -23,7 +23,7 @@ from typing_extensions import Self
 
 from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import fault, shown, unknown
-from multiarm.scene.registry import AnyClass, OwnKind, Registry
+from multiarm.scene.registry import AnyClass, Registry, UserKind
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import (
     ArmName,
@@ -44,7 +44,7 @@ from multiarm.scene.values import (
 )
 
 
-class ControlKind(OwnKind):
+class ControlKind(UserKind):
     """Base class of control kinds.
 
     Attributes
@@ -510,7 +510,7 @@ def register_control(control: AnyClass) -> AnyClass:
     Raises
     ------
     ModelError
-        It lacks something, or another kind has its name.
+        The class cannot be used, or another kind has its name.
     """
     return CONTROLS.add(control)
 

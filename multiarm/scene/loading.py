@@ -19,7 +19,6 @@ from multiarm.errors import Fault, ModelError, SceneError
 from multiarm.scene.code import (
     CodeReference,
     LoadedFunction,
-    function_references,
     is_reference,
     load_code,
     mapped,
@@ -77,8 +76,8 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
         scene = Scene.from_mapping(data, path.resolve().parent, code)
         faults = [
             fault_at(parts, reason)
-            for parts, reference, noun in _references(scene)
-            if (reason := reference_fault(reference, scene.folder, noun))
+            for parts, registry, name in _code_of(scene)
+            if (reason := _location_fault(registry, name, scene.folder))
         ]
     except SceneError as error:
         faults = error.faults
@@ -166,16 +165,13 @@ class NamedCode:
 
 def named_code(scene: Scene) -> list[NamedCode]:
     """The code that a scene names and that is not loaded yet, in the order of the scene."""
-    parts: list[tuple[Parts, Any, str | None]] = [
-        (("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)
-    ]
-    parts += [(("control",), scene.control, None), (("effects",), scene.effects, None)]
     named = []
-    for where, part, arm in parts:
-        for at, reference in function_references(part, where):
-            named.append(NamedCode.function(at, reference, arm))
-        for unloaded in _unloaded_classes(part, where):
-            named.append(NamedCode.user_class(*unloaded, arm))
+    for parts, registry, name in _code_of(scene):
+        arm = scene.joints[int(parts[1])].arm if parts[0] == "joints" else None
+        if registry is None:
+            named.append(NamedCode.function(parts, CodeReference(name), arm))
+        else:
+            named.append(NamedCode.user_class(parts, registry, name, arm))
     return named
 
 
@@ -233,13 +229,13 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     left = named_code(scene)
     if not left:
         return scene, left
-    unloaded = [name for _, _, name in _unloaded_classes(scene.effects)]
+    unloaded = {name for _, registry, name in code_in(scene.effects) if registry is not None}
     wrenches = scene.effects.external_wrenches or ()
-    known = tuple(wrench for wrench in wrenches if not any(function_references(wrench)))
+    known = tuple(wrench for wrench in wrenches if not any(code_in(wrench)))
     effects = {**scene.effects.named, "external_wrenches": known or None}
     joints = tuple(_without_contacts(joint) for joint in scene.joints)
     control = scene.control
-    if _needs_code(control):
+    if any(code_in(control)):
         control = ControlKind(kind=control.kind)
     effects = {name: value for name, value in effects.items() if name not in unloaded}
     parts = {"joints": joints, "control": control, "effects": effects}
@@ -266,14 +262,15 @@ def loaded_functions(value: Any, parts: Parts = ()) -> Any:
     return mapped(value, loaded, parts)
 
 
-_Unloaded = tuple[Parts, Registry, str]
-"""A user class that is not loaded: its place, sort and name."""
+def code_in(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Registry | None, str]]:
+    """What a part of a scene names and is not loaded: place, registry of a class, and name.
 
-
-def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[_Unloaded]:
-    """User classes that a part of a scene names, and that have not read their parameters."""
+    A function has no registry; a class has not read its parameters.
+    """
     for where, part in nodes(value, parts):
-        if isinstance(part, UnloadedJoint):
+        if isinstance(part, CodeReference):
+            yield where, None, part
+        elif isinstance(part, UnloadedJoint):
             yield (*where, "kind"), JOINTS, part.kind
         elif isinstance(part, UnloadedControl):
             yield (*where, "kind"), CONTROLS, part.kind
@@ -281,6 +278,17 @@ def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[_Unloaded]:
             for name, parameters in (part.model_extra or {}).items():
                 if parameters is not None and not isinstance(parameters, BaseModel):
                     yield (*where, name), part.registry, name
+
+
+def _code_of(scene: Scene) -> Iterator[tuple[Parts, Registry | None, str]]:
+    return (code for part in PARTS for code in code_in(getattr(scene, part), (part,)))
+
+
+def _location_fault(registry: Registry | None, name: str, folder: Path) -> str:
+    """Why a file in a folder may not name this code; empty where it may."""
+    if registry is None:
+        return reference_fault(CodeReference(name), folder)
+    return reference_fault(CodeReference(name), folder, "class") if is_reference(name) else ""
 
 
 def _with_classes(scene: Scene) -> Scene:
@@ -294,9 +302,8 @@ def _with_classes(scene: Scene) -> Scene:
     classes: dict[tuple[str, str], type] = {}
     while unloaded := {
         (registry.sort, name): (parts, registry)
-        for part in PARTS
-        for parts, registry, name in _unloaded_classes(getattr(scene, part), (part,))
-        if (registry.sort, name) not in classes
+        for parts, registry, name in _code_of(scene)
+        if registry is not None and (registry.sort, name) not in classes
     }:  # once more where parameters of a class name further ones
         faults = []
         for (sort, name), (parts, registry) in unloaded.items():
@@ -318,29 +325,14 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _references(scene: Scene) -> Iterator[tuple[Parts, CodeReference, str]]:
-    """The functions and classes of files and modules that a scene names, with their places."""
-    for name in PARTS:
-        part = getattr(scene, name)
-        for parts, reference in function_references(part, (name,)):
-            yield parts, reference, "function"
-        for parts, _, class_name in _unloaded_classes(part, (name,)):
-            if is_reference(class_name):
-                yield parts, CodeReference(class_name), "class"
-
-
-def _needs_code(part: Any) -> bool:
-    return any(function_references(part)) or any(_unloaded_classes(part))
-
-
 def _without_contacts(joint: Joint) -> Joint:
     """A joint without its contacts that need code; nothing is left of a kind that needs it."""
-    if not _needs_code(joint):
+    if not any(code_in(joint)):
         return joint
     contacts = tuple(
         contact.model_copy(update={"name": contact.name or f"contact {k + 1}"})
         for k, contact in enumerate(joint.contacts if isinstance(joint, ContactsJoint) else ())
-        if not _needs_code(contact)
+        if not any(code_in(contact))
     )
     if contacts:
         return joint.model_copy(update={"contacts": contacts})

@@ -18,9 +18,9 @@ Reading a scene imports no package and runs no file: the parameters of a class t
 registered stay as they are written until a system is compiled.  The class then validates them, and
 every fault has its place, as for our own classes.
 
-To the registry, a class is a name, a model of its parameters, and a class method ``lacks()`` that
-says in words what it lacks to be of its sort; empty when nothing is missing.  A part of a scene
-names a class by its key ``kind`` (:meth:`Registry.by_kind`) or as a key of a table
+The registry uses of a class its name, the model of its parameters, and its method
+``definition_fault()``, which says why the class cannot be used and is empty when it can.  A part of
+a scene names a class by its key ``kind`` (:meth:`Registry.by_kind`) or as a key of a table
 (:class:`ByName`).
 """
 
@@ -72,19 +72,19 @@ Classes = Mapping[tuple[str, str], type]
 """User classes that were loaded for a scene, by their sort and name."""
 
 
-class OwnSpec(Spec):
+class UserSpec(Spec):
     """Parameters of a user class: keys that are not declared, NaN and infinity are refused."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
     @classmethod
-    def incomplete(cls) -> str:
-        """Why its fields are not known yet, in words; empty when they are."""
+    def field_fault(cls) -> str:
+        """Why its fields are not known yet; empty when they are."""
         known = cls.model_rebuild(raise_errors=False) is not False
         return "" if known else "an annotation names what is not known where the class is defined"
 
 
-class OwnKind(OwnSpec):
+class UserKind(UserSpec):
     """Parameters of a class that scenes name by its key ``kind``."""
 
     class_sort: ClassVar[str] = ""
@@ -97,7 +97,7 @@ class OwnKind(OwnSpec):
         raise NotImplementedError
 
     @classmethod
-    def lacks_sample(cls) -> str:
+    def example_fault(cls) -> str:
         """Why the example cannot be read; empty when it can, or there is none."""
         try:
             if cls.example:
@@ -112,10 +112,10 @@ class OwnKind(OwnSpec):
         return cls.model_fields["kind"].default
 
     @classmethod
-    def lacks_kind(cls) -> str:
+    def kind_fault(cls) -> str:
         """Why the class cannot be found by its ``kind``; empty when it can."""
-        if cls.incomplete():
-            return cls.incomplete()
+        if cls.field_fault():
+            return cls.field_fault()
         kind = cls.kind_name()
         only = get_origin(annotation := cls.model_fields["kind"].annotation) is Literal
         if not only or get_args(annotation) != (kind,) or not str(kind).isidentifier():
@@ -177,7 +177,7 @@ class Registry(Generic[Kind]):
         Raises
         ------
         ModelError
-            It lacks something, or another class has its name.
+            The class cannot be used, or another one has its name.
         """
         self._check(user_class, "cannot be registered")
         name = self.name_of(user_class)
@@ -247,7 +247,7 @@ class Registry(Generic[Kind]):
             return offered
         user_class: Any = load_code(CodeReference(name), "class")
         self._check(user_class, "cannot be used")
-        if issubclass(user_class, OwnKind):
+        if issubclass(user_class, UserKind):
             user_class = _with_kind(user_class, name)
         self.registered[name] = user_class
         return user_class
@@ -290,7 +290,7 @@ class Registry(Generic[Kind]):
     def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""
         assert self.not_loaded is not None, "the sort is named by 'kind'"
-        if isinstance(value, OwnKind) and value.class_sort == self.sort:
+        if isinstance(value, UserKind) and value.class_sort == self.sort:
             return value
         if not isinstance(value, (Mapping, Spec)):
             return ours(value)
@@ -359,7 +359,7 @@ class Registry(Generic[Kind]):
         """Raise unless this is a class of the sort, with the name that its package offers."""
         if not isinstance(user_class, type) or getattr(user_class, "class_sort", None) != self.sort:
             raise ModelError(f"{user_class!r} {trouble}: it is no subclass of {self.base}")
-        reason = user_class.lacks()  # type: ignore[attr-defined]
+        reason = user_class.definition_fault()  # type: ignore[attr-defined]
         class_name = self.name_of(user_class)
         if not reason and name is not None and class_name != name:
             reason = f"its name is {class_name!r}, not {name!r}"
@@ -374,7 +374,7 @@ class Registry(Generic[Kind]):
         return list(metadata.entry_points(group=self.group, name=name))
 
 
-def _with_kind(user_class: type[OwnKind], kind: str) -> Any:
+def _with_kind(user_class: type[UserKind], kind: str) -> Any:
     """The class under another name in scenes."""
     field: Any = (Literal[kind], kind)  # type: ignore[valid-type]
     return create_model(

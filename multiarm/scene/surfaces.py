@@ -19,7 +19,7 @@ from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
 from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import fault, listed
 from multiarm.scene.parameters import summary_of
-from multiarm.scene.registry import AnyClass, ByName, OwnSpec, Registry, called
+from multiarm.scene.registry import AnyClass, ByName, Registry, UserSpec, called
 from multiarm.scene.values import (
     Direction,
     Number,
@@ -67,7 +67,7 @@ class PatchSpec(Spec):
         return records.Patch(np.array(lower), np.array(upper))
 
 
-class Surface(OwnSpec):
+class Surface(UserSpec):
     """Base class of surfaces; define ``name``, fields and :meth:`Surface.record`.
 
     Attributes
@@ -113,13 +113,13 @@ class Surface(OwnSpec):
         return f"{article} {noun}{self.size.format(**dict(self))}"
 
     @classmethod
-    def lacks(cls) -> str:
-        """What the class lacks to be a surface, in words; empty when nothing is missing."""
+    def definition_fault(cls) -> str:
+        """Why the class cannot be a surface; empty when it can."""
         if not isinstance(cls.name, str) or not cls.name.isidentifier():
             return f"'name' must be a word that a scene can have as a key, it is {cls.name!r}"
         if cls.record is Surface.record:
             return "it does not define 'record'"
-        return cls.incomplete()
+        return cls.field_fault()
 
 
 class _Turned(Surface):
@@ -411,7 +411,7 @@ def register_surface(surface: AnyClass) -> AnyClass:
     Raises
     ------
     ModelError
-        It lacks something, or another surface has its name.
+        The class cannot be used, or another surface has its name.
     """
     return SURFACES.add(surface)
 

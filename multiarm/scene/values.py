@@ -413,14 +413,9 @@ def rotation_matrix(
     largest = np.abs(q).max()
     if largest > 1e100:  # its square would overflow
         q = q / largest
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    from multiarm.spatial import quaternion_to_matrix
+
+    return quaternion_to_matrix(q / np.linalg.norm(q))
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:

@@ -21,7 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from multiarm.notation import NOTHING, count_of
+from multiarm.notation import NOTHING, count_of, number
 from multiarm.plots.style import GRID, INK, STYLE, inline_svg
 from multiarm.reports import pages
 from multiarm.studies.effect_costs import (
@@ -106,7 +106,7 @@ def _cost(entry: Entry) -> str:
     share = entry.share
     if share.within_noise:
         return "time within the noise"
-    size = f"{_short(abs(100.0 * share.value))} %"
+    size = f"{number(abs(100.0 * share.value), digits=2)} %"
     if share.value < 0.0:
         return f"{'would save' if entry.kind == CANDIDATE else 'saves'} {size} of the time"
     return f"{size} more time" if entry.kind == CANDIDATE else f"{size} of the time"
@@ -127,14 +127,7 @@ def size(ledger: Ledger, entry: Entry, name: str) -> str:
     value = entry.changes[name].value
     if 0.0 < value <= ledger.asked[name]:
         return NOISE
-    return _short(QUANTITIES[name].factor * value)
-
-
-def _short(value: float) -> str:
-    """Two digits: ``0.02``, ``41``, ``1250``; one where it is next to nothing."""
-    if value >= 100.0:
-        return f"{value:.0f}"
-    return f"{value:.2g}" if value >= 1e-4 or value == 0.0 else f"{value:.0e}"
+    return number(QUANTITIES[name].factor * value, digits=2)
 
 
 def percent(share: Estimate) -> str:

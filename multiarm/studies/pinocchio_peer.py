@@ -164,7 +164,11 @@ class PinocchioPeer(Peer):
     def _adaptive(
         self, clock: Clock, grid: Grid, f: Slope, y: np.ndarray, tolerance: float
     ) -> Course:
-        """DOP853; its dense output, which is less accurate than its steps, meets the outputs."""
+        """DOP853, whose dense output meets the outputs within its tolerance.
+
+        Steps that end at the outputs cost more: with one every 10 ms, 1.6 times as many evaluations
+        for an error of 1e-11, and 12 times as many for 1e-3.
+        """
         left = grid.times[1:]
         for solver in dop853_steps(clock, f, y, left[-1], tolerance):
             with clock:

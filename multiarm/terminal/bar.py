@@ -1,12 +1,13 @@
 """A bar on a terminal, with what is being done and a sentence below it; and the pace of the work.
 
-The pace is Rich's: that of the last half minute, on a clock that stands still during compilation.
-There is none before the work has gone on twice, and where parts of it take longer than that: the
-time that they take would prove every estimate wrong.
+The pace is Rich's, on a clock that stands still during compilation: that of the latest half of the
+time, of half a minute at least, so that parts of the work that take longer than those before show
+soon.  There is none before the work has gone on twice in that time.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 
 from rich.console import Console, RenderableType
@@ -16,6 +17,9 @@ from rich.text import Text
 from multiarm.jit.compilation import process_running_time
 
 __all__ = ["Bar"]
+
+RECENT, SHARE = 30.0, 0.5
+"""The pace is taken over so long [s] at least, and over such a share of the time so far."""
 
 
 class Bar(Progress):
@@ -46,7 +50,7 @@ class Bar(Progress):
         hidden: bool,
     ) -> None:
         super().__init__(
-            SpinnerColumn(),
+            _Spinner(),
             _TextNow(words),
             BarColumn(),
             _TextNow(amount, "cyan"),
@@ -66,6 +70,7 @@ class Bar(Progress):
         """Show how much of how much is done; 0 of 0: not known."""
         if done < self._work.completed:  # another stage begins
             self.reset(self._work.id)
+        self.speed_estimate_period = max(RECENT, SHARE * (self._work.elapsed or 0.0))
         self.update(self._work.id, completed=done, total=total or None)
 
     @property
@@ -83,6 +88,14 @@ class Bar(Progress):
         yield from super().get_renderables()
         if self.note:
             yield Text(self.note, "green")
+
+
+class _Spinner(SpinnerColumn):
+    """A spinner that turns during compilation too."""
+
+    def render(self, task: Task) -> RenderableType:
+        """The spinner as it is now."""
+        return self.spinner.render(time.monotonic())
 
 
 class _TextNow(ProgressColumn):

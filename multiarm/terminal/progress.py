@@ -84,7 +84,7 @@ class _Display:
 
         self._console = messages()
         self._work, self._amount, self._began = PREPARING, "", time.monotonic()
-        columns = (self._words, self._amount_and_left, self._elapsed)
+        columns = (self._words, self._amount_and_left, self._elapsed_on_the_bar)
         self._bar = Bar(self._console, *columns, hidden=quiet)
         self._lines = not (quiet or self._console.is_terminal)
         self._ended = threading.Event()
@@ -141,18 +141,21 @@ class _Display:
         ends = datetime.now() + timedelta(seconds=seconds)
         return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
 
-    def _elapsed(self) -> str:
-        return span(time.monotonic() - self._began)
+    def _elapsed(self) -> float:
+        return time.monotonic() - self._began  # [s]
+
+    def _elapsed_on_the_bar(self) -> str:
+        return str(timedelta(seconds=int(self._elapsed())))
 
     def _line(self) -> str:
-        end = self._left() or f"{self._elapsed()} so far"
+        end = self._left() or f"{span(self._elapsed())} so far"
         return ", ".join(filter(None, (self._words(), self._amount, end)))
 
     def _print_lines(self) -> None:
         pause = LINES
         while not self._ended.wait(pause):
             self._console.print(self._line(), soft_wrap=True)
-            pause = min(max(LINES, SHARE * (time.monotonic() - self._began)), SLOWEST)
+            pause = min(max(LINES, SHARE * self._elapsed()), SLOWEST)
 
 
 class Progress(_Display):

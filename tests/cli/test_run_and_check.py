@@ -349,6 +349,19 @@ def test_progress_says_that_kernels_are_compiled_while_they_are(monkeypatch):
     assert float(rate) > 100.0, "1 s in some microseconds: the 50 ms of the compiler do not count"
 
 
+def test_the_bar_moves_and_tells_the_time_during_compilation(monkeypatch):
+    """The clock of its pace stands still then."""
+    screen = StringIO()
+    console = Console(file=screen, force_terminal=True, width=100, color_system=None)
+    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: console)
+    with Progress() as progress, compiling():
+        progress(1, 4, "working")
+        time.sleep(0.5)
+    frames = re.findall(r"(\S) compiling kernels .* (\S+)", screen.getvalue())
+    assert len({spinner for spinner, _ in frames}) >= 2
+    assert {elapsed for _, elapsed in frames} <= {"0:00:00", "0:00:01"}
+
+
 def test_the_estimate_of_a_run_that_is_checked_afterwards_ends_with_the_check(monkeypatch):
     clock = [0.0]
     monkeypatch.setattr("multiarm.terminal.bar.process_running_time", lambda: clock[0])
@@ -364,8 +377,8 @@ def test_the_estimate_of_a_run_that_is_checked_afterwards_ends_with_the_check(mo
     assert progress._line().endswith(" x real time, about 6 s left")
 
 
-def test_no_time_is_estimated_where_the_parts_of_the_work_take_unequally_long(monkeypatch):
-    """Every estimate would be wrong: it would say that two minutes are left, for minutes."""
+def test_the_time_left_follows_parts_of_the_work_that_take_longer_than_those_before(monkeypatch):
+    """Four parts of a minute each are left; by the average of all parts it would be 78 s."""
     clock, lines = [0.0], []
     monkeypatch.setattr("multiarm.terminal.progress.time.monotonic", lambda: clock[0])
     monkeypatch.setattr("multiarm.terminal.bar.process_running_time", lambda: clock[0])
@@ -375,7 +388,8 @@ def test_no_time_is_estimated_where_the_parts_of_the_work_take_unequally_long(mo
         lines.append(progress._line())
         clock[0] += 60.0 if done > 8 else 6.0
     assert lines[8] == "working, 8 of 16, about 48 s left"
-    assert "left" not in lines[12] and lines[12].endswith("4 min so far")
+    assert lines[10] == "working, 10 of 16, 2 min so far", "parts of both kinds tell nothing"
+    assert lines[12].startswith("working, 12 of 16, about 4 min left, ends ")
 
 
 @pytest.mark.parametrize("solver", ["node", "dense"])

@@ -323,7 +323,7 @@ def test_a_sweep_with_faults_is_one_message_with_all_of_them(tmp_path):
 def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
     clock, printed = [100.0], []
     monkeypatch.setattr("multiarm.terminal.progress.time.monotonic", lambda: clock[0])
-    monkeypatch.setattr("multiarm.terminal.progress.process_running_time", lambda: clock[0])
+    monkeypatch.setattr("multiarm.terminal.bar.process_running_time", lambda: clock[0])
     bar = SweepProgress()
     for seconds, done in [(0, 500), (60, 510), (100, 610), (140, 710), (180, 1000)]:
         clock[0] = 100.0 + seconds

@@ -60,7 +60,14 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer",
         "studies.pinocchio_peer",
     ),
-    "pandas": ("results.trajectory", "studies", "sweeps.folder", "sweeps.plan", "sweeps.result"),
+    "pandas": (
+        "plots.sweep_figures",
+        "results.trajectory",
+        "studies",
+        "sweeps.folder",
+        "sweeps.plan",
+        "sweeps.result",
+    ),
     "pyarrow": ("control.tables", "sweeps.folder"),
     "platformdirs": ("viewer",),
     "pydantic": ("scene", "sweeps"),
@@ -92,7 +99,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "trimesh": ("grasp.body.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
-    "yaml": ("reports.report", "scene"),
+    "yaml": ("scene",),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "scipy", "pydantic"}

@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app
-from multiarm.results.files import printable, printable_texts, save_page
+from multiarm.cli.studies import draw_files
+from multiarm.results.files import printable, printable_texts
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.studies import work_precision_page as accuracy_page
@@ -184,7 +185,7 @@ def test_names_on_a_page_of_a_study_are_no_markup(tmp_path):
     study = sample_accuracy()
     study.scene = {**study.scene, "name": HOSTILE, "text": HOSTILE}
     study.refusals = {HOSTILE: HOSTILE}
-    save_page(accuracy_page.render(study), tmp_path / "page.html")
+    draw_files(accuracy_page, study, plot=None, html=tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert steering(text) == set()
     assert Page(text).tags.count("script") == 0

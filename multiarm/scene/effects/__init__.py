@@ -43,7 +43,7 @@ def register_effect(effect: AnyClass) -> AnyClass:
     Raises
     ------
     ModelError
-        It lacks something, or another effect has its name.
+        The class cannot be used, or another effect has its name.
     """
     return EFFECTS.add(effect)
 

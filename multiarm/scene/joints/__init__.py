@@ -37,7 +37,7 @@ def register_joint(joint: AnyClass) -> AnyClass:
     Raises
     ------
     ModelError
-        It lacks something, or another kind has its name.
+        The class cannot be used, or another kind has its name.
     """
     return JOINTS.add(joint)
 

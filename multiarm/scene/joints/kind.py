@@ -19,7 +19,7 @@ from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault, shown
-from multiarm.scene.registry import OwnKind, called
+from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
 
@@ -55,7 +55,7 @@ TipRadius = Annotated[
 ]
 
 
-class Joint(OwnKind):
+class Joint(UserKind):
     """Base class of joints; define ``kind``, fields and :meth:`Joint.records`.
 
     The joint frame is given in the object frame (``at``) and in the tip's frame (``at_tip``); both
@@ -211,10 +211,10 @@ class Joint(OwnKind):
         return cls.model_validate(entry)
 
     @classmethod
-    def lacks(cls) -> str:
-        """What the class lacks to be a kind of joint, in words; empty when nothing is missing."""
-        if cls.lacks_kind():
-            return cls.lacks_kind()
+    def definition_fault(cls) -> str:
+        """Why the class cannot be a kind of joint; empty when it can."""
+        if cls.kind_fault():
+            return cls.kind_fault()
         if cls.records is Joint.records:
             return "it does not define 'records'"
         unlimited = set(cls.limited) - set(cls.model_fields)
@@ -222,7 +222,7 @@ class Joint(OwnKind):
             return f"'limited' names {sorted(unlimited)[0]!r}, which is no field"
         if not {*(cls.free or ()), *cls.limited.values()} <= set(range(6)):
             return "'free' and 'limited' name components 0 to 5 of the relative motion"
-        return cls.lacks_sample()
+        return cls.example_fault()
 
 
 class UnloadedJoint(Joint):
