@@ -45,6 +45,7 @@ from multiarm.tableaus import METHODS
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
 BLOCK_NUMBERS = 320_000
+_DEFAULT_ACCURACY = AccuracySpec(position=DEFAULT_ACCURACY, rotation=DEFAULT_ACCURACY)
 
 
 @dataclass(frozen=True)
@@ -174,9 +175,7 @@ def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tole
 
     ``tighten`` multiplies the tolerances.
     """
-    accuracy = spec.accuracy
-    if accuracy is None:
-        accuracy = AccuracySpec(position=DEFAULT_ACCURACY, rotation=DEFAULT_ACCURACY)
+    accuracy = _DEFAULT_ACCURACY if spec.accuracy is None else spec.accuracy
     # the method of order 8 is the cheaper one below an accuracy of 1e-3
     name = spec.integrator or ("dop853" if accuracy.smallest < 1e-3 else "dopri5")
     if not METHODS[name].adaptive:
