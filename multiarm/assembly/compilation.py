@@ -55,8 +55,8 @@ from multiarm.effects.building import (
 from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.errors import ModelError, SceneError
 from multiarm.integration.explicit import explicit_step
-from multiarm.integration.monitors import reporting_guards
 from multiarm.integration.near_singular import evaluate_near_singular
+from multiarm.integration.reporting_guards import reporting_guards
 from multiarm.integration.step import write_slope
 from multiarm.integration.time_loop import advance
 from multiarm.jit.ahead import compile_ahead
@@ -442,7 +442,7 @@ def draft_model(
     outlines = {name: arm.joints for name, arm in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
     effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
-    monitored = rows.on_links if unilateral is None else {name: [] for name in arms}
+    bilateral = rows.on_links if unilateral is None else {name: [] for name in arms}
     limits = {name: joint.limits for name, joint in joints.items()}
     levers = [arms[name].levers(joints[name].frame.on_tip[:3, 3]) for name in arms]
     levers += [np.zeros(0)] * (len(layout.dofs) - 1 - len(arms))
@@ -496,7 +496,7 @@ def draft_model(
         breakpoints=effects.breakpoints,
         pair_places=np.zeros((len(rows.table.shapes), 3)),
         unilateral=unilateral,
-        guards=reporting_guards(monitored, limits, layout, effects.watched),
+        guards=reporting_guards(bilateral, limits, layout, effects.watched),
     )
 
 

@@ -46,8 +46,8 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import ModelError, SceneError
-from multiarm.integration.monitors import contacts_off_patch
 from multiarm.integration.projection import project_velocities
+from multiarm.integration.reporting_guards import contacts_off_patch
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.values import SURROUNDINGS

@@ -1,12 +1,9 @@
 r"""Recorded control: torques, or references of springs and dampers, from a table over time.
 
-Between two rows :math:`t_s \le t < t_{s+1}` every column is a polynomial of degree ``D``,
-
-.. math:: y(t) = \sum_{k=0}^{D} a_{sk}\,(t - t_s)^{D - k},
-
-a constant (``hold``), a line (``linear``) or a piece of the cubic spline
-(``cubic``: continuous up to the second derivative, not-a-knot at its ends).  The row is found by
-bisection.  Outside the table, values are those of the first and the last row, at rest, or zero.
+Between two rows every column is a polynomial (:mod:`multiarm.dynamics.piecewise`): a constant
+(``hold``), a line (``linear``) or a piece of the cubic spline (``cubic``: continuous up to the
+second derivative, not-a-knot at its ends).  Outside the table, values are those of the first and
+the last row, at rest, or zero.
 
 * *torque*: :math:`\tau = y(t)`.
 * *position*: :math:`\tau = K_p\,(y(t) - q) + K_d\,(\dot y(t) - \dot q)`, as joint PD.
@@ -25,6 +22,7 @@ from multiarm.control.tables import read_table
 from multiarm.dynamics.arrays import CARRYING, LOCAL, OPEN_LOOP, open_data
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
 from multiarm.dynamics.model import ControlSpan
+from multiarm.dynamics.piecewise import polynomial, row_at
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.structs import Flag, Floats1, Floats3, struct_at
 from multiarm.scene.control import RecordedControl
@@ -60,7 +58,7 @@ def recorded_torques(address, size, at, t):
     """Add the torques."""
     struct = struct_at(address, size)
     data, table = open_data(struct), open_torques(struct, at)
-    row = find_row(t, table.times)
+    row = row_at(table.times, t)
     for j in range(data.torque.size):
         value, _ = table_point(t, table, row, j)
         data.torque[j] += value
@@ -72,7 +70,7 @@ def recorded_positions(address, size, at, t):
     """Add the torques of the springs and dampers."""
     struct = struct_at(address, size)
     data, law = open_data(struct), open_positions(struct, at)
-    row = find_row(t, law.times)
+    row = row_at(law.times, t)
     for j in range(data.torque.size):
         reference, rate = table_point(t, law, row, j)
         add_spring(law, j, reference, rate, data)
@@ -88,33 +86,15 @@ def differentiate_recorded_positions(address, size, at, _t):
 
 
 @kernel
-def find_row(t, times):
-    """The last row whose time is not after ``t``; -1 before the first one."""
-    low, high = -1, times.size - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if times[middle] <= t:
-            low = middle
-        else:
-            high = middle - 1
-    return low
-
-
-@kernel
 def table_point(t, table, row, joint):
-    """Value of one joint and its rate at time ``t``, which is after ``row``, see `find_row`."""
+    """Value of one joint and its rate at time ``t``, which is after ``row``, see `row_at`."""
     if row < 0 or row == table.times.size - 1:  # before the first row, from the last one on
         if table.zero_outside:
             return 0.0, 0.0
         if row < 0:
             return table.coefficients[0, joint, table.coefficients.shape[2] - 1], 0.0
         return table.last_row[joint], 0.0
-    x = t - table.times[row]
-    value = rate = 0.0
-    for k in range(table.coefficients.shape[2]):
-        rate = rate * x + value
-        value = value * x + table.coefficients[row, joint, k]
-    return value, rate
+    return polynomial(table.coefficients[row, joint], t - table.times[row])
 
 
 def recorded_program(control: RecordedControl, context: ControlContext) -> ControlProgram:

@@ -242,6 +242,7 @@ class Variables(NamedTuple):
     wrenches: Floats2
     tips: Floats2
     torque: Floats1  # (joints,) of the control
+    control_power: Floats1  # (n,) of its torques on each arm [W], in models with control
     sampling: SamplingStatus
     held: Floats2  # (2, joints) of a control that can be held: torques that act, and the last ones
     gravity_torque: Floats1  # (joints,) gravity forces, for control that needs them
@@ -286,16 +287,17 @@ def make_variables(
     work, and of states of effects.
     """
     arms, joints, pairs = len(pointers), layout.joints, len(constants.shapes)
+    tips = len(constants.tip_frames)  # without the surroundings, which are an arm
     columns = 2 * layout.nv + states + 7
     shapes = {
         "q": pinocchio_size,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
         "query": RELATIVE_WIDTH + QUERY_WIDTH, "places": (pairs, 3), "located": (pairs, 3),
         "inertia": (6, 6),
-        "torque": joints, "held": (2, joints), "gravity_torque": joints,
+        "torque": joints, "control_power": tips, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
         "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
-        "wrenches": (arms, 6), "tips": (len(constants.tip_frames), TIP_WIDTH),
+        "wrenches": (arms, 6), "tips": (tips, TIP_WIDTH),
         "total_forces": layout.nv, "forces_without_prestress": layout.nv,
         "kept_configuration": layout.nq, "kept_velocity": layout.nv,
         "mixed": layout.nv, "signs": arms,

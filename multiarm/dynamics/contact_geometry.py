@@ -38,7 +38,7 @@ from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.guards import depth_on_body, packed_patch
+from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -274,7 +274,7 @@ def patch_margin(data: Data, constraint: Constraint) -> float:
 
 @kernel
 def depth_of_contact(struct: INTS, patch: NUMBERS, body: INT, row: INT):
-    """:func:`multiarm.dynamics.guards.depth_on_body`, for Python."""
+    """:func:`multiarm.dynamics.guard_functions.depth_on_body`, for Python."""
     model, data, _ = open_system(struct)
     return depth_on_body(patch, body, row, model, data)
 

@@ -212,26 +212,26 @@ class EffectProgram:
     @classmethod
     def of(cls, kernels: Sequence[EffectKernel]) -> EffectProgram:
         """Sort kernels by their phases."""
-        return cls(tuple(sorted(kernels, key=lambda own: own.phase)))
+        return cls(tuple(sorted(kernels, key=lambda kernel: kernel.phase)))
 
     def with_contacts_closed(self) -> EffectProgram:
         """The same arrays and powers, without calling the kernels of unilateral contacts."""
-        own = (replace(k, kernel=None) if k.unilateral else k for k in self.kernels)
-        return EffectProgram(tuple(own))
+        kernels = (replace(k, kernel=None) if k.unilateral else k for k in self.kernels)
+        return EffectProgram(tuple(kernels))
 
     @property
     def works(self) -> tuple[str, ...]:
         """Names of the effects that do work, in the order of ``Variables.power``."""
-        return tuple(own.name for own in self.kernels if own.works)
+        return tuple(effect.name for effect in self.kernels if effect.works)
 
     @property
     def powers(self) -> np.ndarray:
         """Place of the power of each kernel that is called; -1 without."""
-        places = np.cumsum([0, *(own.works for own in self.kernels)])
+        places = np.cumsum([0, *(effect.works for effect in self.kernels)])
         powers = [
-            int(place) if own.works else -1
-            for own, place in zip(self.kernels, places, strict=False)
-            if own.kernel is not None
+            int(place) if effect.works else -1
+            for effect, place in zip(self.kernels, places, strict=False)
+            if effect.kernel is not None
         ]
         return np.array(powers, dtype=np.int64)
 
@@ -242,35 +242,37 @@ class EffectProgram:
     @property
     def states(self) -> int:
         """Number of states of all effects."""
-        return sum(own.states for own in self.kernels)
+        return sum(effect.states for effect in self.kernels)
 
     @property
     def with_states(self) -> tuple[str, ...]:
         """Names of the effects with states."""
-        return tuple(own.name for own in self.kernels if own.states)
+        return tuple(effect.name for effect in self.kernels if effect.states)
 
     @property
     def breakpoints(self) -> np.ndarray:
         """Times at which an effect is not smooth, increasing."""
-        return np.unique(np.concatenate([np.zeros(0), *(own.breakpoints for own in self.kernels)]))
+        return np.unique(
+            np.concatenate([np.zeros(0), *(effect.breakpoints for effect in self.kernels)])
+        )
 
     @property
     def calls_user(self) -> bool:
         """Whether a kernel calls user functions."""
-        return any(own.calls_user for own in self.kernels)
+        return any(effect.calls_user for effect in self.kernels)
 
     @property
     def local(self) -> bool:
         """Whether no kernel couples the arms with each other, or with the object."""
-        called = [own for own in self.kernels if own.kernel is not None]
-        return all(own.local and len(own.state_joints) == own.states for own in called)
+        called = [effect for effect in self.kernels if effect.kernel is not None]
+        return all(effect.local and len(effect.state_joints) == effect.states for effect in called)
 
     @property
     def state_joints(self) -> np.ndarray:
         """``Constants.state_joints``."""
         joints: list[int] = []
-        for own in self.kernels:
-            joints += own.state_joints or [-1] * own.states
+        for effect in self.kernels:
+            joints += effect.state_joints or [-1] * effect.states
         return np.array(joints, dtype=np.int64)
 
     @property
@@ -285,27 +287,27 @@ class EffectProgram:
 
     def make_data(self) -> list[EffectData]:
         """What the kernels read and write, with copies of the arrays."""
-        made, power, state = [], 0, 0
+        effects, power, state = [], 0, 0
         for kernel in self.kernels:
             slots = np.array([power, state], dtype=np.int64)
-            made.append(EffectData(slots, _copied(kernel.arrays)))
+            effects.append(EffectData(slots, _copied(kernel.arrays)))
             power, state = power + kernel.works, state + kernel.states
-        return made
+        return effects
 
     def program(self) -> tuple[np.ndarray, list[int]]:
         """``Constants.effects``, and the end of each phase there."""
-        called = [(own, at) for own, at in zip(self.kernels, self._places(), strict=True)]
-        called = [(own, at) for own, at in called if own.kernel is not None]
+        called = [(effect, at) for effect, at in zip(self.kernels, self._places(), strict=True)]
+        called = [(effect, at) for effect, at in called if effect.kernel is not None]
         rows = [
             [
-                address_of(own.kernel),
+                address_of(effect.kernel),
                 at,
-                address_of(own.derivative) if own.derivative else 0,
-                own.knows_state_alone,
+                address_of(effect.derivative) if effect.derivative else 0,
+                effect.knows_state_alone,
             ]
-            for own, at in called
+            for effect, at in called
         ]
-        ends = [sum(own.phase <= phase for own, _ in called) for phase in range(3)]
+        ends = [sum(effect.phase <= phase for effect, _ in called) for phase in range(3)]
         return np.array(rows, dtype=np.int64).reshape(-1, 4), ends
 
     @property
@@ -315,5 +317,5 @@ class EffectProgram:
 
     def _places(self) -> list[int]:
         """Index of each kernel's first array in the system's struct."""
-        sizes = [1 + len(own.arrays) for own in self.kernels]
+        sizes = [1 + len(effect.arrays) for effect in self.kernels]
         return [EFFECTS + sum(sizes[:k]) for k in range(len(sizes))]

@@ -124,7 +124,7 @@ def right_hand_sides(address, size, alpha, beta):
     power = 0.0
     if model.control.shape[0] > 0:
         command_torques(struct, model, data, work)
-        power = add_torques(struct, model, data)
+        power = add_torques(struct, model, data, work)
     applied_forces(struct, model, data, power)
     drift_terms(data, alpha, beta)
     return CALLBACK_FAILED if data.status.failed else OK
@@ -182,14 +182,21 @@ def control_torques(struct, laws, model, data):
 
 
 @inlined
-def add_torques(struct, model, data):
-    """Add the control torques, changed by the actuators, to ``f_j``; returns their power [W]."""
+def add_torques(struct, model, data, work):
+    r"""Add the control torques, changed by the actuators, to ``f_j``, and write the arms' powers.
+
+    That of an arm is :math:`P_i = \tau_i \cdot \dot q_i`; returns their sum [W].
+    """
     call_effects(model.passive_end, model.actuator_end, struct, model, data)
-    power = 0.0
-    for j in range(data.f_j.size):
-        data.f_j[j] += data.torque[j]
-        power += data.torque[j] * data.v[j]
-    return power
+    total = 0.0
+    for i in range(data.control_power.size):
+        power = 0.0
+        for j in range(work.dofs[i], work.dofs[i + 1]):
+            data.f_j[j] += data.torque[j]
+            power += data.torque[j] * data.v[j]
+        data.control_power[i] = power
+        total += power
+    return total
 
 
 @inlined

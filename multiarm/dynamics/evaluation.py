@@ -162,6 +162,8 @@ class Evaluation:
     joint_accelerations, joint_torques : mapping arm -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]; torques of the drives [N m, N]: those of the control, after limits and
         lag.
+    control_power : mapping arm -> float
+        Power of these torques, the sum of torque times joint velocity [W]; empty without control.
     contact_forces : mapping arm -> ndarray, shape (N_i,)
         Magnitudes [N]; positive pushes the object along ``contact_normals``.
     position_residual, velocity_residual : float
@@ -189,6 +191,7 @@ class Evaluation:
     object_acceleration: np.ndarray
     joint_accelerations: Mapping[str, np.ndarray]
     joint_torques: Mapping[str, np.ndarray]
+    control_power: Mapping[str, float]
     contact_forces: Mapping[str, np.ndarray]
     position_residual: float
     velocity_residual: float
@@ -418,12 +421,14 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     forces = layout.split_contacts(b.force.copy())
     coupled = _coupled_arms(data)
     pivots = () if snapshot.dense else data.work.pivot.tolist()
+    powers = b.control_power.tolist() if data.model.controlled else ()
     return Evaluation(
         time=float(t),
         state=state,
         object_acceleration=b.a_o.copy(),
         joint_accelerations=layout.split_joints(a_j),
         joint_torques=layout.split_joints(torques),
+        control_power=dict(zip(layout.names, powers, strict=False)),
         contact_forces=forces,
         position_residual=check.gap,
         velocity_residual=check.gap_rate,

@@ -5,94 +5,76 @@ the mode ends.  One that only *reports* watches what the model does not enforce:
 pulled or leave the patch of their surface, joints that pass their limits, drives at theirs.  It
 turns round at every event, and so reports the end of what it has reported, too.
 
-Guards are checked at the end of every step; those of forces and drives also at its stages, and
-those with a rate by a cubic between its ends.  Where one has changed its sign, the time of the
-event is found on the step's dense output (:mod:`multiarm.integration.event_location`).
+What a guard watches is a record of :mod:`multiarm.dynamics.guard_functions`; the table here has
+what all guards have.  Guards are checked at the end of every step; those of forces and drives also
+at its stages, and those with a rate by a cubic between its ends.  Where one has changed its sign,
+the time of the event is found on the step's dense output
+(:mod:`multiarm.integration.event_location`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.joint import unwrapped, write_relative
-from multiarm.contacts.kernel import AT, GAP, GAP_RATE, NORMAL, depth_in_patch
-from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
-from multiarm.geometry.records import SURFACE_ON_OBJECT, Patch
-from multiarm.jit.kernels import inlined, kernel
-from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, floats1, view
-from multiarm.jit.vectors import add_scaled, rotate_back, rotation, sub, vec
-
-# Kinds of guards, with what they watch.
-GAP_GUARD = 0  # the gap of a row of all rows [m]
-PUSH_GUARD = 1  # the force of a held row [N]
-CONE_GUARD = 2  # parameter (mu; -mu where it pulls) times the force of a held row, minus that of
-# its tangents, held rows [N]
-SLIP_GUARD = 3  # the speed of a slide in its tangents, of all rows, along its direction [m/s]
-RATE_GUARD = 4  # the speed of a joint [rad/s, m/s]
-HOLD_GUARD = 5  # parameter, minus the magnitude of the force of a held row [N m, N]
-REST_GUARD = 6  # the gap of a row of all rows, plus the parameter (largest gap at contact) [m]
-PATCH_GUARD = 7  # how far inside its patch on a body the contact of a row of all rows is [m]
-LIFT_GUARD = 8  # parameter (largest gap at contact), minus the gap of a row of all rows [m]
-ONSET_GUARD = 9  # parameter (largest speed at rest), minus that of slip in a row and the next [m/s]
-SPRING_GUARD = 10  # the extension of the spring in a row, see spring_length [m]
-LIMIT_GUARD = 11  # how far inside its range a component of the motion of an arm's joint is [m, rad]
-DRIVE_GUARD = 12  # minus the margin of a joint's drive, see EffectKernel.watched [N m, N]
-
-# Body of a patch or of a limit, if it is not the arm with this number.
-ON_OBJECT = -1
+from multiarm.dynamics.guard_functions import (
+    KINDS,
+    force_function,
+    guard_function,
+    is_force_function,
+)
+from multiarm.jit.kernels import kernel
+from multiarm.jit.structs import WIDTH, Floats1, Ints1, struct_of, view
 
 # Result of a guard for a step: no event, a sign change, perhaps two sign changes.
 QUIET, FIRED, DIPPED = range(3)
 
 
 class Guard(NamedTuple):
-    """One guard, as a row of :class:`Guards`."""
+    """One guard: its sign times a function.
 
-    kind: int
-    watched: int
-    parameter: float = 0.0
+    Attributes
+    ----------
+    function : NamedTuple
+        Of :data:`multiarm.dynamics.guard_functions.KINDS`.
+    threshold : float
+        Of one that stops: if it was at zero when the mode began, it counts as positive above this.
+        One that reports changes its sign beyond this only.
+    sign : int
+        1 where the function falls through zero at the next event, -1 where it rises.
+    stops : bool
+        It ends a mode, and with it the step; or it only reports.
+    relative : bool
+        The threshold is a part of the largest force (of at least 1 N).
+    constraint : int
+        Of the scene's unilateral constraints; -1: one that reports.
+    """
+
+    function: Any
     threshold: float = 0.0
-    tangents: tuple[int, int] = (-1, -1)
     sign: int = 1
     stops: bool = True
     relative: bool = False
     constraint: int = -1
-    body: int = ON_OBJECT
-    patch: np.ndarray = np.zeros(18)
-    bounds: tuple[float, float] = (0.0, 0.0)
-    margins: int = -1
 
 
 class Guards(NamedTuple):
-    """A table of g guards.
+    """A table of g guards."""
 
-    The value of a guard is its sign times the function of its kind: 1 where that falls through zero
-    at the next event, -1 where it rises.
-    """
-
-    kind: Ints1
-    watched: Ints1  # a row, a slide, a joint or a component of motion, see the kinds
-    tangents: Ints2  # (g, 2) of a cone or a slide, -1 without
+    kind: Ints1  # number of the function among all kinds
+    records: Ints1  # struct of what the functions depend on, one record after the other
+    place: Ints1  # of each guard's record there
     sign: Ints1
-    stops: Ints1  # whether it ends a mode, and with it the step; or only reports
-    parameter: Floats1
-    # Of one that stops: if it was at zero when the mode began, it counts as positive above this.
-    # One that reports changes its sign beyond this only.
+    stops: Ints1
     threshold: Floats1
-    relative: Ints1  # whether the threshold is a part of the largest force (of at least 1 N)
-    constraint: Ints1  # of the scene's unilateral constraints; -1: one that reports
-    body: Ints1  # with the patch, or the arm with the limit
-    patch: Floats2  # (g, 18) frame (rotation row by row, origin) in its body, and corners
-    bounds: Floats2  # (g, 2) lower and upper end of a limit
-    margins: Ints1  # place of the margins of drives in the system's struct
-    direction: Floats2  # (s, 2) of the mode's slides, see multiarm.events.sliding
-    # value, and rate of those for which it is known, at the state evaluated last and at the end of
-    # the last step; the least value at the stages of this step
+    relative: Ints1
+    # value, course and rate (see multiarm.dynamics.guard_functions) at the state evaluated last;
+    # value and rate at the end of the last step; the least value at the stages of this step
     value: Floats1
+    course: Floats1
     rate: Floats1
     before: Floats1
     rate_before: Floats1
@@ -105,37 +87,24 @@ class Guards(NamedTuple):
 open_guards = view(Guards)
 
 
-def make_guards(guards: Sequence[Guard], direction: np.ndarray | None = None) -> Guards:
-    """A table of guards; ``direction`` (s, 2) are the directions of the slides they watch."""
+def make_guards(guards: Sequence[Guard]) -> Guards:
+    """The table of some guards; arrays of their records must live as long as it does."""
     g = len(guards)
-
-    def column(name: str, kind: type, *shape: int) -> np.ndarray:
-        return np.array([getattr(guard, name) for guard in guards], dtype=kind).reshape(g, *shape)
-
-    integers = ("kind", "watched", "sign", "stops", "relative", "constraint", "body", "margins")
+    records = [struct_of(guard.function) for guard in guards]
+    first = np.cumsum([0, *(len(record) // WIDTH for record in records)])[:g]
+    integers = ("sign", "stops", "relative")
+    numbers = ("value", "course", "rate", "before", "rate_before", "level")
     return Guards(
-        **{name: column(name, np.int64) for name in integers},
-        parameter=column("parameter", float),
-        threshold=column("threshold", float),
-        tangents=column("tangents", np.int64, 2),
-        patch=column("patch", float, 18),
-        bounds=column("bounds", float, 2),
-        direction=np.zeros((0, 2)) if direction is None else direction,
-        value=np.zeros(g),
-        rate=np.zeros(g),
-        before=np.zeros(g),
-        rate_before=np.zeros(g),
+        kind=np.array([KINDS.index(type(guard.function)) for guard in guards], dtype=np.int64),
+        records=np.concatenate([np.zeros(0, dtype=np.int64), *records]),
+        place=first.astype(np.int64),
+        **{n: np.array([getattr(guard, n) for guard in guards], dtype=np.int64) for n in integers},
+        threshold=np.array([guard.threshold for guard in guards], dtype=float),
+        **{name: np.zeros(g) for name in numbers},
         least=np.full(g, np.inf),
-        level=np.zeros(g),
         armed=np.zeros(g, dtype=np.int64),
         result=np.zeros(g, dtype=np.int64),
     )
-
-
-def packed_patch(patch: Patch) -> np.ndarray:
-    """Frame and corners of a patch, (18,)."""
-    corners = (np.clip(corner, -1e300, 1e300) for corner in (patch.lower, patch.upper))
-    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], *corners])
 
 
 def reset_guards(guards: Guards) -> None:
@@ -152,117 +121,19 @@ def turn_round(guards: Guards, g: int) -> None:
     guards.armed[g] = guards.before[g] > guards.level[g]
 
 
-# --- functions of the kinds -----------------------------------------------------------------------
-
-
-@inlined
-def spring_length(gap, rate, lag):
-    """Extension of a spring and damper that only push [m]; they push where it is negative.
-
-    They push while they are compressed and their force ``-k (gap + lag rate)`` is positive, with
-    ``lag`` the damping over the stiffness ``k`` [s].
-    """
-    return max(gap, gap + lag * rate)
-
-
 @kernel
-def depth_on_body(patch, body, row, model, data):
-    """How far inside its patch (18,) on a body the contact of a row is [m]."""
-    contact = data.contacts[row]
-    # the contact point lies a tip's radius from its centre, against the guide's outward normal
-    away = model.geometry[row, TIP_RADIUS]
-    if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
-        away = -away
-    touching = add_scaled(vec(contact, AT), -away, vec(contact, NORMAL))
-    carrier = data.body if body == ON_OBJECT else data.arms[body]
-    return depth_in_patch(patch, rotate_back(rotation(carrier, 0), sub(touching, vec(carrier, 9))))
-
-
-@kernel
-def depth_in_range(guards, g, model, data):
-    """How far inside its range a component of a joint's motion is [m, rad], and the rate of that.
-
-    NaN where the component is not free.
-    """
-    i, component = guards.body[g], guards.watched[g]
-    rates, coordinates = data.query[0:6], data.query[6:15]
-    for k in range(model.free_bounds[i], model.free_bounds[i + 1]):
-        if model.free[k, 0] == component:
-            write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
-            place, before = model.free[k, 1], data.coordinates[i, component]
-            x = unwrapped(coordinates[place], before, place)
-            above, below = x - guards.bounds[g, 0], guards.bounds[g, 1] - x
-            return (above, rates[component]) if above < below else (below, -rates[component])
-    return math.nan, math.nan
-
-
-@kernel
-def is_force_guard(guards, g):
-    """Whether a guard depends on forces or on the commands of drives."""
-    return guards.kind[g] in (PUSH_GUARD, HOLD_GUARD, CONE_GUARD, DRIVE_GUARD)
-
-
-@kernel
-def force_function(guards, g, struct, force):
-    """The function of such a guard, for the forces of the held rows."""
-    kind, row, parameter = guards.kind[g], guards.watched[g], guards.parameter[g]
-    if kind == DRIVE_GUARD:
-        return -floats1(struct, int(guards.margins[g]))[row]
-    if kind == PUSH_GUARD:
-        return force[row]
-    if kind == HOLD_GUARD:
-        return parameter - abs(force[row])
-    square = 0.0
-    for k in range(2):
-        if guards.tangents[g, k] >= 0:
-            square += force[guards.tangents[g, k]] ** 2
-    return parameter * force[row] - math.sqrt(square)
-
-
-@kernel
-def write_value(guards, g, struct, data, model, full):
-    """Value and rate of a guard at the state evaluated last; see :func:`write_values`."""
-    kind, watched, parameter = guards.kind[g], guards.watched[g], guards.parameter[g]
-    sign, rate = guards.sign[g], 0.0
-    if kind == GAP_GUARD:
-        value, rate = full.contacts[watched, GAP], full.contacts[watched, GAP_RATE]
-    elif kind == REST_GUARD:
-        value = parameter + full.contacts[watched, GAP]
-    elif kind == LIFT_GUARD:
-        value = parameter - full.contacts[watched, GAP]
-    elif kind == SLIP_GUARD:
-        value = 0.0
-        for k in range(2):
-            value += full.contacts[guards.tangents[g, k], GAP_RATE] * guards.direction[watched, k]
-    elif kind == ONSET_GUARD:
-        first, second = full.contacts[watched, GAP_RATE], full.contacts[watched + 1, GAP_RATE]
-        value = parameter - math.sqrt(first * first + second * second)
-    elif kind == RATE_GUARD:
-        value = data.v[watched]
-    elif kind == SPRING_GUARD:
-        gap, gap_rate = full.contacts[watched, GAP], full.contacts[watched, GAP_RATE]
-        value = spring_length(gap, gap_rate, parameter)
-        rate = gap_rate if sign > 0 else 0.0
-    elif kind == PATCH_GUARD:
-        value = depth_on_body(guards.patch[g], guards.body[g], watched, model, full)
-    elif kind == LIMIT_GUARD:
-        value, rate = depth_in_range(guards, g, model, data)
-    else:
-        value = force_function(guards, g, struct, data.force)
-    guards.value[g], guards.rate[g] = sign * value, sign * rate
-
-
-@kernel
-def write_values(guards, struct, data, model, full):
+def write_values(guards, struct, data, model, rows):
     """Values of all guards at the state that the system ``struct`` has evaluated last in ``data``.
 
-    ``model`` and ``full`` are those of the system with all rows, with their kinematics.
+    ``model`` and ``rows`` are those of the system with all rows, with their kinematics.
     """
     largest = 1.0
     for k in range(data.force.size):
         largest = max(largest, abs(data.force[k]))
     for g in range(guards.kind.size):
-        write_value(guards, g, struct, data, model, full)
+        kind, at, sign = guards.kind[g], guards.place[g], guards.sign[g]
+        value, course, rate = guard_function(kind, guards.records, at, struct, data, model, rows)
+        guards.value[g], guards.course[g], guards.rate[g] = sign * value, sign * course, sign * rate
         threshold = guards.threshold[g]
         guards.level[g] = threshold * largest if guards.relative[g] != 0 else threshold
 
@@ -281,9 +152,10 @@ def begin_stages(guards):
 def follow_stage(guards, struct, force):
     """Update the least values of force guards at a stage of the step."""
     for g in range(guards.kind.size):
-        if is_force_guard(guards, g):
-            value = guards.sign[g] * force_function(guards, g, struct, force)
-            guards.least[g] = min(guards.least[g], value)
+        kind = guards.kind[g]
+        if is_force_function(kind):
+            value = force_function(kind, guards.records, guards.place[g], struct, force)
+            guards.least[g] = min(guards.least[g], guards.sign[g] * value)
 
 
 @kernel
@@ -302,15 +174,13 @@ def judge_guard(guards, g, h):
     now, rate, level, armed = guards.value[g], guards.rate[g], guards.level[g], guards.armed[g] != 0
     if now < (0.0 if armed and guards.stops[g] != 0 else -level):
         return FIRED
-    if is_force_guard(guards, g):
+    if is_force_function(guards.kind[g]):
         return DIPPED if guards.least[g] < -level else QUIET
-    if armed and guards.rate_before[g] < 0.0 < rate:
-        # a cubic through both ends and their rates has a minimum below zero; a spring that grows
-        # is longer than its gap by the parameter times the rate
-        gap = now - guards.parameter[g] * rate
-        if dips(guards.before[g], guards.rate_before[g], gap, rate, h):
-            return DIPPED
-    return QUIET
+    rate_before = guards.rate_before[g]
+    if not (armed and rate_before < 0.0 < rate):
+        return QUIET
+    # where it fell, the course was the value
+    return DIPPED if dips(guards.before[g], rate_before, guards.course[g], rate, h) else QUIET
 
 
 @kernel

@@ -46,7 +46,7 @@ from multiarm.dynamics.arrays import (
 from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
 from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
 from multiarm.dynamics.effect_kernels import EffectProgram
-from multiarm.dynamics.guards import Guards, make_guards, reset_guards
+from multiarm.dynamics.guards import Guard, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork, make_work
@@ -108,7 +108,7 @@ class Model:
     unilateral: UnilateralConstraints | None = None
     # those that only report: limits, patches, drives; in a run that opens contacts its modes have
     # further ones
-    guards: Guards = field(default_factory=lambda: make_guards(()))
+    guards: tuple[Guard, ...] = ()
 
     __dir__ = public_names
 
@@ -168,6 +168,11 @@ class Model:
     def joint_units(self) -> list[str]:
         """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
         return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
+
+    @property
+    def controlled(self) -> bool:
+        """Whether there is a control, or torques that a caller holds."""
+        return len(self.constants.control) > 0
 
     # --- models of the same bodies --------------------------------------------------------------
 
@@ -282,7 +287,7 @@ class Data:
     work, coupled : NodeWork, CoupledWork
         Workspace of the node algorithm, and of its coupled system.
     guards : Guards
-        Those that only report.
+        The table of those of the model, which only report.
     effects : list of EffectData
         What every effect kernel reads and writes.
     callbacks : dict of str to GuardedCall
@@ -310,7 +315,7 @@ class Data:
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
-        self.guards = Guards(*(column.copy() for column in model.guards))
+        self.guards = make_guards(model.guards)
         arrays = make_variables(
             model.constants,
             self._pointers(),

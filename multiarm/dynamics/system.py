@@ -245,6 +245,7 @@ class System:
             model.effects.works,
             model.contacts_with_states,
             [record.name for record in around],
+            model.controlled,
         )
 
     def initial_state(self) -> State:

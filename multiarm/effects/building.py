@@ -121,13 +121,13 @@ open_loads = view_of_effect(UserLoads)
 def add_loads(address, size, at, _t):
     """Call the function, and add its loads."""
     struct = struct_at(address, size)
-    data, own, power = open_data(struct), open_loads(struct, at), 0.0
+    data, user, power = open_data(struct), open_loads(struct, at), 0.0
     if data.status.failed:
         return 0  # another function failed
-    call_python(own.function[0])
-    for k in range(own.loads.size):
-        data.generalised_forces[k] += own.loads[k]
-        power += own.loads[k] * data.velocity[k]
+    call_python(user.function[0])
+    for k in range(user.loads.size):
+        data.generalised_forces[k] += user.loads[k]
+        power += user.loads[k] * data.velocity[k]
     set_power(struct, at, power)
     return 0
 
@@ -142,10 +142,10 @@ def forces_kernel(
     """
     arrays = UserLoads(np.zeros(1, dtype=np.int64), np.zeros(layout.nv))
 
-    def connect(data: Data, own: UserLoads) -> dict[str, UserCallback]:
+    def connect(data: Data, user: UserLoads) -> dict[str, UserCallback]:
         who = f"the effect {name!r}"
-        call = UserCallback(make(), who, read, own.loads, layout, data.arrays, owner=make)
-        own.function[0] = call.address
+        call = UserCallback(make(), who, read, user.loads, layout, data.arrays, owner=make)
+        user.function[0] = call.address
         return {f"effects/{name}": call}
 
     return EffectKernel(
@@ -169,15 +169,15 @@ def joint_numbers(
 
     ``from_urdf`` gives the number for the text ``urdf``; joints without a name have the default.
     """
-    found = {}
-    for name, joints in outlines.items():
-        own = values.get(name) if isinstance(values, Mapping) else values
-        if isinstance(own, str):
+    by_arm = {}
+    for arm, joints in outlines.items():
+        of_arm = values.get(arm) if isinstance(values, Mapping) else values
+        if isinstance(of_arm, str):
             assert from_urdf is not None, "a text means the numbers of the URDF"
-            found[name] = np.array([from_urdf(joint) for joint in joints])
+            by_arm[arm] = np.array([from_urdf(joint) for joint in joints])
         else:
-            found[name] = joint_vector(own, [joint.name for joint in joints], default)
-    return found
+            by_arm[arm] = joint_vector(of_arm, [joint.name for joint in joints], default)
+    return by_arm
 
 
 def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKernel]:
@@ -185,9 +185,9 @@ def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKer
     effect = EFFECTS.find(name)
     assert effect is not None, "it has read its parameters"
     who = f"effects.{name}: build"
-    found = called(lambda: effect(spec).build(context), who)
-    if not isinstance(found, list) or not all(isinstance(k, EffectKernel) for k in found):
+    kernels = called(lambda: effect(spec).build(context), who)
+    if not isinstance(kernels, list) or not all(isinstance(k, EffectKernel) for k in kernels):
         raise ModelError(
-            f"{who} returned {shown(found)}; return a list of multiarm.effects.EffectKernel"
+            f"{who} returned {shown(kernels)}; return a list of multiarm.effects.EffectKernel"
         )
-    return found
+    return kernels

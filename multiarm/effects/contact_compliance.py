@@ -59,16 +59,22 @@ def add_contact_compliance(address, size, at, _t):
     """Add the forces of the springs that act."""
     struct = struct_at(address, size)
     data, springs = open_data(struct), open_springs(struct, at)
-    own, force = struct_at(springs.rows[0], springs.rows[1]), springs.force
-    update_rows(own)
-    _, rows, work = open_system(own)
-    write_spring_forces(springs, rows.contacts)
-    power = 0.0
+    _, rows, work = update_springs(springs)
+    force, power = springs.force, 0.0
     for s in range(force.size):
         power += force[s] * rows.contacts[s, GAP_RATE]
     add_contact_forces(work, rows.Wo, work.W, force, data.f_o, data.f_j)
     set_power(struct, at, power)
     return 0
+
+
+@inlined
+def update_springs(springs):
+    """Update rows and forces of all springs; the views of the system with these rows."""
+    system = open_system(struct_at(springs.rows[0], springs.rows[1]))
+    update_rows(struct_at(springs.rows[0], springs.rows[1]))
+    write_spring_forces(springs, system[1].contacts)
+    return system
 
 
 @kernel
@@ -86,18 +92,12 @@ def differentiate_contact_compliance(address, size, at, _t):
     """Add the derivatives of the forces: of their directions, and of their sizes."""
     struct = struct_at(address, size)
     data, springs = open_data(struct), open_springs(struct, at)
-    own = struct_at(springs.rows[0], springs.rows[1])
     derivatives = struct_at(springs.derivatives[0], springs.derivatives[1])
-    update_rows(own)
-    _, rows, work = open_system(own)
-    write_spring_forces(springs, rows.contacts)
+    _, rows, work = update_springs(springs)
     copy(springs.force, rows.static_force)
-    status = write_load_derivatives(own, derivatives)
-    equations, first, by = (
-        open_equations(derivatives),
-        chart_places(data).joints,
-        force_columns(data),
-    )
+    status = write_load_derivatives(struct_at(springs.rows[0], springs.rows[1]), derivatives)
+    equations, by = open_equations(derivatives), force_columns(data)
+    first = chart_places(data).joints
     for l in range(first):  # noqa: E741
         for c in range(by.states):
             data.force_slopes[l, c] -= equations.dF_o[l, c]
@@ -148,11 +148,11 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
 def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
     """The kernel of a scene with compliant contacts."""
 
-    def connect(data: Data, own: Springs) -> dict:
+    def connect(data: Data, arrays: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
         _, derivatives = equation_work(rows, state_columns(data.arrays).torques, massless=True)
-        own.rows[:] = rows.struct.ctypes.data, rows.struct.size
-        own.derivatives[:] = derivatives.ctypes.data, derivatives.size
+        arrays.rows[:] = rows.struct.ctypes.data, rows.struct.size
+        arrays.derivatives[:] = derivatives.ctypes.data, derivatives.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
         # surfaces of the user may fail in these rows
         return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}

@@ -13,6 +13,6 @@ def defaults(scene: Scene) -> dict[str, Any]:
 
     Of user-defined effects, those with a class attribute ``default``.
     """
-    ours = {name: kind.typical(scene.object) for name, kind in BUILT_IN.items()}
-    own = {name: getattr(EFFECTS.find(name), "default", None) for name in EFFECTS.names()}
-    return {name: value for name, value in {**ours, **own}.items() if value is not None}
+    typical = {name: kind.typical(scene.object) for name, kind in BUILT_IN.items()}
+    typical |= {name: getattr(EFFECTS.find(name), "default", None) for name in EFFECTS.names()}
+    return {name: parameters for name, parameters in typical.items() if parameters is not None}

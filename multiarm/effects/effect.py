@@ -102,9 +102,9 @@ class Effect:
 
     def _copy(self) -> Effect:
         """Another instance, with the attributes that ``build`` has added to this one."""
-        other = type(self)(self.spec)
-        other.__dict__ |= {k: v for k, v in vars(self).items() if k not in vars(other)}
-        return other
+        copy = type(self)(self.spec)
+        copy.__dict__ |= {k: v for k, v in vars(self).items() if k not in vars(copy)}
+        return copy
 
     @classmethod
     def definition_fault(cls) -> str:
@@ -118,15 +118,15 @@ class Effect:
         return ""
 
 
-def _stacked(name: str, layout: Layout, found: object) -> np.ndarray:
+def _stacked(name: str, layout: Layout, loads: object) -> np.ndarray:
     """Wrench and torques of all joints, shape (6 + n,)."""
     who = f"the effect {name!r}"
-    if not isinstance(found, Loads):
-        raise ControlError(f"{who} returned {type(found).__name__}; return multiarm.Loads(...)")
-    loads = np.zeros(layout.nv)
-    loads[layout.of_frames] = checked_vector(
-        f"{who}: object_wrench", found.object_wrench, 6, ControlError
+    if not isinstance(loads, Loads):
+        raise ControlError(f"{who} returned {type(loads).__name__}; return multiarm.Loads(...)")
+    forces = np.zeros(layout.nv)
+    forces[layout.of_frames] = checked_vector(
+        f"{who}: object_wrench", loads.object_wrench, 6, ControlError
     )
-    views = layout.split_joints(layout.joint_rates(loads))
-    fill_by_arm(f"{who}: joint_torques", views, found.joint_torques, ControlError)
-    return loads
+    views = layout.split_joints(layout.joint_rates(forces))
+    fill_by_arm(f"{who}: joint_torques", views, loads.joint_torques, ControlError)
+    return forces

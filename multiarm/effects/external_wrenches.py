@@ -34,12 +34,13 @@ from multiarm.dynamics.contact_derivatives import unit
 from multiarm.dynamics.coordinates import chart_places, force_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.piecewise import polynomial, row_at
 from multiarm.dynamics.state import checked_vector
 from multiarm.effects.building import BuildContext
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.kernels import cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_python
-from multiarm.jit.structs import Floats2, Ints1, floats_at, struct_at
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, floats_at, struct_at
 from multiarm.jit.vectors import (
     ZERO,
     add,
@@ -57,8 +58,6 @@ from multiarm.scene import read_wrench_table
 
 # Time dependence.
 CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
-# Columns of a row of a table: begin and end [s], then the cubics of the six components.
-CUBICS, ROW = 2, 26
 
 
 class ExternalWrenches(NamedTuple):
@@ -73,14 +72,20 @@ class ExternalWrenches(NamedTuple):
     first_joint: Ints1
     joints: Ints1
     function: Ints1  # address of a function that writes it
-    # of a table: its first row, and how many
+    # of a table: its first row among those of all tables, and how many
     first_row: Ints1
     rows: Ints1
+    frequency: Floats1  # of a sinusoid [Hz]
+    phase: Floats1  # [rad]
+    begin: Floats1  # of a pulse [s]
+    end: Floats1
     frame: Floats2  # (k, 9) the link's frame in that of the joint that carries it
     point: Floats2  # (k, 3) in the frame of this joint, or of the object [m]
     size: Floats2  # (k, 6) force and torque
-    times: Floats2  # (k, 2) frequency and phase [Hz, rad], or begin and end [s]
-    table: Floats2  # (rows of all tables, 26)
+    # rows of all tables: times [s], and cubics (r, 6, 4) from each of them on, see
+    # multiarm.dynamics.piecewise; those from the last row of a table on are zero
+    times: Floats1
+    cubics: Floats3
     wrench: Floats2  # (k, 6) at the last evaluation
 
 
@@ -165,39 +170,32 @@ def place_wrench(wrenches, k, data, t):
 @kernel
 def write_wrench(wrenches, k, t):
     """Force and torque at time ``t``, in the axes in which they are given."""
-    course, factor, times, wrench = wrenches.course[k], 1.0, wrenches.times[k], wrenches.wrench[k]
+    course, factor, wrench = wrenches.course[k], 1.0, wrenches.wrench[k]
     if course == FUNCTION:
         call_python(wrenches.function[k])  # writes them
         return
     if course == TABLE:
         first = wrenches.first_row[k]
-        interpolate(wrenches.table[first : first + wrenches.rows[k]], t, wrench)
+        end = first + wrenches.rows[k]
+        interpolate(wrenches.times[first:end], wrenches.cubics[first:end], t, wrench)
         return
     if course == SINUSOID:
-        factor = math.sin(2.0 * math.pi * times[0] * t + times[1])
+        factor = math.sin(2.0 * math.pi * wrenches.frequency[k] * t + wrenches.phase[k])
     elif course == PULSE:
-        factor = 1.0 if times[0] <= t < times[1] else 0.0
+        factor = 1.0 if wrenches.begin[k] <= t < wrenches.end[k] else 0.0
     for a in range(6):
         wrench[a] = factor * wrenches.size[k, a]
 
 
 @kernel
-def interpolate(rows, t, wrench):
-    """The six cubics of the row in which ``t`` lies; zero before the first and after the last."""
-    low, high = 0, rows.shape[0] - 1
-    if not rows[low, 0] <= t < rows[high, 1]:
-        wrench[:] = 0.0
+def interpolate(times, cubics, t, wrench):
+    """The six cubics of the row that ``t`` follows; zero before the first and after the last."""
+    row = row_at(times, t)
+    if row < 0:
+        clear(wrench)
         return
-    while low < high:
-        middle = (low + high + 1) // 2
-        if rows[middle, 0] <= t:
-            low = middle
-        else:
-            high = middle - 1
-    x, cubics = t - rows[low, 0], rows[low, CUBICS:]
     for a in range(6):
-        at = 4 * a
-        wrench[a] = ((cubics[at] * x + cubics[at + 1]) * x + cubics[at + 2]) * x + cubics[at + 3]
+        wrench[a], _ = polynomial(cubics[row, a], t - times[row])
 
 
 @kernel
@@ -237,27 +235,30 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
         wrenches.size[k] = [*(wrench.force or (0, 0, 0)), *(wrench.torque or (0, 0, 0))]
         if wrench.sinusoid is not None:
             wrenches.course[k] = SINUSOID
-            wrenches.times[k] = wrench.sinusoid.frequency, wrench.sinusoid.phase
+            wrenches.frequency[k] = wrench.sinusoid.frequency
+            wrenches.phase[k] = wrench.sinusoid.phase
         elif wrench.pulse is not None:
             wrenches.course[k] = PULSE
-            wrenches.times[k] = wrench.pulse.begin, wrench.pulse.end
-            breakpoints.append(wrenches.times[k])
+            wrenches.begin[k], wrenches.end[k] = wrench.pulse.begin, wrench.pulse.end
+            breakpoints.append(np.array([wrench.pulse.begin, wrench.pulse.end]))
         elif wrench.table is not None:
-            rows = _table_rows(wrench.table, wrenches.size[k])
+            times, cubics = _table_of(wrench.table, wrenches.size[k])
             wrenches.course[k] = TABLE
-            wrenches.first_row[k], wrenches.rows[k] = len(wrenches.table), len(rows)
-            wrenches = wrenches._replace(table=np.vstack([wrenches.table, rows]))
-            breakpoints.append(np.append(rows[:, 0], rows[-1, 1]))
+            wrenches.first_row[k], wrenches.rows[k] = len(wrenches.times), len(times)
+            wrenches = wrenches._replace(
+                times=np.append(wrenches.times, times), cubics=np.vstack([wrenches.cubics, cubics])
+            )
+            breakpoints.append(times)
         elif wrench.function is not None:
             wrenches.course[k] = FUNCTION
             functions[k] = wrench.function
 
-    def connect(data: Data, own: ExternalWrenches) -> dict[str, UserCallback]:
+    def connect(data: Data, arrays: ExternalWrenches) -> dict[str, UserCallback]:
         calls = {}
         for k, function in functions.items():
             name = f"external_wrenches[{k}]"
-            calls[name] = _callback(function, name, own.wrench[k], data)
-            own.function[k] = calls[name].address
+            calls[name] = _callback(function, name, arrays.wrench[k], data)
+            arrays.function[k] = calls[name].address
         return calls
 
     return [
@@ -276,15 +277,17 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
 
 
 def _without_course(count: int) -> ExternalWrenches:
-    """Arrays for a number of wrenches, all of them zero."""
-    widths = {"frame": 9, "point": 3, "size": 6, "times": 2, "wrench": 6}
-    numbers = {name: np.zeros((count, width)) for name, width in widths.items()}
-    integers = {
-        name: np.zeros(count, dtype=np.int64)
-        for name in ExternalWrenches._fields
-        if name not in (*numbers, "table")
-    }
-    return ExternalWrenches(**integers, **numbers, table=np.zeros((0, ROW)))
+    """Arrays for a number of wrenches, all of them zero, and no table."""
+    widths = {"frame": 9, "point": 3, "size": 6, "wrench": 6}
+    numbers = ("frequency", "phase", "begin", "end")
+    tables = {"times": np.zeros(0), "cubics": np.zeros((0, 6, 4))}
+    integers = set(ExternalWrenches._fields) - {*widths, *numbers, *tables}
+    return ExternalWrenches(
+        **{name: np.zeros(count, dtype=np.int64) for name in integers},
+        **{name: np.zeros(count) for name in numbers},
+        **{name: np.zeros((count, width)) for name, width in widths.items()},
+        **tables,
+    )
 
 
 def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) -> None:
@@ -300,18 +303,17 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
     wrenches.point[k] = point
 
 
-def _table_rows(table, size: np.ndarray) -> np.ndarray:
-    """Begin, end and cubics between the rows of a table, shape (rows - 1, 26)."""
+def _table_of(table, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (r,) of a table, and cubics (r, 6, 4) from each row on, highest power first."""
     from scipy.interpolate import PchipInterpolator
 
     if table.file is not None:
-        values = np.array(read_wrench_table(table.file)[0])
-        times, values = values[:, 0], values[:, 1:]
+        rows = np.array(read_wrench_table(table.file)[0])
+        times, values = rows[:, 0].copy(), rows[:, 1:]
     else:
         times, values = np.array(table.times), np.outer(table.values, size)
-    cubics = PchipInterpolator(times, values).c  # (4, rows - 1, 6), highest power first
-    by_row = cubics.transpose(1, 2, 0).reshape(len(times) - 1, -1)
-    return np.column_stack([times[:-1], times[1:], by_row])
+    between = PchipInterpolator(times, values).c.transpose(1, 2, 0)  # (r - 1, 6, 4)
+    return times, np.ascontiguousarray(np.concatenate([between, np.zeros((1, 6, 4))]))
 
 
 def _callback(function: Callable, name: str, out: np.ndarray, data: Data) -> UserCallback:

@@ -17,7 +17,7 @@ from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.guards import spring_length
+from multiarm.dynamics.guard_functions import spring_length
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes

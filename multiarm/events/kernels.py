@@ -128,8 +128,8 @@ def solve_sliding(address, size, _a, _b):
     """Solve a mode with sliding contacts."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    own = struct_at(data.modes.mode, 0)
-    mode, slides, reactions = open_mode(own), open_slides(own), open_reactions(own)
+    of_mode = struct_at(data.modes.mode, 0)
+    mode, slides, reactions = open_mode(of_mode), open_slides(of_mode), open_reactions(of_mode)
     write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
@@ -190,8 +190,8 @@ def write_reaction_solution(data, reactions):
 def record_forces(address, size, _t, _b):
     """Write the forces of all rows and the states of contacts, ``data.shown``, and the wrenches."""
     data = open_data(struct_at(address, size))
-    own = struct_at(data.modes.mode, 0)
-    mode, slides, shown = open_mode(own), open_slides(own), data.shown
+    of_mode = struct_at(data.modes.mode, 0)
+    mode, slides, shown = open_mode(of_mode), open_slides(of_mode), data.shown
     shown[:] = 0.0
     for k in range(mode.held.size):
         shown[mode.held[k]] = data.force[k]
@@ -228,21 +228,21 @@ def check_guards(address, size, begin, end):
     data = open_data(struct)
     if data.status.failed:
         return OK  # the time loop checks the flag
-    own = struct_at(data.modes.mode, 0)
-    numbers = open_mode(own).numbers
+    of_mode = struct_at(data.modes.mode, 0)
+    numbers = open_mode(of_mode).numbers
     numbers.begin, numbers.end = begin, end
-    if judge_guards(open_guards(own), end - begin) > 0 and not numbers.muted:
+    if judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted:
         return FIRED
     numbers.muted = False
-    begin_step(own, open_data(struct_at(data.modes.full, 0)).contacts)
+    begin_step(of_mode, open_data(struct_at(data.modes.full, 0)).contacts)
     return OK
 
 
 @kernel
-def begin_step(own, contacts):
+def begin_step(of_mode, contacts):
     """Make the end of a step the beginning of the next one."""
-    accept_guards(open_guards(own))
-    follow_slip(open_slides(own), open_mode(own).numbers.slow, contacts)
+    accept_guards(open_guards(of_mode))
+    follow_slip(open_slides(of_mode), open_mode(of_mode).numbers.slow, contacts)
 
 
 @kernel

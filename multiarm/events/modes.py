@@ -11,22 +11,20 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
-from multiarm.dynamics.guards import (
-    CONE_GUARD,
-    GAP_GUARD,
-    HOLD_GUARD,
-    LIFT_GUARD,
-    ONSET_GUARD,
-    PATCH_GUARD,
-    PUSH_GUARD,
-    RATE_GUARD,
-    REST_GUARD,
-    SLIP_GUARD,
-    SPRING_GUARD,
-    Guard,
-    Guards,
-    make_guards,
+from multiarm.dynamics.guard_functions import (
+    FrictionCone,
+    JointSpeed,
+    OpenGap,
+    PatchDepth,
+    Push,
+    Slip,
+    SlipOnset,
+    SpringCompression,
+    SpringExtension,
+    StaticFriction,
+    Touch,
 )
+from multiarm.dynamics.guards import Guard, Guards, make_guards
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import MOST_RECENT, Room, RowSelection
 from multiarm.dynamics.solver.reactions import make_reaction_work, reaction_shapes
@@ -103,13 +101,16 @@ class Mode:
         With the held rows; its forces, guards and sliding contacts are those of the mode.
     arrays : ModeArrays
     slides : Slides
+    watched : tuple of Guard
     guards : Guards
+        Their table.
     """
 
     choice: Choice
     data: Data
     arrays: ModeArrays
     slides: Slides
+    watched: tuple[Guard, ...]
     guards: Guards
 
     def set_prestress(self, forces: dict[int, float]) -> None:
@@ -220,13 +221,9 @@ class Modes:
         rows = np.array(sorted([*self.unilateral.bilateral, *choice.rows]), dtype=np.int64)
         sliding = choice.sliding(self.unilateral.constraints)
         slides = self._slides(choice, rows, sliding)
-        return Mode(
-            choice,
-            self.data,
-            self._arrays(choice, rows),
-            slides,
-            self._guards(choice, rows, sliding, slides),
-        )
+        watched = self._guards(choice, rows, sliding, slides)
+        arrays = self._arrays(choice, rows)
+        return Mode(choice, self.data, arrays, slides, watched, make_guards(watched))
 
     def _arrays(self, choice: Choice, rows: np.ndarray) -> ModeArrays:
         constraints, full = self.unilateral.constraints, self.full
@@ -263,22 +260,23 @@ class Modes:
 
     def _guards(
         self, choice: Choice, rows: np.ndarray, sliding: list[int], slides: Slides
-    ) -> Guards:
+    ) -> tuple[Guard, ...]:
         place = {int(row): k for k, row in enumerate(rows)}
         ground = len(self.full.model.arm_names)
         guards: list[Guard] = []
         for u, constraint in enumerate(self.unilateral.constraints):
-            patch = patch_of(self.full.model, constraint)
-            of_constraint = _guards(u, constraint, choice, place, sliding, self.slow)
             if constraint.compliant:
-                sign = 1 if choice.states[u] == ContactState.OPEN else -1
-                of_constraint = [
-                    Guard(SPRING_GUARD, constraint.row, constraint.lag, GAP_THRESHOLD, sign=sign)
-                ]
-            elif patch is not None:
-                of_constraint = _patch_guards(u, constraint, choice, of_constraint, ground, patch)
+                is_open = choice.states[u] == ContactState.OPEN
+                length = SpringExtension if is_open else SpringCompression
+                of_constraint = [Guard(length(constraint.row, constraint.lag), GAP_THRESHOLD)]
+            else:
+                patch = patch_of(self.full.model, constraint)
+                of_constraint = _guards(u, constraint, choice, place, sliding, slides, self.slow)
+                if patch is not None:
+                    depth = PatchDepth(constraint.row, ground, patch)
+                    of_constraint = _patch_guards(u, choice, of_constraint, depth)
             guards += [guard._replace(constraint=u) for guard in of_constraint]
-        return make_guards(guards, slides.direction)
+        return tuple(guards)
 
 
 class _Reactions:
@@ -358,6 +356,7 @@ def _guards(
     choice: Choice,
     place: dict[int, int],
     sliding: list[int],
+    slides: Slides,
     slow: float,
 ) -> list[Guard]:
     """The guards of one constraint without a patch; ``place`` maps rows to held rows."""
@@ -368,52 +367,38 @@ def _guards(
     if constraint.kind == DRY_JOINT:
         if state.moves:
             sign = 1 if state == ContactState.FORWARD else -1
-            return [Guard(RATE_GUARD, constraint.joint, threshold=still, sign=sign)]
-        limit = FORCE_THRESHOLD * constraint.bound
-        return [Guard(HOLD_GUARD, row, constraint.bound, limit)] if row >= 0 else []
+            return [Guard(JointSpeed(constraint.joint), still, sign)]
+        friction = StaticFriction(row, constraint.bound)
+        return [Guard(friction, FORCE_THRESHOLD * constraint.bound)] if row >= 0 else []
     if state == ContactState.OPEN:
-        return [Guard(GAP_GUARD, constraint.row, threshold=GAP_THRESHOLD)]
+        return [Guard(OpenGap(constraint.row), GAP_THRESHOLD)]
     if row < 0:
-        return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
+        return [Guard(Touch(constraint.row, REST))]
     side, guards = choice.side(u), []
     if not constraint.bilateral or u in sliding:
-        guards.append(Guard(PUSH_GUARD, row, threshold=FORCE_THRESHOLD, sign=int(side)))
+        guards.append(Guard(Push(row), FORCE_THRESHOLD, int(side)))
     if state == ContactState.STICKING:
-        tangents = [place.get(t, -1) for t in constraint.tangents]
-        if max(tangents) >= 0:
-            mu = side * constraint.mu
-            guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, (tangents[0], tangents[1])))
+        first, second = (place.get(t, -1) for t in constraint.tangents)
+        if max(first, second) >= 0:
+            cone = FrictionCone(row, side * constraint.mu, first, second)
+            guards.append(Guard(cone, FORCE_THRESHOLD))
     resting = constraint.bilateral and u not in sliding
     if state == ContactState.AT_BOUND or (
         resting and not all(t in place for t in constraint.tangents)
     ):
-        guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
+        guards.append(Guard(SlipOnset(constraint.tangents[0], still)))
     elif u in sliding:
-        s, t = sliding.index(u), constraint.tangents
-        guards.append(Guard(SLIP_GUARD, s, threshold=still, tangents=(t[0], t[1])))
+        slip = Slip(constraint.tangents[0], sliding.index(u), slides.direction)
+        guards.append(Guard(slip, still))
     return guards
 
 
-def _patch_guards(
-    u: int,
-    constraint: Constraint,
-    choice: Choice,
-    guards: list[Guard],
-    body: int,
-    patch: np.ndarray,
-) -> list[Guard]:
+def _patch_guards(u: int, choice: Choice, guards: list[Guard], depth: PatchDepth) -> list[Guard]:
     """The guards of a contact that is on its patch on a body, over it, off it or below it."""
     off = u in choice.off_patch
-    edge = Guard(
-        PATCH_GUARD,
-        constraint.row,
-        threshold=GAP_THRESHOLD,
-        sign=-1 if off else 1,
-        body=body,
-        patch=patch,
-    )
+    edge = Guard(depth, GAP_THRESHOLD, -1 if off else 1)
     if off:
         return [edge]
-    if u in choice.below_patch:  # a spring without damping: its extension is the gap
-        return [edge, Guard(SPRING_GUARD, constraint.row, threshold=GAP_THRESHOLD, sign=-1)]
+    if u in choice.below_patch:  # it comes up through the patch
+        return [edge, Guard(SpringCompression(depth.row, 0.0), GAP_THRESHOLD)]
     return [*guards, edge]

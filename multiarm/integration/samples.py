@@ -33,6 +33,9 @@ def write_sample(struct, t, works, row):
     at += data.velocity.size
     copy(data.torque, row[at : at + data.torque.size])
     at += data.torque.size
+    if model.control.shape[0] > 0:
+        copy(data.control_power, row[at : at + data.control_power.size])
+        at += data.control_power.size
     if data.functions.contact_forces != 0:
         call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
@@ -117,10 +120,10 @@ def sample_columns(channels: Sequence[Channel]) -> Columns:
     # stand together, in the order of the channels; those of a tip stand together
     order = (
         "time", "object/position", "object/quaternion_xyzw", "joint_position", "object/twist",
-        "joint_velocity", "joint_torque", "contact_force", "contact_state", "relative_rate",
-        "relative_position", "wrench", "tip", "energy/kinetic", "energy/potential", "work",
-        "energy/work", "drift/position", "drift/velocity", "solver/rank", "solver/coupled_arms",
-        "solver/residual",
+        "joint_velocity", "joint_torque", "control_power", "contact_force", "contact_state",
+        "relative_rate", "relative_position", "wrench", "tip", "energy/kinetic",
+        "energy/potential", "work", "energy/work", "drift/position", "drift/velocity",
+        "solver/rank", "solver/coupled_arms", "solver/residual",
     )  # fmt: skip
 
     def place(channel: Channel) -> int:

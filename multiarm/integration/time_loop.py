@@ -41,9 +41,9 @@ from multiarm.dynamics.status import (
     STOPPED,
 )
 from multiarm.integration.dense_output import interpolate, prepare_dense
-from multiarm.integration.monitors import check_reports
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
+from multiarm.integration.reporting_guards import check_reports
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import error_estimate, open_step, slope_at, stage_slope
 from multiarm.integration.step_control import (
@@ -134,7 +134,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
 
 
 @kernel
-def start_monitors(struct: INTS):
+def begin_run(struct: INTS):
     """Store joint coordinates, guards that report, and the solution at the start of a run."""
     model, data, _ = open_system(struct)
     follow_joints(model, data)

@@ -99,7 +99,8 @@ def wrenches(trajectory: Trajectory) -> Figure | None:
 def energy(trajectory: Trajectory) -> Figure:
     """Kinetic energy, change of potential energy and work; below them the balance error.
 
-    If the run has effects, the work of each of them has another pair of axes.
+    If the run has effects, the work of each of them has another pair of axes; so has the power of a
+    control on each arm.
     """
     start, potential_start = trajectory.energy_at_start, trajectory.read(ENERGIES[1], 0, 1).sum()
 
@@ -120,7 +121,8 @@ def energy(trajectory: Trajectory) -> Figure:
             time, values[:, 3:] / scale, ("",), colours[3:],
         ),
     ]  # fmt: skip
-    return draw([*panels, *_work_panels(trajectory)], zero_line=True, events=trajectory.events)
+    panels += _work_panels(trajectory) + _power_panels(trajectory)
+    return draw(panels, zero_line=True, events=trajectory.events)
 
 
 def drift(trajectory: Trajectory) -> Figure:
@@ -174,6 +176,15 @@ def _work_panels(trajectory: Trajectory) -> list[Panel]:
     time, values = decimate(trajectory, list(works.values()))
     colours = [PALETTE[number % len(PALETTE)] for number in range(len(works))]
     return [Panel("Work done by each effect", "work [J]", time, values, tuple(works), colours)]
+
+
+def _power_panels(trajectory: Trajectory) -> list[Panel]:
+    powers = channels_of(trajectory.channels, "control_power")
+    if not powers:
+        return []
+    time, values = decimate(trajectory, list(powers.values()))
+    colours = [PALETTE[number % len(PALETTE)] for number in range(len(powers))]
+    return [Panel("Power of the control", "power [W]", time, values, tuple(powers), colours)]
 
 
 def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:

@@ -157,6 +157,7 @@ def trajectory_channels(
     works: Sequence[str] = (),
     states: Mapping[str, Sequence[str]] | None = None,
     environment: Sequence[str] = (),
+    controlled: bool = False,
 ) -> tuple[Channel, ...]:
     """The channels of a run: time, then the object, the arms, the floor, effects, energy and drift.
 
@@ -174,6 +175,8 @@ def trajectory_channels(
         Arm name, or ``"floor"`` -> names of its contacts that can open, slide or stick.
     environment : sequence of str
         Names of the rows of the object's contacts with the floor.
+    controlled : bool
+        Whether the arms have a control, whose power is recorded.
     """
     free, states = free or {}, states or {}
     channels = [
@@ -182,6 +185,8 @@ def trajectory_channels(
     ]
     for arm, units in joints.items():
         channels += _arm_channels(f"arms/{arm}", units)
+        if controlled:
+            channels.append(control_power_channel(f"arms/{arm}"))
         channels += _contact_channels(
             f"arms/{arm}", contacts[arm], states.get(arm, ()), "force at each contact"
         )
@@ -214,6 +219,14 @@ def trajectory_channels(
 def wrench_and_tip_channels(path: str) -> list[Channel]:
     """The channels of an arm's wrench and tip, which have the same shapes for all arms."""
     return [wrench_channel(path), *_motion_channels(f"{path}/tip_", "tip", "origin")]
+
+
+def control_power_channel(path: str) -> Channel:
+    """The channel of the power of the control on an arm."""
+    return Channel(
+        f"{path}/control_power", (), "W", "",
+        "power of the drives' torques, sum of torque times joint velocity; positive drives the arm",
+    )  # fmt: skip
 
 
 def wrench_channel(path: str) -> Channel:

@@ -276,6 +276,16 @@ class Trajectory:
         return self._by_arm("joint_torque")
 
     @property
+    def control_power(self) -> dict[str, np.ndarray]:
+        """Arm -> power of its drives, the sum of torque times joint velocity, shape (K,) [W].
+
+        Its integral is the work of the control.  Empty for scenes without control, and in results
+        of earlier versions.
+        """
+        names = channels_of(self._store.channels, "control_power")
+        return {arm: self.channel(name) for arm, name in names.items()}
+
+    @property
     def contact_forces(self) -> Mapping[str, np.ndarray]:
         """Arm -> forces along the contact normals, shape (K, N) [N]; positive pushes.
 

@@ -42,6 +42,7 @@ from multiarm.results.channels import (
     LARGEST,
     Channel,
     arm_names,
+    control_power_channel,
     recordable,
     trajectory_channels,
     width_of,
@@ -150,7 +151,10 @@ class TrajectoryReader(StoredFile):
         """Refuse channels of another shape, and times that do not go on."""
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
-        of_arms = [wrench_and_tip_channels(f"arms/{arm}") for arm in arm_names(self.channels)]
+        of_arms = [
+            (*wrench_and_tip_channels(f"arms/{arm}"), control_power_channel(f"arms/{arm}"))
+            for arm in arm_names(self.channels)
+        ]
         floor = wrench_channel("environment")
         # those that runs have, with a shape that does not depend on the scene
         for channel in (*trajectory_channels({}, {}), *itertools.chain(*of_arms), floor):

@@ -19,7 +19,8 @@ from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.failures import failure_text, require_ok
-from multiarm.dynamics.guards import PATCH_GUARD, PUSH_GUARD, RATE_GUARD, SLIP_GUARD
+from multiarm.dynamics.guard_functions import JointSpeed, PatchDepth, Push, Slip
+from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
@@ -157,16 +158,12 @@ class EventHandler:
         pending, self._pending = self._pending, None
         t, before = run.clock.t, self.mode.choice
         self._load(run)
-        kinds, owners = self._of_guards(pending)
+        fired = [self.mode.watched[g] for g in pending.guards]
         participants = _Participants(
-            self._touching(pending),
-            self._at_rest(pending),
-            set(owners[kinds == PUSH_GUARD].tolist()),
-            off_patch_constraints(
-                self.modes,
-                before,
-                set(owners[kinds == PATCH_GUARD].tolist()),
-            ),
+            self._touching(fired),
+            self._at_rest(fired),
+            _constraints(fired, Push),
+            off_patch_constraints(self.modes, before, _constraints(fired, PatchDepth)),
         )
         decision = self._decide_mode(t, participants)
         self._log_decision(t, decision, before)
@@ -176,18 +173,17 @@ class EventHandler:
         self._continue(run, decision)
         return ""
 
-    def _at_rest(self, pending: Pending) -> dict[int, float]:
+    def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
         constraints = self.modes.unilateral.constraints
         rates, speeds = self.modes.full.arrays.contacts[:, GAP_RATE], {}
         of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
-        for kind, u in zip(*self._of_guards(pending), strict=True):
-            if kind in (SLIP_GUARD, RATE_GUARD):
-                constraint = constraints[u]
-                speed = float(np.linalg.norm(rates[list(constraint.tangents or (constraint.row,))]))
-                # faster slip has only turned around
-                if speed <= 1e3 * max(of_step, SLOWEST) or self._tolerance is None:
-                    speeds[int(u)] = HIT_SHARE * speed
+        for u in _constraints(fired, Slip, JointSpeed):
+            constraint = constraints[u]
+            speed = float(np.linalg.norm(rates[list(constraint.tangents or (constraint.row,))]))
+            # faster slip has only turned around
+            if speed <= 1e3 * max(of_step, SLOWEST) or self._tolerance is None:
+                speeds[u] = HIT_SHARE * speed
         return speeds
 
     def _decide_mode(self, t: float, participants: _Participants) -> Decision:
@@ -238,15 +234,10 @@ class EventHandler:
         require_ok(bare, update_kinematics(bare.struct))
         require_ok(self.modes.full, update_rows(self.modes.full.struct))
 
-    def _of_guards(self, pending: Pending) -> tuple[np.ndarray, np.ndarray]:
-        """Kinds and constraints of the guards of an event."""
-        return self.mode.guards.kind[pending.guards], self.mode.guards.constraint[pending.guards]
-
-    def _touching(self, pending: Pending) -> set[int]:
+    def _touching(self, fired: list[Guard]) -> set[int]:
         """Constraints that touch at an event: those that were closed, and those that close."""
         constraints, choice = self.modes.unilateral.constraints, self.mode.choice
-        kinds, owners = self._of_guards(pending)
-        closing = set(owners[kinds != PATCH_GUARD].tolist())
+        closing = {g.constraint for g in fired if not isinstance(g.function, PatchDepth)}
         closed = {
             u
             for u, constraint in enumerate(constraints)
@@ -320,3 +311,8 @@ class EventHandler:
                 f"{self._simultaneous} events at one time: contacts open and close without the "
                 f"motion getting on; lessen restitution or friction, or start elsewhere"
             )
+
+
+def _constraints(guards: list[Guard], *functions: type) -> set[int]:
+    """Constraints whose guards have some of the functions."""
+    return {guard.constraint for guard in guards if isinstance(guard.function, functions)}

@@ -11,29 +11,27 @@ from typing import Any
 import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
-from multiarm.dynamics.guards import (
-    DRIVE_GUARD,
-    FIRED,
-    LIMIT_GUARD,
+from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
-    PATCH_GUARD,
-    PUSH_GUARD,
-    QUIET,
-    turn_round,
+    DriveMargin,
+    PatchDepth,
+    Push,
+    RangeDepth,
 )
+from multiarm.dynamics.guards import FIRED, QUIET, turn_round
 from multiarm.dynamics.model import Data
 from multiarm.integration.event_location import GuardValues, sign_changes
 from multiarm.integration.methods import Stepping
-from multiarm.integration.monitors import write_reports
+from multiarm.integration.reporting_guards import write_reports
 from multiarm.integration.step_control import Clock
 from multiarm.results.event_log import EventLog
 
 # Kinds of the events at which a guard falls below zero, and is above it again.
 KINDS = {
-    PUSH_GUARD: ("pulls", "pushes again"),
-    LIMIT_GUARD: ("passes its limit", "is back within its limit"),
-    DRIVE_GUARD: ("saturates", "is no longer saturated"),
-    PATCH_GUARD: ("leaves its patch", "is back on its patch"),
+    Push: ("pulls", "pushes again"),
+    RangeDepth: ("passes its limit", "is back within its limit"),
+    DriveMargin: ("saturates", "is no longer saturated"),
+    PatchDepth: ("leaves its patch", "is back on its patch"),
 }
 
 
@@ -60,20 +58,21 @@ def log_reports(data: Data, stepping: Stepping, clock: Clock, log: EventLog) -> 
 
 def _event(data: Data, g: int, time: float) -> dict[str, Any]:
     """The event at which a guard changes its sign."""
-    guards, model = data.guards, data.model
-    number, watched, body = int(guards.kind[g]), int(guards.watched[g]), int(guards.body[g])
-    kind = KINDS[number][0 if guards.sign[g] > 0 else 1]
+    model, watched = data.model, data.model.guards[g].function
+    kind = KINDS[type(watched)][0 if data.guards.sign[g] > 0 else 1]
     part, where = "joint", ""
-    if number == LIMIT_GUARD:
-        arm, name = model.arm_names[body], f"joint, {COMPONENTS[watched]}"
-    elif number == DRIVE_GUARD:
-        arm = model.arm_names[int(np.searchsorted(model.layout.dofs, watched, side="right")) - 1]
-        name = model.joint_name(watched)
+    if isinstance(watched, RangeDepth):
+        arm, name = model.arm_names[watched.arm], f"joint, {COMPONENTS[watched.component]}"
+    elif isinstance(watched, DriveMargin):
+        joint = watched.joint
+        arm = model.arm_names[int(np.searchsorted(model.layout.dofs, joint, side="right")) - 1]
+        name = model.joint_name(joint)
     else:
-        arm, contact = model.owner(watched)
+        patch = isinstance(watched, PatchDepth)
+        arm, contact = model.owner(watched.row if patch else watched.held)
         part, name = "contact", contact.name
-        if number == PATCH_GUARD:
-            where = " (on the object)" if body == ON_OBJECT else " (on the arm)"
+        if patch:
+            where = " (on the object)" if watched.body == ON_OBJECT else " (on the arm)"
     return {
         "time": float(time),
         "kind": kind,

@@ -30,7 +30,7 @@ from multiarm.integration.step_control import (
     gains,
     make_clock,
 )
-from multiarm.integration.time_loop import start_monitors
+from multiarm.integration.time_loop import begin_run
 from multiarm.results.channels import width_of
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
@@ -222,7 +222,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         step.stage.gap = settings.gap_tolerance
         _first_slope(task, stepping)
         step.stage.gap = -1.0
-    start_monitors(data.struct)
+    begin_run(data.struct)
     log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import operator
+from types import SimpleNamespace
 
 import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from multiarm.dynamics.guards import dips
+from multiarm.contacts.kernel import CONTACT_WIDTH, GAP, GAP_RATE
+from multiarm.dynamics.guard_functions import (
+    FrictionCone,
+    OpenGap,
+    SlipOnset,
+    SpringCompression,
+    SpringExtension,
+    Touch,
+    friction_cone,
+    slip_onset,
+    spring_compression,
+    spring_extension,
+    touch,
+)
+from multiarm.dynamics.guards import DIPPED, FIRED, QUIET, Guard, dips, judge_guards, make_guards
 
 NEAR = 0.05  # part of the smaller gap at the ends that counts as touching, as in `dips`
 ROUNDING = 1e-12  # of the cubic's terms
@@ -34,3 +49,58 @@ def test_a_gap_dips_where_the_cubic_through_both_ends_comes_near_zero_in_between
 
 def test_a_gap_whose_rate_is_unknown_does_not_dip():
     assert not dips(1e-3, np.nan, 1e-3, 1.0, 0.1)
+
+
+def rows_with(gap: float, rate: float, second: float = 0.0) -> SimpleNamespace:
+    """Kinematics of rows: a gap and its rate, and the rate of the row after it."""
+    contacts = np.zeros((2, CONTACT_WIDTH))
+    contacts[0, [GAP, GAP_RATE]], contacts[1, GAP_RATE] = (gap, rate), second
+    return SimpleNamespace(contacts=contacts)
+
+
+@given(gaps, speeds.map(operator.neg), gaps, speeds, st.floats(1e-3, 1e-1))
+def test_a_damped_spring_is_pressed_between_the_ends_of_a_step_where_its_gap_comes_near_zero(
+    begin, begin_rate, end, end_rate, h
+):
+    """While the gap grows the damper makes the spring longer than it, which must not hide a dip."""
+    spring = Guard(SpringExtension(row=0, lag=0.05))
+    guards = make_guards([spring])
+    at_begin = spring_extension.py_func(spring.function, rows_with(begin, begin_rate))
+    at_end = spring_extension.py_func(spring.function, rows_with(end, end_rate))
+    assert at_begin[0] == begin and at_end[0] == end + 0.05 * end_rate
+    guards.before[0], _, guards.rate_before[0] = at_begin
+    guards.value[0], guards.course[0], guards.rate[0] = at_end
+    guards.armed[0] = 1
+    events = judge_guards(guards, h)
+    assert events == dips(begin, begin_rate, end, end_rate, h)
+    assert guards.result[0] == (DIPPED if events else QUIET)
+
+
+def test_a_guard_that_reports_fires_beyond_its_threshold_and_one_that_stops_at_zero():
+    guards = make_guards([Guard(OpenGap(0), 1e-3, stops=stops) for stops in (True, False)])
+    guards.level[:], guards.armed[:] = guards.threshold, 1
+    guards.value[:] = -1e-4
+    judge_guards(guards, 0.1)
+    assert guards.result.tolist() == [FIRED, QUIET]
+    guards.value[:] = -2e-3
+    judge_guards(guards, 0.1)
+    assert guards.result.tolist() == [FIRED, FIRED]
+
+
+def test_what_guards_watch_is_positive_inside_of_its_range_and_zero_at_its_end():
+    assert touch.py_func(Touch(0, 1e-9), rows_with(1e-9, 0.0)) == 0.0
+    assert touch.py_func(Touch(0, 1e-9), rows_with(-1e-9, 0.0)) == 0.0
+    assert touch.py_func(Touch(0, 1e-9), rows_with(-5e-10, 0.0)) > 0.0
+    assert slip_onset.py_func(SlipOnset(0, 0.5), rows_with(0.0, 0.3, 0.4)) == 0.0
+    assert slip_onset.py_func(SlipOnset(0, 0.5), rows_with(0.0, -0.3, 0.2)) > 0.0
+    # a spring that is pressed by a millimetre and leaves at 0.1 m/s pushes until lag * 0.1 = 1 mm
+    assert spring_compression.py_func(SpringCompression(0, 0.01), rows_with(-1e-3, 0.1)) == 0.0
+    assert spring_compression.py_func(SpringCompression(0, 0.0), rows_with(-1e-3, 0.1)) == 1e-3
+
+
+def test_a_friction_cone_has_the_tangents_that_are_held_and_the_sign_of_a_pull():
+    force = np.array([10.0, 3.0, -4.0])
+    assert friction_cone.py_func(FrictionCone(0, 0.5, 1, 2), force) == 0.0
+    assert friction_cone.py_func(FrictionCone(0, 0.5, 1, -1), force) == 2.0
+    assert friction_cone.py_func(FrictionCone(0, 0.5, -1, 2), force) == 1.0
+    assert friction_cone.py_func(FrictionCone(0, -0.5, 1, 2), -force) == 0.0

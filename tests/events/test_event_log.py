@@ -14,7 +14,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import PathPatch
 from page_reader import Page
 from rich.console import Console
-from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, rows_of, samples
+from sample_run import (
+    CHANNELS,
+    CONTACTS,
+    JOINTS,
+    SCENE,
+    STATISTICS,
+    earlier_run,
+    record,
+    rows_of,
+    samples,
+)
 
 from multiarm import plots
 from multiarm.cli.run import SHOWN_KINDS, run_figures, summary_table
@@ -98,7 +108,7 @@ def marks(axes):
 
 
 def test_runs_without_such_contacts_have_the_channels_they_had():
-    assert trajectory_channels(JOINTS, CONTACTS, None, (), {}, ()) == CHANNELS
+    assert trajectory_channels(JOINTS, CONTACTS, None, (), {}, (), True) == CHANNELS
     assert not [c.name for c in CHANNELS if "state" in c.name or "environment" in c.name]
 
 
@@ -417,7 +427,17 @@ def test_work_of_each_effect_is_drawn_and_named():
     lines = {tuple(np.round(line.get_ydata()[-1:], 9)) for line in axes[2].lines[1:]}
     assert lines == {(-12.0,), (-3.6,)}
     assert run.time[-1] == 6.0
-    assert len(plots.energy(record(MemorySink())).axes) == 2
+
+
+def test_the_power_of_the_control_on_each_arm_is_drawn_and_named():
+    run = record(MemorySink())
+    axes = plots.energy(run).axes
+    assert len(axes) == 3 and axes[2].get_ylabel() == "power [W]"
+    assert [text.get_text() for text in axes[2].texts] == ["left", "right"]
+    lines = [line.get_ydata() for line in axes[2].lines if len(line.get_xdata()) > 2]
+    ends = {float(np.round(line[-1], 9)) for line in lines}
+    assert ends == {float(np.round(power[-1], 9)) for power in run.control_power.values()}
+    assert len(plots.energy(earlier_run(run)).axes) == 2
 
 
 # Report

@@ -191,8 +191,20 @@ def test_a_run_of_an_earlier_version_says_what_it_has_not(tmp_path):
         for error in (TrajectoryError, KeyError):
             with pytest.raises(error, match="earlier version"):
                 mapping["left"]
-    assert run.summary()["wrench_max"] == {}
+    assert run.summary()["wrench_max"] == {} and run.control_power == {}
     assert not run.to_pandas().filter(like="wrench").size
+
+
+def test_a_power_for_each_joint_is_refused(tmp_path):
+    record(file_sink(tmp_path))
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        power = file["arms/left/control_power"]
+        values, attributes = power[:], dict(power.attrs)
+        del file["arms/left/control_power"]
+        file["arms/left/control_power"] = np.outer(values, np.ones(6))
+        file["arms/left/control_power"].attrs.update(attributes)
+    with refused(TrajectoryError, "'arms/left/control_power'"):
+        load_trajectory(tmp_path / "run.h5")
 
 
 @pytest.mark.parametrize("name", ["wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist"])

@@ -8,7 +8,7 @@ from mechanics import ur5_pair
 
 import multiarm as ma
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.guards import HOLD_GUARD
+from multiarm.dynamics.guard_functions import STATIC_FRICTION
 from multiarm.dynamics.status import OK
 from multiarm.simulation import event_handling
 from multiarm.simulation.run import begin
@@ -45,7 +45,7 @@ def test_only_the_stages_of_a_step_count_between_its_ends(dry):
         spec = run_spec(dry.scene.run, changes, fixed, None)
         driver = begin(Task(dry, data, spec, None, np.inf), None)
         guards = driver.events.mode.guards
-        forces = guards.kind == HOLD_GUARD
+        forces = guards.kind == STATIC_FRICTION
         assert np.any(forces)
         guards.least[:] = -1e6
         driver.advance(10_000)

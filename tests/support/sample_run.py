@@ -30,7 +30,7 @@ CONTACTS = {
     "left": ["face_x", "face_y", "face_z", "turn_x", "turn_y", "turn_z"],
     "right": ["x", "y", "z"],
 }
-CHANNELS = trajectory_channels(JOINTS, CONTACTS)
+CHANNELS = trajectory_channels(JOINTS, CONTACTS, controlled=True)
 SCENE = "name: two arms & a <pendulum>\ngravity: [0, 0, -9.81]\n"
 STATISTICS = {
     "steps": 1234, "rejected_steps": 17, "evaluations": 9876, "wall_time_s": 0.42,
@@ -71,6 +71,8 @@ def samples(duration=6.0, step=0.01):
         block[f"arms/{arm}/joint_position"] = np.outer(theta, 0.9**joint) + 0.3 * joint
         block[f"arms/{arm}/joint_velocity"] = np.outer(omega, 0.9**joint)
         block[f"arms/{arm}/joint_torque"] = np.outer(share * tension, 0.25 * 0.6**joint)
+        drives = block[f"arms/{arm}/joint_torque"] * block[f"arms/{arm}/joint_velocity"]
+        block[f"arms/{arm}/control_power"] = drives.sum(axis=1)
         row = np.arange(len(CONTACTS[arm]))
         block[f"arms/{arm}/contact_force"] = share * np.cos(row) * tension[:, None]
     return block
@@ -92,8 +94,8 @@ def record(sink, blocks=None, status="completed", message="", metadata=None, **r
 
 
 def earlier_run(run):
-    """The run as a version has it that did not record wrenches and tips."""
-    later = ("wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist")
+    """The run as a version has it that did not record wrenches, tips and powers."""
+    later = ("wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist", "control_power")
     channels = [c for c in run.channels.values() if c.name.rpartition("/")[2] not in later]
     sink = MemorySink()
     sink.open(channels, run.provenance)

@@ -11,23 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from multiarm.dynamics.arrays import open_reports, open_system
-from multiarm.dynamics.guards import (
-    DRIVE_GUARD,
-    LIMIT_GUARD,
+from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
-    PATCH_GUARD,
-    PUSH_GUARD,
-    Guard,
-    Guards,
-    accept_guards,
-    judge_guards,
-    make_guards,
+    DriveMargin,
+    PatchDepth,
+    Push,
+    RangeDepth,
     packed_patch,
-    write_values,
 )
+from multiarm.dynamics.guards import Guard, accept_guards, judge_guards, write_values
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.geometry.records import Contact
@@ -42,7 +35,7 @@ def reporting_guards(
     limits: Mapping[str, Mapping[int, tuple[float, float]]],
     layout: Layout,
     drives: Sequence[tuple[int, int, float]] = (),
-) -> Guards:
+) -> tuple[Guard, ...]:
     """A guard for every force that can only push, every patch, limit and drive.
 
     The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
@@ -53,15 +46,14 @@ def reporting_guards(
     for i, (arm, records) in enumerate(contacts.items()):
         for k, contact in enumerate(records):
             guards += _contact_guards(layout.rows[i] + k, i, contact)
-        for component, ends in limits[arm].items():
-            guards.append(
-                Guard(LIMIT_GUARD, component, body=i, bounds=ends, threshold=ROUNDING, stops=False)
-            )
+        for component, (lower, upper) in limits[arm].items():
+            depth = RangeDepth(i, component, lower, upper)
+            guards.append(Guard(depth, ROUNDING, stops=False))
     guards += [
-        Guard(DRIVE_GUARD, joint, margins=place, threshold=roundings, stops=False)
+        Guard(DriveMargin(joint, place), roundings, stops=False)
         for place, joint, roundings in drives
     ]
-    return make_guards(guards)
+    return tuple(guards)
 
 
 def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
@@ -69,13 +61,11 @@ def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
         return []
     guards = []
     if contact.pushes_only:
-        guards.append(Guard(PUSH_GUARD, row, threshold=SMALL_PULL, relative=True, stops=False))
+        guards.append(Guard(Push(row), SMALL_PULL, relative=True, stops=False))
     for body, surface in ((arm, contact.arm), (ON_OBJECT, contact.object)):
         if surface.patch is not None:
-            patch = packed_patch(surface.patch)
-            guards.append(
-                Guard(PATCH_GUARD, row, body=body, patch=patch, threshold=ROUNDING, stops=False)
-            )
+            depth = PatchDepth(row, body, packed_patch(surface.patch))
+            guards.append(Guard(depth, ROUNDING, stops=False))
     return guards
 
 
@@ -106,9 +96,10 @@ def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
 
     At the kinematics in ``data``.
     """
-    guards, off = data.guards, []
     write_reports(data.struct)
-    for g in np.flatnonzero((guards.kind == PATCH_GUARD) & (guards.value < -guards.threshold)):
-        arm, contact = data.model.owner(int(guards.watched[g]))
-        off.append((arm, contact.name, -float(guards.value[g])))
+    off = []
+    for guard, depth in zip(data.model.guards, data.guards.value.tolist(), strict=True):
+        if isinstance(guard.function, PatchDepth) and depth < -guard.threshold:
+            arm, contact = data.model.owner(guard.function.row)
+            off.append((arm, contact.name, -depth))
     return off

@@ -1,0 +1,334 @@
+"""What guards watch: contacts, their forces and slip, joints and drives.
+
+Each kind has a record with what the function of its guards depends on, and the function beside it.
+A guard is its sign times this function, see :mod:`multiarm.dynamics.guards`.  "All rows" are those
+of a scene with all contacts closed; *held* rows are those of the mode, whose forces are known.
+
+Where the rate is known, an extremum inside a step shows.  A function that has a rate returns the
+value, and *course* and rate: a smooth function of time that is the value where both fall.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.contacts.joint import unwrapped, write_relative
+from multiarm.contacts.kernel import AT, GAP, GAP_RATE, NORMAL, depth_in_patch
+from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
+from multiarm.geometry.records import SURFACE_ON_OBJECT, Patch
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.structs import Float, Floats1, Floats2, Int, floats1, view_at
+from multiarm.jit.vectors import add_scaled, rotate_back, rotation, sub, vec
+
+# Body of a patch that is not an arm's (with its number).
+ON_OBJECT = -1
+
+# All records, by the number of their kind.
+KINDS: list[type] = []
+
+
+def _kind(record: type) -> tuple[int, Callable]:
+    """Number of a kind, and the function of kernels ``(records, place) -> record``."""
+    KINDS.append(record)
+    return len(KINDS) - 1, view_at(record)
+
+
+# --- gaps -----------------------------------------------------------------------------------------
+
+
+class OpenGap(NamedTuple):
+    """The gap of an open contact or of a joint's stop [m, rad]; it closes at zero."""
+
+    row: Int  # of all rows
+
+
+OPEN_GAP, gap_at = _kind(OpenGap)
+
+
+class Touch(NamedTuple):
+    """How far the gap of a contact that touches without force is from opening or pressing [m]."""
+
+    row: Int  # of all rows
+    allowance: Float  # largest gap or penetration [m]
+
+
+TOUCH, touch_at = _kind(Touch)
+
+
+class SpringExtension(NamedTuple):
+    """The extension of the spring of a compliant contact [m], see :func:`spring_length`."""
+
+    row: Int  # of all rows
+    lag: Float  # damping over stiffness [s]
+
+
+SPRING_EXTENSION, extension_at = _kind(SpringExtension)
+
+
+class SpringCompression(NamedTuple):
+    """How far the spring of a compliant contact is pressed [m]: minus its extension."""
+
+    row: Int  # of all rows
+    lag: Float  # damping over stiffness [s]
+
+
+SPRING_COMPRESSION, compression_at = _kind(SpringCompression)
+
+
+class PatchDepth(NamedTuple):
+    """How far inside the patch of its surface a contact is [m]."""
+
+    row: Int  # of all rows
+    body: Int  # with the patch: an arm's number, or ``ON_OBJECT``
+    patch: Floats1  # (18,) frame in the body (rotation row by row, origin), and corners
+
+
+PATCH_DEPTH, patch_at = _kind(PatchDepth)
+
+
+def packed_patch(patch: Patch) -> np.ndarray:
+    """Frame and corners of a patch, (18,)."""
+    corners = (np.clip(corner, -1e300, 1e300) for corner in (patch.lower, patch.upper))
+    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], *corners])
+
+
+@inlined
+def touch(guard, rows):
+    """``allowance - |phi|``."""
+    return guard.allowance - abs(rows.contacts[guard.row, GAP])
+
+
+@inlined
+def spring_extension(guard, rows):
+    """The extension; gap and its rate, since the extension is the gap while the gap falls."""
+    gap, rate = rows.contacts[guard.row, GAP], rows.contacts[guard.row, GAP_RATE]
+    return spring_length(gap, rate, guard.lag), gap, rate
+
+
+@inlined
+def spring_compression(guard, rows):
+    """Minus the extension."""
+    contact = rows.contacts[guard.row]
+    return -spring_length(contact[GAP], contact[GAP_RATE], guard.lag)
+
+
+@inlined
+def spring_length(gap, rate, lag):
+    """Extension of a spring and damper that only push [m]; they push where it is negative.
+
+    They push while they are compressed and their force ``-k (gap + lag rate)`` is positive, with
+    ``lag`` the damping over the stiffness ``k`` [s].
+    """
+    return max(gap, gap + lag * rate)
+
+
+@kernel
+def depth_on_body(patch, body, row, model, data):
+    """How far inside its patch (18,) on a body the contact of a row is [m]."""
+    contact = data.contacts[row]
+    # the contact point lies a tip's radius from its centre, against the guide's outward normal
+    away = model.geometry[row, TIP_RADIUS]
+    if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
+        away = -away
+    touching = add_scaled(vec(contact, AT), -away, vec(contact, NORMAL))
+    carrier = data.body if body == ON_OBJECT else data.arms[body]
+    return depth_in_patch(patch, rotate_back(rotation(carrier, 0), sub(touching, vec(carrier, 9))))
+
+
+# --- forces and commands --------------------------------------------------------------------------
+
+
+class Push(NamedTuple):
+    """The force of a contact [N], which pushes where it is positive."""
+
+    held: Int  # number of its row among the held ones
+
+
+PUSH, push_at = _kind(Push)
+
+
+class FrictionCone(NamedTuple):
+    """How far the force of a sticking contact is inside its friction cone [N]."""
+
+    held: Int
+    mu: Float  # coefficient of friction; negative where the contact pulls
+    # numbers of the rows of its tangents among the held ones; -1: other contacts hold it there
+    first_tangent: Int
+    second_tangent: Int
+
+
+FRICTION_CONE, cone_at = _kind(FrictionCone)
+
+
+class StaticFriction(NamedTuple):
+    """How far the torque that dry friction holds a joint with is below its bound [N m, N]."""
+
+    held: Int
+    bound: Float  # [N m, N]
+
+
+STATIC_FRICTION, static_friction_at = _kind(StaticFriction)
+
+
+class DriveMargin(NamedTuple):
+    """How far the command of a joint's drive is below its limit [N m, N]."""
+
+    joint: Int
+    margins: Int  # place in the system's struct of the excesses, see EffectKernel.watched
+
+
+DRIVE_MARGIN, drive_at = _kind(DriveMargin)
+
+
+@inlined
+def friction_cone(guard, force):
+    r"""``mu \lambda_n - |\lambda_t|``."""
+    square = 0.0
+    if guard.first_tangent >= 0:
+        square += force[guard.first_tangent] ** 2
+    if guard.second_tangent >= 0:
+        square += force[guard.second_tangent] ** 2
+    return guard.mu * force[guard.held] - math.sqrt(square)
+
+
+@inlined
+def drive_margin(guard, struct):
+    """Minus the excess of the command over the limit."""
+    return -floats1(struct, guard.margins)[guard.joint]
+
+
+# --- speeds ---------------------------------------------------------------------------------------
+
+
+class Slip(NamedTuple):
+    """The speed of a sliding contact along the direction of its slip [m/s]."""
+
+    tangent: Int  # the first of its two tangents, of all rows
+    slide: Int  # number of the sliding contact
+    directions: Floats2  # (s, 2) of all sliding contacts, see multiarm.events.sliding
+
+
+SLIP, slip_at = _kind(Slip)
+
+
+class SlipOnset(NamedTuple):
+    """How far the slip of a contact that rests is below the speed of one that slides [m/s]."""
+
+    tangent: Int  # the first of its two tangents, of all rows
+    still: Float  # largest speed at rest [m/s]
+
+
+SLIP_ONSET, onset_at = _kind(SlipOnset)
+
+
+class JointSpeed(NamedTuple):
+    """The speed of a joint [rad/s, m/s]."""
+
+    joint: Int
+
+
+JOINT_SPEED, joint_speed_at = _kind(JointSpeed)
+
+
+@inlined
+def slip(guard, rows):
+    """``d . s``."""
+    t, direction = guard.tangent, guard.directions[guard.slide]
+    first, second = rows.contacts[t, GAP_RATE], rows.contacts[t + 1, GAP_RATE]
+    return first * direction[0] + second * direction[1]
+
+
+@inlined
+def slip_onset(guard, rows):
+    """``still - |s|``."""
+    t = guard.tangent
+    first, second = rows.contacts[t, GAP_RATE], rows.contacts[t + 1, GAP_RATE]
+    return guard.still - math.sqrt(first * first + second * second)
+
+
+# --- ranges ---------------------------------------------------------------------------------------
+
+
+class RangeDepth(NamedTuple):
+    """How far inside its range a component of the motion of an arm's joint is [m, rad]."""
+
+    arm: Int
+    component: Int  # of the six relative motions, see multiarm.contacts.joint
+    lower: Float
+    upper: Float
+
+
+RANGE_DEPTH, range_at = _kind(RangeDepth)
+
+
+@kernel
+def range_depth(guard, model, data):
+    """The distance to the nearer end, and its rate; NaN where the component is not free."""
+    i, component = guard.arm, guard.component
+    rates, coordinates = data.query[0:6], data.query[6:15]
+    for k in range(model.free_bounds[i], model.free_bounds[i + 1]):
+        if model.free[k, 0] == component:
+            write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
+            place = model.free[k, 1]
+            x = unwrapped(coordinates[place], data.coordinates[i, component], place)
+            above, below = x - guard.lower, guard.upper - x
+            return (above, rates[component]) if above < below else (below, -rates[component])
+    return math.nan, math.nan
+
+
+# --- all kinds ------------------------------------------------------------------------------------
+
+
+@inlined
+def is_force_function(kind):
+    """Whether the function depends on forces or on commands of drives, known at every stage."""
+    return kind in (PUSH, FRICTION_CONE, STATIC_FRICTION, DRIVE_MARGIN)
+
+
+@kernel
+def force_function(kind, records, at, struct, force):
+    """Value of such a function, for the forces of the held rows."""
+    if kind == PUSH:
+        return force[push_at(records, at).held]
+    if kind == FRICTION_CONE:
+        return friction_cone(cone_at(records, at), force)
+    if kind == STATIC_FRICTION:
+        guard = static_friction_at(records, at)
+        return guard.bound - abs(force[guard.held])
+    return drive_margin(drive_at(records, at), struct)
+
+
+@kernel
+def guard_function(kind, records, at, struct, data, model, rows):
+    """Value, course and rate of a function at the state evaluated last; without a rate, it is 0.
+
+    ``model`` and ``rows`` are those of the system with all rows, with their kinematics.
+    """
+    if kind == OPEN_GAP:
+        contact = rows.contacts[gap_at(records, at).row]
+        return contact[GAP], contact[GAP], contact[GAP_RATE]
+    if kind == SPRING_EXTENSION:
+        return spring_extension(extension_at(records, at), rows)
+    if kind == RANGE_DEPTH:
+        depth, rate = range_depth(range_at(records, at), model, data)
+        return depth, depth, rate
+    if is_force_function(kind):
+        value = force_function(kind, records, at, struct, data.force)
+    elif kind == TOUCH:
+        value = touch(touch_at(records, at), rows)
+    elif kind == SPRING_COMPRESSION:
+        value = spring_compression(compression_at(records, at), rows)
+    elif kind == PATCH_DEPTH:
+        guard = patch_at(records, at)
+        value = depth_on_body(guard.patch, guard.body, guard.row, model, rows)
+    elif kind == SLIP:
+        value = slip(slip_at(records, at), rows)
+    elif kind == SLIP_ONSET:
+        value = slip_onset(onset_at(records, at), rows)
+    else:
+        value = data.v[joint_speed_at(records, at).joint]
+    return value, value, 0.0
