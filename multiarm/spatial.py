@@ -17,10 +17,16 @@ import math
 import numpy as np
 
 from multiarm.jit.kernels import kernel, plain
-from multiarm.jit.vectors import add_scaled, cross, put, vec
+from multiarm.jit.vectors import add_scaled, cross, put, scale, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
 _SERIES_ANGLE = 1e-2
+# Of the factor gamma of :func:`write_chart_rate` in powers of the squared angle: with Bernoulli's
+# numbers, |B_2k| / (2 k)! from k = 1 on.
+_SERIES = (
+    1.0 / 12.0, 1.0 / 720.0, 1.0 / 30240.0, 1.0 / 1209600.0, 1.0 / 47900160.0,
+    691.0 / 1307674368000.0, 1.0 / 74724249600.0, 3617.0 / 10670622842880000.0,
+)  # fmt: skip
 
 
 @plain
@@ -151,3 +157,36 @@ def write_chart_rate(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> N
     turn, rate = vec(theta, 0), vec(omega, 0)
     c = cross(turn, rate)
     put(out, 0, add_scaled(add_scaled(rate, -0.5, c), gamma, cross(turn, c)))
+
+
+@kernel
+def write_chart_rate_slopes(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> None:
+    r"""Write the derivatives of :func:`write_chart_rate` by ``theta`` into ``out`` (3, 3).
+
+    With :math:`\gamma = g(|\theta|^2)`, along a change :math:`\delta` of :math:`\theta`,
+
+    .. math:: -\tfrac12\,\delta\times\omega + \gamma\,\big(\delta\times(\theta\times\omega)
+              + \theta\times(\delta\times\omega)\big)
+              + 2 g'\,(\theta\cdot\delta)\,\theta\times(\theta\times\omega) .
+    """
+    square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    if square < 0.25:  # the closed form of g' loses digits with the fourth power of the angle
+        gamma = slope = 0.0
+        for k in range(len(_SERIES) - 1, -1, -1):
+            slope = slope * square + gamma
+            gamma = gamma * square + _SERIES[k]
+    else:
+        angle = math.sqrt(square)
+        cotangent = 1.0 / math.tan(0.5 * angle)
+        gamma = (1.0 - 0.5 * angle * cotangent) / square
+        # by the angle, over twice the angle
+        by_angle = 0.25 * angle * (1.0 + cotangent * cotangent) - 0.5 * cotangent
+        slope = (0.5 * by_angle / angle - gamma) / square
+    turn, rate = vec(theta, 0), vec(omega, 0)
+    c = cross(turn, rate)
+    twice = cross(turn, c)
+    for axis in range(3):
+        e = (1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0)
+        by = add_scaled(cross(e, c), 1.0, cross(turn, cross(e, rate)))
+        change = add_scaled(scale(gamma, by), 2.0 * slope * theta[axis], twice)
+        put(out[axis], 0, add_scaled(change, -0.5, cross(e, rate)))

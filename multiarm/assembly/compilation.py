@@ -514,13 +514,12 @@ def finished_model(
         free_bounds=np.array(_bounds([len(frame.free) for frame in frames.values()])),
         free=np.array(free, dtype=np.int64).reshape(-1, 2),
     )
-    breakpoints, sampling, span, derivative = draft.breakpoints, None, None, None
+    breakpoints, sampling, span = draft.breakpoints, None, None
     if law is not None:
         laws = law_table(law.laws, draft.effects.end)
         constants = constants._replace(control=laws, control_reach=law.reach)
         breakpoints = np.union1d(breakpoints, law.breakpoints)
         sampling, span = law.sampling, law.span
-        derivative = law.derivative if sampling is None else None
     if law is not None and sampling is not None:
         constants = with_held_control(constants, constants.control, sampling.delay)
     model = replace(
@@ -531,7 +530,6 @@ def finished_model(
         laws=() if law is None else law.laws,
         sampling=sampling,
         control_span=span,
-        control_derivative=derivative,
         pair_places=data.model.pair_places,
     )
     python = None if law is None else law.python

@@ -9,37 +9,56 @@ with the contact forces of least norm that carry the weight of the object, :math
 .. math::
     d\tau &= \big(dg - dW\,\lambda\big) - W\,d\lambda, \qquad
     d\lambda = dW_o^T y + W_o^T dy, \\
-    A\,dy &= -\big(dW_o\,\lambda + W_o\,(dW_o^T y)\big) .
+    A\,dy &= -\big(dW_o\,\lambda + W_o\,(dW_o^T y)\big)
 
-The first bracket is the derivative of the arms' inverse dynamics at rest under these forces;
-:math:`dW_o\,\lambda` that of their wrench on the object; and :math:`dW_o^T y` that of the rates of
-the gaps while the object moves with the twist y and the arms rest.  All three are written by
-:func:`multiarm.dynamics.equation_derivatives.differentiate_holding`.
+(:mod:`multiarm.control.command_derivatives`): the first bracket is the derivative of the arms'
+inverse dynamics at rest under these forces, :math:`dW_o\,\lambda` that of their wrench on the
+object, and :math:`dW_o^T y` that of the rates of the gaps while the object moves with the twist y
+and the arms rest.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.control.command_derivatives import (
+    add_inverse_dynamics,
+    begin_command,
+    differentiate_shares,
+    open_derivatives,
+    prepare_command_derivatives,
+)
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns
-from multiarm.dynamics.control_laws import ControlLaw
-from multiarm.dynamics.equation_derivatives import differentiate_holding, equation_work
+from multiarm.dynamics.control_laws import ControlLaw, view_of_work
+from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces, subtract_contact_forces
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.jit.kernels import INTS, cfunc, clear, kernel
-from multiarm.jit.structs import struct_at
+from multiarm.dynamics.status import OK, SINGULAR
+from multiarm.jit.kernels import INTS, cfunc, clear, copy, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import Ints1, struct_at
 from multiarm.scene.control import GravityCompensationControl
 
-# Contacts that carry wrenches in some direction so much worse than in others leave the forces of
-# least norm to rounding.
-ILL_CONDITIONED = 1e10
+
+class CarryingWork(NamedTuple):
+    """What the law has besides its torques."""
+
+    derivatives: Ints1  # (3,) see multiarm.control.command_derivatives
+
+    @classmethod
+    def of(cls, _data: Data) -> CarryingWork:
+        """Allocate for some data."""
+        return cls(np.zeros(3, dtype=np.int64))
+
+
+open_carrying = view_of_work(CarryingWork)
 
 
 @cfunc
@@ -63,52 +82,50 @@ def add_holding_torques(model, data, work):
     subtract_contact_forces(data, work)
 
 
-def holding_derivatives(data: Data) -> np.ndarray | None:
-    """Derivatives of gravity compensation, shape (n, 12 F + 2 n), right after an evaluation.
+@cfunc
+def differentiate_gravity_compensation(address, size, at, t):
+    """Call the derivative that has been prepared."""
+    struct = struct_at(address, size)
+    return call_cfunc(open_carrying(struct, at).derivatives[0], struct, at, t)
 
-    By the columns of the state, see :mod:`multiarm.dynamics.layout`.  None where there is no closed
-    form, as contacts cannot carry any wrench.
-    """
-    layout, b = data.model.layout, data.arrays
-    n, W_o, pose = layout.joints, b.Wo, layout.columns["object_pose"]
-    scale = np.ones(6)
-    scale[3:] = 1.0 / max(np.linalg.norm(W_o[:, 3:], axis=1).max(initial=0.0), 1e-6)
-    A = (scale[:, None] * W_o.T) @ (W_o * scale)
-    eigenvalues = np.linalg.eigvalsh(A)
-    if not eigenvalues[0] * ILL_CONDITIONED > eigenvalues[-1]:
-        return None
-    twist = scale * np.linalg.solve(A, scale * b.weight)
-    work, differentiation = equation_work(data, 2 * layout.nv + n)
-    differentiate_holding(data, differentiation, twist)
-    torques, rates = np.zeros((n, 2 * layout.nv)), np.zeros((len(W_o), 2 * layout.nv))
-    for i, (d0, d1) in enumerate(pairwise(layout.dofs)):
-        rows, by_state = slice(*layout.rows[i : i + 2]), work.dF[i, : d1 - d0]
-        columns = arm_columns(d1 - d0, False)
-        of_arm = slice(columns.positions, columns.velocities)
-        of_all = layout.columns["joint_positions"].start + np.arange(d0, d1)
-        rates[rows, pose], torques[d0:d1, pose] = work.rates[rows, pose], by_state[:, pose]
-        rates[rows, of_all] = work.rates[rows, of_arm]
-        torques[d0:d1, of_all] = by_state[:, of_arm]
-    of_wrench = -work.dF_o[:, : 2 * layout.nv]
-    of_twist = -scale[:, None] * np.linalg.solve(A, scale[:, None] * (of_wrench + W_o.T @ rates))
-    forces = rates + W_o @ of_twist
-    for i, (d0, d1) in enumerate(pairwise(layout.dofs)):
-        rows = slice(*layout.rows[i : i + 2])
-        W = data.work.W[i, : d1 - d0, : rows.stop - rows.start]
-        torques[d0:d1] -= W @ forces[rows]
-    return torques
+
+@cfunc
+def write_gravity_compensation_derivatives(address, size, at, _t):
+    """Add the derivatives of the torques; returns a status."""
+    struct = struct_at(address, size)
+    _, data, work = open_system(struct)
+    derivatives = open_carrying(struct, at).derivatives
+    by = open_derivatives(struct_at(derivatives[1], derivatives[2]))
+    motion = open_equations(by.motion)
+    copy(data.weight, by.twist)
+    if not begin_command(data, by):
+        return SINGULAR
+    clear(motion.a_j)
+    copy(data.static_force, motion.force)
+    status = write_derivatives_at_rest(struct, by.motion, by.twist)
+    if status == OK:
+        differentiate_shares(data, work, motion, motion, by)
+        add_inverse_dynamics(data, work, motion)
+    return status
 
 
 def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
     """The law that carries the weight, where there is one and the control carries it."""
-    return (ControlLaw(gravity_compensation),) if needs_gravity_torque(context.scene) else ()
+    if not needs_gravity_torque(context.scene):
+        return ()
+    prepare = partial(prepare_command_derivatives, write_gravity_compensation_derivatives)
+    derivative = differentiate_gravity_compensation
+    law = ControlLaw(
+        gravity_compensation, derivative=derivative, work=CarryingWork, prepare=prepare
+    )
+    return (law,)
 
 
 def gravity_compensation_program(
     _control: GravityCompensationControl, context: ControlContext
 ) -> ControlProgram:
     """The law of gravity compensation; without gravity there is none."""
-    return ControlProgram(carrying_laws(context), reach=CARRYING, derivative=holding_derivatives)
+    return ControlProgram(carrying_laws(context), reach=CARRYING)
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:

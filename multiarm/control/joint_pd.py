@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.control.gravity_compensation import carrying_laws, holding_derivatives
+from multiarm.control.gravity_compensation import carrying_laws
 from multiarm.control.program import ControlContext, ControlProgram, JointPath
 from multiarm.dynamics.arrays import CARRYING, LOCAL, open_data
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
@@ -105,5 +105,4 @@ def joint_pd_program(control: JointPDControl, context: ControlContext) -> Contro
         (ControlLaw(joint_pd, numbers, differentiate_joint_pd), *carrying),
         breakpoints=path.bounds if control.path else np.zeros(0),
         reach=CARRYING if carrying else LOCAL,
-        derivative=holding_derivatives if carrying else None,
     )

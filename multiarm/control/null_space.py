@@ -46,10 +46,11 @@ from multiarm.jit.vectors import (
 
 
 @allocating
-def nearest_accelerations(inertia, W, preferred, target, result):
+def nearest_accelerations(inertia, W, preferred, target, result, multipliers):
     r"""Write the accelerations nearest to ``preferred`` among those with :math:`W^T\ddot q = r`.
 
-    Nearest in the metric of M: :math:`\ddot q = a + M^{-1}W (W^T M^{-1} W)^{-1}(r - W^T a)`.
+    Nearest in the metric of M: :math:`M(\ddot q - a) = W\kappa` with
+    :math:`W^T M^{-1} W \kappa = r - W^T a`.  Returns whether the conditions are independent.
 
     Parameters
     ----------
@@ -57,11 +58,12 @@ def nearest_accelerations(inertia, W, preferred, target, result):
         M (lower triangle) and W (one column a condition) in their first rows and columns.
     preferred, target : (n,), (m,)
         ``a`` and ``r``.
-    result : (n,), written
+    result, multipliers : (n,), (m,), written
+        :math:`\ddot q` and :math:`\kappa`.
     """
     n, m = preferred.size, target.size
     L, Y, K = np.empty((n, n)), np.empty((n, m)), np.zeros((m, m))
-    rest, kappa, scale = np.empty(m), np.zeros(m), np.empty(m)
+    rest, scale = np.empty(m), np.empty(m)
     for j in range(n):
         copy(inertia[j, :n], L[j])
         copy(W[j, :m], Y[j])
@@ -82,18 +84,21 @@ def nearest_accelerations(inertia, W, preferred, target, result):
         for b in range(a + 1):
             K[a, b] *= scale[a] * scale[b]
             K[b, a] = K[a, b]
-    solve_semidefinite(K, rest, kappa)
+    rank = solve_semidefinite(K, rest, multipliers)
+    for a in range(m):
+        multipliers[a] *= scale[a]
     for j in range(n - 1, -1, -1):
         change = 0.0
         for a in range(m):
-            change += Y[j, a] * scale[a] * kappa[a]
+            change += Y[j, a] * multipliers[a]
         for k in range(j + 1, n):
             change -= L[k, j] * (result[k] - preferred[k])
         result[j] = preferred[j] + L[j, j] * change
+    return rank == m
 
 
 @allocating
-def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
+def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, preferred):
     """Change the preferred accelerations (n,) of arm ``i`` to those that hold its pose.
 
     Parameters
@@ -101,8 +106,10 @@ def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
     stiffness, rate : float
         ``k`` [1/s^2] and ``delta`` [1/s].
     feedforward : bool
-        Of the object's acceleration in ``data.a_o`` and of all velocity terms; else
-        the accelerations are those of the springs and dampers alone.
+        Of the object's acceleration and of all velocity terms; else the accelerations are those of
+        the springs and dampers alone.
+    acceleration : (6,)
+        Of the object.
     """
     n = work.dofs[i + 1] - work.dofs[i]
     frame, link, body = model.frames[i], data.arms[i], data.body
@@ -117,7 +124,7 @@ def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
     p = add(vec(link, ORIGIN_AT), m)
     if feedforward:
         j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
-        a_o, alpha_o = vec(data.a_o, 0), vec(data.a_o, 3)
+        a_o, alpha_o = vec(acceleration, 0), vec(acceleration, 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
@@ -133,5 +140,5 @@ def hold_pose(i, stiffness, rate, feedforward, model, data, work, preferred):
         v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
         put(W[column], 0, add_cross(v, w, p))
         put(W[column], 3, w)
-    nearest_accelerations(work.M[i], W, preferred, target, result)
+    nearest_accelerations(work.M[i], W, preferred, target, result, np.empty(6))
     copy(result, preferred)

@@ -31,24 +31,31 @@ The internal forces of a squeeze come on top (:mod:`multiarm.control.squeeze`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS
+from multiarm.control.command_derivatives import prepare_command_derivatives
 from multiarm.control.null_space import hold_pose, nearest_accelerations
+from multiarm.control.object_derivatives import (
+    differentiate_command,
+    write_computed_torque_derivatives,
+    write_object_impedance_derivatives,
+)
+from multiarm.control.object_law import ObjectCommand, ObjectLaw, open_command, open_object_law
 from multiarm.control.object_path import pose_of, pose_path, reference_pose, route
 from multiarm.control.program import ControlContext, ControlProgram
 from multiarm.control.squeeze import desired_forces
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.control_laws import ControlLaw, view_of_law
+from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import share_load, static_forces, subtract_contact_forces
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import allocating, cfunc, kernel
-from multiarm.jit.structs import Flag, Float, Floats1, Floats2, struct_at
+from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import sub, vec
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
 from multiarm.spatial import rotation_between, write_chart_rate
@@ -56,41 +63,13 @@ from multiarm.spatial import rotation_between, write_chart_rate
 ObjectControl = ComputedTorqueControl | ObjectImpedanceControl
 
 
-class ObjectLaw(NamedTuple):
-    """Gains of a law that moves the object, its internal forces and its path.
-
-    Stiffness and damping of computed torque are in 1/s^2 and 1/s, those of the impedance in N/m,
-    N m/rad and N s/m, N m s/rad.
-    """
-
-    stiffness: Floats1  # (6,) for shifts and turns, world axes
-    damping: Floats1  # (6,)
-    free_rate: Float  # of the arms' free motions [1/s]
-    free_stiffness: Float  # of the arms' free motions [1/s^2]; 0: they are not held
-    squeezes: Flag  # whether there are internal forces
-    # see multiarm.control.squeeze
-    forces_of_contacts: Floats1  # (N,) [N]
-    wrenches_of_arms: Floats2  # (n, 6) object axes [N, N m]
-    # see multiarm.control.object_path.PosePath
-    times: Floats1
-    positions: Floats2
-    shifts: Floats2
-    quaternions: Floats2
-    turns: Floats2
-
-
-open_object_law = view_of_law(ObjectLaw)
-
-
 @cfunc
 def computed_torque(address, size, at, t):
-    """Add the torques of computed torque.
-
-    Until the equations of motion are solved ``data.a_o, a_j, c`` hold the commanded values.
-    """
+    """Add the torques of computed torque."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, desired, wrench = open_object_law(struct, at), data.a_o, data.weight
+    law, command, wrench = open_object_law(struct, at), open_command(struct, at), data.weight
+    desired, target = command.acceleration, command.target
     write_object_acceleration(t, law, data.position, data.twist, desired)
     for a in range(6):
         wrench[a] = -data.f_o[a]
@@ -100,11 +79,11 @@ def computed_torque(address, size, at, t):
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
     for j in range(data.torque.size):
         data.torque[j] -= data.f_j[j]
-    for k in range(data.c.size):
-        data.c[k] = -data.contacts[k, GAP_BIAS]
+    for k in range(target.size):
+        target[k] = -data.contacts[k, GAP_BIAS]
         for a in range(6):
-            data.c[k] -= data.Wo[k, a] * desired[a]
-    add_motion_forces(law, True, model, data, work)
+            target[k] -= data.Wo[k, a] * desired[a]
+    add_motion_forces(law, command, True, model, data, work)
     subtract_contact_forces(data, work)
     return 0
 
@@ -114,16 +93,14 @@ def object_impedance(address, size, at, t):
     """Add the torques of the object impedance."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, wrench = open_object_law(struct, at), data.weight
+    law, command, wrench = open_object_law(struct, at), open_command(struct, at), data.weight
     write_spring_wrench(t, law, data.position, data.twist, wrench)
     for k in range(3):
         wrench[k] -= model.object_mass * model.gravity[k]
     write_contact_forces(law, data, work)
     for j in range(data.torque.size):
         data.torque[j] += data.gravity_torque[j]
-    for k in range(data.c.size):
-        data.c[k] = 0.0
-    add_motion_forces(law, False, model, data, work)
+    add_motion_forces(law, command, False, model, data, work)
     subtract_contact_forces(data, work)
     return 0
 
@@ -172,36 +149,36 @@ def write_contact_forces(law, data, work):
 
 
 @kernel
-def add_motion_forces(law, feedforward, model, data, work):
-    """Add ``M q''`` of all arms: targets in ``data.c``, free motions are damped or held.
+def add_motion_forces(law, command, feedforward, model, data, work):
+    """Add ``M q''`` of all arms with the targets of the command; free motions are damped or held.
 
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
     """
-    torque = data.torque
+    command.independent[0] = 1
     for j in range(data.v.size):
-        data.a_j[j] = -law.free_rate * data.v[j]
+        command.preferred[j] = -law.free_rate * data.v[j]
     for i in range(work.rows.size - 1):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
         if law.free_stiffness > 0.0:
             hold_pose(
-                i, law.free_stiffness, law.free_rate, feedforward, model, data, work,
-                data.a_j[d0:d1],
+                i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,
+                data, work, command.preferred[d0:d1],
             )  # fmt: skip
-        add_arm_forces(work.M[i], work.W[i], data.a_j[d0:d1], data.c[r0:r1], torque[d0:d1])
+        independent = nearest_accelerations(
+            work.M[i], work.W[i], command.preferred[d0:d1], command.target[r0:r1],
+            command.a_j[d0:d1], command.multipliers[r0:r1],
+        )  # fmt: skip
+        if not independent:
+            command.independent[0] = 0
+        add_inertia_forces(work.M[i], command.a_j[d0:d1], data.torque[d0:d1])
 
 
-@allocating
-def add_arm_forces(inertia, W, preferred, target, torque):
-    r"""Add :math:`M\ddot q` of the nearest joint accelerations that obey the joint to ``torque``.
-
-    See :func:`multiarm.control.null_space.nearest_accelerations` for the arguments.
-    """
-    n = preferred.size
-    accelerations = np.empty(n)
-    nearest_accelerations(inertia, W, preferred, target, accelerations)
-    for j in range(n):
-        for k in range(n):
+@kernel
+def add_inertia_forces(inertia, accelerations, torque):
+    """Add ``M q''`` of an arm to ``torque``; of the inertia the lower triangle is read."""
+    for j in range(torque.size):
+        for k in range(torque.size):
             torque[j] += (inertia[j, k] if k <= j else inertia[k, j]) * accelerations[k]
 
 
@@ -209,7 +186,13 @@ def computed_torque_program(
     control: ComputedTorqueControl, context: ControlContext
 ) -> ControlProgram:
     """The law of computed torque."""
-    law = ControlLaw(computed_torque, object_law(control, context))
+    law = ControlLaw(
+        computed_torque,
+        object_law(control, context),
+        differentiate_command,
+        ObjectCommand,
+        partial(prepare_command_derivatives, write_computed_torque_derivatives),
+    )
     return ControlProgram((law,), _waypoint_times(control, law.numbers))
 
 
@@ -217,7 +200,13 @@ def object_impedance_program(
     control: ObjectImpedanceControl, context: ControlContext
 ) -> ControlProgram:
     """The law of the object impedance."""
-    law = ControlLaw(object_impedance, object_law(control, context))
+    law = ControlLaw(
+        object_impedance,
+        object_law(control, context),
+        differentiate_command,
+        ObjectCommand,
+        partial(prepare_command_derivatives, write_object_impedance_derivatives),
+    )
     return ControlProgram((law,), _waypoint_times(control, law.numbers))
 
 

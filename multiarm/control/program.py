@@ -87,11 +87,6 @@ class ControlProgram:
         (``LOCAL``), also its share of the object's weight where gravity compensation is the last
         law (``CARRYING``), or anything (``COUPLED``).  Derivatives cost less where it is less, and
         are wrong where it is more than this says.
-    derivative : callable, optional
-        ``derivative(data)``: derivatives of the torques by displacements of the object's pose, its
-        twist, joint positions and joint velocities, shape (n, 12 F + 2 n), right after an
-        evaluation of the data; None where they do not exist.  Laws with a derivative of their own
-        are left out.  Absent: they are differences, which take longer.
     """
 
     laws: tuple[ControlLaw, ...] = ()
@@ -100,7 +95,6 @@ class ControlProgram:
     python: PythonControl | None = None
     sampling: Sampling | None = None
     reach: int = COUPLED
-    derivative: Callable[[Data], np.ndarray | None] | None = None
 
 
 def needs_gravity_torque(scene: Scene) -> bool:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.control.gravity_compensation import carrying_laws, holding_derivatives
+from multiarm.control.gravity_compensation import carrying_laws
 from multiarm.control.joint_pd import add_spring, differentiate_springs
 from multiarm.control.program import ControlContext, ControlProgram
 from multiarm.control.tables import read_table
@@ -123,7 +123,6 @@ def recorded_program(control: RecordedControl, context: ControlContext) -> Contr
         breakpoints,
         span,
         reach=CARRYING if carrying else LOCAL,
-        derivative=holding_derivatives if carrying else None,
     )
 
 

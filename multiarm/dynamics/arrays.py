@@ -252,9 +252,10 @@ class Variables(NamedTuple):
     inner: Floats1  # states of effects, such as lagging actuators
     inner_rate: Floats1
     # by ``force_columns``, see multiarm.dynamics.force_derivatives: derivatives of the torques of
-    # the drives (joints, columns); of the forces of one effect, and of the rates of states of
-    # effects (velocities + states, columns)
+    # the drives (joints, columns); of what passive effects do to the joints (as many, or none); of
+    # the forces of one effect, and of the rates of states of effects (velocities + states, columns)
     torque_slopes: Floats2
+    passive_slopes: Floats2
     force_slopes: Floats2
     coordinates: Floats2  # (n, 6) free coordinates of the joints after the last step, without jumps
     # scratch of an interpolation: a state, and accelerations
@@ -296,7 +297,9 @@ def make_variables(
         "inertia": (6, 6),
         "torque": joints, "control_power": tips, "held": (2, joints), "gravity_torque": joints,
         "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
-        "torque_slopes": (joints, columns), "force_slopes": (layout.nv + states, columns),
+        "torque_slopes": (joints, columns),
+        "passive_slopes": (joints if constants.passive_end > 0 else 0, columns),
+        "force_slopes": (layout.nv + states, columns),
         "wrenches": (arms, 6), "tips": (tips, TIP_WIDTH),
         "total_forces": layout.nv, "forces_without_prestress": layout.nv,
         "kept_configuration": layout.nq, "kept_velocity": layout.nv,
@@ -407,6 +410,6 @@ def open_data(struct):
 def call_listed(table, k, column, struct, data):
     """Call function ``k`` of ``Constants.control``, ``sampled`` or ``effects``, or its derivative.
 
-    ``column`` is ``ADDRESS`` or ``DERIVATIVE``.
+    ``column`` is ``ADDRESS`` or ``DERIVATIVE``.  Returns what the function returns.
     """
-    call_cfunc(table[k, column], struct, float(table[k, NUMBERS_AT]), data.time.now)
+    return call_cfunc(table[k, column], struct, float(table[k, NUMBERS_AT]), data.time.now)

@@ -110,6 +110,16 @@ def arm_columns(joints, placed):
     return ArmColumns(6, 12, 12 + joints, placement, placement + (6 if placed else 0))
 
 
+@inlined
+def column_of_state(at, columns, d0, c):
+    """Place among all columns ``at`` of one of an arm whose joints begin at ``d0``."""
+    if c < columns.positions:
+        return c
+    if c < columns.velocities:
+        return at.positions + d0 + c - columns.positions
+    return at.rates + d0 + c - columns.velocities
+
+
 @plain
 def difference_weight(offset):
     """Weight of the value at an offset in a difference of order four [1/m, 1/rad]."""

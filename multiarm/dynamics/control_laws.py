@@ -38,6 +38,10 @@ of the law's torques to ``data.torque_slopes`` (n, columns), by the columns of
 
     ControlLaw(pull, Spring(stiffness), differentiate_pull)
 
+*Its work*, where it has any, is a ``NamedTuple`` of arrays that it writes.  Each
+:class:`multiarm.dynamics.model.Data` has its own, made by the classmethod ``of(data)``; they follow
+the numbers in the struct, and the law opens them by :func:`view_of_work`.
+
 Effects are built in the same way (:mod:`multiarm.dynamics.effect_kernels`).
 """
 
@@ -46,7 +50,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,6 +58,9 @@ from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel, inlined
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import make_struct, misfit, struct_of, view_at
+
+if TYPE_CHECKING:
+    from multiarm.dynamics.model import Data
 
 # ``Constants.control`` without a law.
 NO_CONTROL = np.zeros((0, 3), dtype=np.int64)
@@ -70,6 +77,18 @@ def view_of_law(holder: type) -> Callable[[Any, Any], Any]:
     return open_law
 
 
+def view_of_work(holder: type, numbers: type | None = None) -> Callable[[Any, Any], Any]:
+    """Function of kernels ``(struct, at) -> view`` of the work of a law with these numbers."""
+    before = 0 if numbers is None else len(numbers._fields)  # type: ignore[attr-defined]
+    open_view = view_at(holder)
+
+    @inlined
+    def open_work(struct, at):
+        return open_view(struct, int(at) + before)
+
+    return open_work
+
+
 @dataclass(frozen=True, eq=False)
 class ControlLaw:
     """A compiled law and its numbers.
@@ -83,12 +102,21 @@ class ControlLaw:
         Numbers, and contiguous arrays of float64 or int64.  All threads share them: a law reads
         them only.  Empty for a law without numbers.
     derivative : Kernel, optional
-        The derivatives of its torques, see above; absent: they are differences.
+        The derivatives of its torques, see above; absent: they are differences.  It is called right
+        after the law, with all that this has written, and returns 0, or ``SINGULAR``
+        (:mod:`multiarm.dynamics.status`) where it has none at this state: differences take its
+        place.
+    work : class of a NamedTuple, optional
+        What it writes, see above.
+    prepare : callable, optional
+        ``prepare(data, work)``, called before derivatives are taken: makes what these need.
     """
 
     kernel: Kernel
     numbers: Any = ()
     derivative: Kernel | None = None
+    work: Any = None
+    prepare: Callable[[Data, Any], None] | None = None
 
     @cached_property
     def struct(self) -> np.ndarray:
@@ -116,11 +144,19 @@ class ControlLaw:
             raise ModelError(f"{who} returned a law with numbers that are not finite")
 
 
+def prepare_derivatives(data: Data) -> None:
+    """Make what the derivatives of the laws need; to be called before they are taken."""
+    of_laws = data.of_laws
+    for law, work in zip(data.model.laws, of_laws.law_works, strict=True):
+        if law.prepare is not None:
+            law.prepare(of_laws, work)
+
+
 def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:
     """``Constants.control``; ``first`` is the place of the first law's numbers in the struct."""
     rows, at = [], first
     for law in laws:
         derivative = 0 if law.derivative is None else address_of(law.derivative)
         rows.append((address_of(law.kernel), at, derivative))
-        at += len(law.numbers)
+        at += len(law.numbers) + (0 if law.work is None else len(law.work._fields))
     return np.array(rows, dtype=np.int64).reshape(-1, 3)

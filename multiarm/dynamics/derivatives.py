@@ -44,12 +44,13 @@ import numpy as np
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.equation_derivatives import (
-    differentiate_equations,
     equation_work,
     solve_by_arms,
     stack_equations,
+    write_derivatives,
 )
 from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
@@ -184,7 +185,7 @@ class _Equations:
 
     def _update(self) -> None:
         """Derivatives of the equations at the solution in the data."""
-        differentiate_equations(self._data, self._struct)
+        require_ok(self._data, write_derivatives(self._data.struct, self._struct))
         b, dF_o = self._data.arrays, self._work.dF_o
         dF_o[:, self.wrench] = _PUSH
         if not self._parameters:

@@ -36,7 +36,7 @@ from multiarm.arms.derivatives import (
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.table import JOINT, KIND, TANGENT, WEIGHT
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import (
     SCRATCH_ROWS,
     SLOPES_WIDTH,
@@ -46,15 +46,12 @@ from multiarm.dynamics.contact_derivatives import (
     unit,
 )
 from multiarm.dynamics.coordinates import chart_places, state_columns
-from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
     INTS,
-    NUMBERS,
     TABLE,
-    TRUTH,
     allocating,
     clear,
     copy,
@@ -104,6 +101,9 @@ class EquationWork(NamedTuple):
     pivots: Ints1
 
 
+# A twist and an acceleration.
+AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
 _open_links = view(ArmLinks)
 open_equations = view(EquationWork, len(ArmLinks._fields))
 
@@ -144,68 +144,55 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
 
 
 def equation_work(
-    data: Data, columns: int, placements: int = -1, massless: bool = False
+    data: Data, columns: int, placements: int = -1, *, masses: bool = True, weights: bool = True
 ) -> tuple[EquationWork, np.ndarray]:
     """The arrays for derivatives with a number of columns, and the struct ``own`` of the kernels.
 
-    The data keep them.  ``placements`` is the first of their columns, -1 without; ``massless`` are
-    those for :func:`write_load_derivatives`.
+    The data keep them.  ``placements`` is the first of their columns, -1 without.  Without
+    ``masses``, those for :func:`write_load_derivatives`; without ``weights``, gravity is left out.
     """
-    key = ("equation work", columns, placements, massless)
+    key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
         structures = [arm.structure() for arm in data.model.arms.values()]
         links = arm_links(structures, data.model.constants.gravity)
-        if massless:
-            links = links._replace(bodies=np.zeros_like(links.bodies), gravity=np.zeros(3))
+        if not (masses and weights):
+            links = links._replace(gravity=np.zeros(3))
+        if not masses:
+            links = links._replace(bodies=np.zeros_like(links.bodies))
         work = _make_work(data, columns, placements)
         data.cache[key] = links, work, struct_of(links, work)
     _, work, struct = data.cache[key]
     return work, struct
 
 
-def differentiate_equations(data: Data, own: np.ndarray) -> None:
-    """Write the derivatives of all equations at the solution in the data.
+@kernel
+def write_derivatives(struct: INTS, own: INTS):
+    """Write the derivatives of all equations at the solution in the data; returns a status.
 
     ``own`` is the struct of :func:`equation_work`.
     """
-    _differentiate(data, own, False, data.arrays.twist)
-
-
-def differentiate_holding(data: Data, own: np.ndarray, twist: np.ndarray) -> None:
-    """Write the derivatives of torques that hold the arms at rest under ``data.static_force``.
-
-    They are the rows of joints in ``dF``; ``dF_o`` has those of the opposite wrench on the object,
-    and ``rates`` those of the gap rates while the object moves with a twist (6,).
-    """
-    _differentiate(data, own, True, twist)
-
-
-def _differentiate(data: Data, own: np.ndarray, at_rest: bool, twist: np.ndarray) -> None:
-    require_ok(data, write_derivatives(data.struct, own, at_rest, twist))
+    data, work = open_data(struct), open_equations(own)
+    copy(data.v, work.v)
+    copy(data.a_j, work.a_j)
+    copy(data.force, work.force)
+    write_body(data, data.twist, data.a_o, work)
+    status = differentiate_bodies(struct, own)
+    add_object_equation(data.inertia, data.twist, data.a_o, work)
+    return status
 
 
 @kernel
-def write_derivatives(struct: INTS, own: INTS, at_rest: TRUTH, twist: NUMBERS):
-    """Write the derivatives for either of the functions above; returns a status."""
-    model, data, system = open_system(struct)
-    links, work = _open_links(own), open_equations(own)
-    write_body(data, twist, work)
-    if at_rest:
-        clear(work.v)
-        clear(work.a_j)
-        copy(data.static_force, work.force)
-        for l in range(6):  # noqa: E741
-            clear(work.dF_o[l])
-    else:
-        copy(data.v, work.v)
-        copy(data.a_j, work.a_j)
-        copy(data.force, work.force)
-        for k in range(6):
-            work.body[MOTION + LINEAR_RATE + k] = data.a_o[k]
-        write_object_equation(data, work)
-    for i in range(system.dofs.size - 1):
-        differentiate_arm(i, model, data, system, links, work)
-    return CALLBACK_FAILED if data.status.failed else OK
+def write_derivatives_at_rest(struct, own, twist):
+    """Write the derivatives of what holds the arms at rest under ``work.force``; returns a status.
+
+    At rest but for the accelerations ``work.a_j``.  They are the rows of joints in ``dF``; ``dF_o``
+    has those of the opposite wrench on the object, and ``rates`` those of the gap rates while the
+    object moves with a twist (6,).
+    """
+    data, work = open_data(struct), open_equations(own)
+    clear(work.v)
+    write_body(data, twist, AT_REST, work)
+    return differentiate_bodies(struct, own)
 
 
 @kernel
@@ -215,12 +202,22 @@ def write_load_derivatives(struct, own):
     ``own`` has massless links.  The rows of joints in ``dF``, and ``dF_o``, are those of
     ``-W force`` and ``-W_o force``; ``rates`` those of the gap rates.  Returns a status.
     """
-    model, data, system = open_system(struct)
-    links, work = _open_links(own), open_equations(own)
-    write_body(data, data.twist, work)
+    data, work = open_data(struct), open_equations(own)
     copy(data.v, work.v)
     clear(work.a_j)
     copy(data.static_force, work.force)
+    write_body(data, data.twist, AT_REST, work)
+    return differentiate_bodies(struct, own)
+
+
+@kernel
+def differentiate_bodies(struct, own):
+    """Write the derivatives of all arms and their wrenches on the object; returns a status.
+
+    At the motion and the contact forces in ``work.body, v, a_j, force``.
+    """
+    model, data, system = open_system(struct)
+    links, work = _open_links(own), open_equations(own)
     for l in range(6):  # noqa: E741
         clear(work.dF_o[l])
     for i in range(system.dofs.size - 1):
@@ -229,35 +226,35 @@ def write_load_derivatives(struct, own):
 
 
 @inlined
-def write_body(data, twist, work):
-    """Write the object's pose in the data, a twist, and no acceleration."""
+def write_body(data, twist, acceleration, work):
+    """Write the object's pose in the data, and a twist and an acceleration (6,)."""
     for k in range(9):
         work.body[k] = data.body[k]
     motion = work.body[MOTION:]
     put(motion, PLACE, vec(data.position, 0))
     for k in range(6):
-        motion[LINEAR + k], motion[LINEAR_RATE + k] = twist[k], 0.0
+        motion[LINEAR + k], motion[LINEAR_RATE + k] = twist[k], acceleration[k]
 
 
 @inlined
-def write_object_equation(data, work):
-    """Derivatives of ``M_o a_o - f_o`` without control and effects.
+def add_object_equation(inertia, twist, acceleration, work):
+    """Add the derivatives of ``M_o a_o - f_o`` without control and effects to those of ``F_o``.
 
     The inertia turns with the object; ``f_o`` is its weight and the gyroscopic moment.
     """
-    A, w, alpha = data.inertia, vec(data.twist, 3), vec(data.a_o, 3)
-    I = (A[3, 3], A[3, 4], A[3, 5], A[4, 4], A[4, 5], A[5, 5])  # noqa: E741
+    w, alpha = vec(twist, 3), vec(acceleration, 3)
+    I = (  # noqa: E741
+        inertia[3, 3], inertia[3, 4], inertia[3, 5], inertia[4, 4], inertia[4, 5], inertia[5, 5],
+    )  # fmt: skip
     spin, torque = times(I, w), times(I, alpha)
-    for l in range(6):  # noqa: E741
-        clear(work.dF_o[l])
     for axis in range(3):
         e = unit(axis)
         gyroscopic = sub(times(I, cross(w, e)), cross(spin, e))
         by_turn = add_cross(sub(times(I, cross(alpha, e)), cross(torque, e)), w, gyroscopic)
         by_spin = add_cross(cross(w, times(I, e)), e, spin)
         for k in range(3):
-            work.dF_o[3 + k, 3 + axis] = by_turn[k]
-            work.dF_o[3 + k, 9 + axis] = by_spin[k]
+            work.dF_o[3 + k, 3 + axis] += by_turn[k]
+            work.dF_o[3 + k, 9 + axis] += by_spin[k]
 
 
 @kernel

@@ -37,6 +37,7 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
+from multiarm.dynamics.control_laws import prepare_derivatives
 from multiarm.dynamics.coordinates import chart_places, force_columns, retract
 from multiarm.dynamics.equations import (
     command_torques,
@@ -48,10 +49,10 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.status import CALLBACK_FAILED, OK
-from multiarm.jit.kernels import INTS, TABLE, TRUTH, allocating, clear, copy, inlined, kernel
+from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
+from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import Flag, Float, Int, Numbers
+from multiarm.jit.structs import Flag, Float, Int, Numbers, struct_at
 
 # Displacement of a difference of order one [m, rad], of velocities and of states of effects
 # relative to the largest one or to 1: roundings are 1e-9 of the forces.
@@ -63,10 +64,11 @@ CONTROL = -1
 
 
 class Differences(Numbers):
-    """How forces are differentiated that have no derivatives of their own."""
+    """How forces are differentiated, and those by differences that have no derivatives."""
 
     local: Flag  # each arm by its own state, the object by its own
     laws: Int  # control laws, the first ones
+    follows: Flag  # the torques of the laws follow the state, they are not held
     order: Int  # 1 or 4
     held: Flag  # the torques of the control, between two samples
     time_change: Float  # [s]; 0: without the column of the time
@@ -75,8 +77,9 @@ class Differences(Numbers):
 
 @inlined
 def begin_differences(model, data, differences, h):
-    """Set what differences in a step of length ``h`` need."""
+    """Set what derivatives in a step of length ``h`` need."""
     differences.held = torques_are_held(model, data)
+    differences.follows = model.control_reach > OPEN_LOOP and not differences.held
     differences.time_change = TIME_CHANGE * min(h, 1.0)  # [s]
     differences.evaluations = 0
 
@@ -85,15 +88,6 @@ def begin_differences(model, data, differences, h):
 def torques_are_held(model, data):
     """Whether the control is sampled, and this is not the time of a sample."""
     return model.sampled.shape[0] > 0 and data.sampling.due == HELD
-
-
-@inlined
-def follow_the_state(model, differences):
-    """Whether the torques of the laws follow the state, and whether some law has no derivative."""
-    differs = False
-    for k in range(differences.laws):
-        differs = differs or model.control[k, DERIVATIVE] == 0
-    return model.control_reach > OPEN_LOOP and not differences.held, differs
 
 
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
@@ -105,39 +99,27 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     drives with states follow these.
     """
     model, layout, e = data.model, data.model.layout, data.arrays.inner.size
-    constants, slopes = model.constants, data.arrays.torque_slopes
+    constants, columns = model.constants, data.arrays.torque_slopes.shape[1]
     follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
     follows &= closed_loop
     if not (follows or model.effects.kernels):
         return None
-    slopes[:] = 0.0
-    differs = follows and not constants.control[:, DERIVATIVE].all()
-    if differs and model.control_derivative is not None and not data.arrays.modes.active:
-        by_law = model.control_derivative(data)
-        if by_law is not None:
-            slopes[:, : by_law.shape[1]], differs = by_law, False
-    differences = Differences(laws=len(constants.control), order=4)
-    powers, works = model.effects.powers, data.arrays.power.size
-    applied = np.zeros((layout.nv + e + works, slopes.shape[1]))
-    status = write_applied(data.struct, differences, follows, differs, powers, applied)
-    require_ok(data, status)
+    if follows:
+        prepare_derivatives(data)
+    differences = Differences(laws=len(constants.control), follows=follows, order=4)
+    applied = np.zeros((layout.nv + e + data.arrays.power.size, columns))
+    require_ok(data, write_applied(data.struct, differences, model.effects.powers, applied))
     return applied[: layout.nv + e, : 2 * layout.nv + e]
 
 
 @kernel
-def write_applied(
-    struct: INTS,
-    differences: Differences,
-    follows: TRUTH,
-    differs: TRUTH,
-    powers: INTS,
-    applied: TABLE,
-):
+def write_applied(struct: INTS, differences: Differences, powers: INTS, applied: TABLE):
     """Write what :func:`applied_derivatives` describes; returns a status.
 
     At the end the data are as they were.
     """
-    status = differentiate_forces(struct, differences, follows, differs, powers, applied)
+    clear_table(open_data(struct).torque_slopes)
+    status = differentiate_forces(struct, differences, powers, add_slopes, applied)
     if status == OK:
         status = update_kinematics(struct)
     if status != OK:
@@ -146,25 +128,30 @@ def write_applied(
 
 
 @kernel
-def differentiate_forces(struct, differences, follows, differs, powers, applied):
-    """Add the derivatives of what control and effects do to ``applied``; returns a status.
+def differentiate_forces(struct, differences, powers, gather, out):
+    """Differentiate what control and effects do, in the order in which they act; returns a status.
 
-    Its rows are generalised forces, rates of effects' states, and powers of each effect and of all;
-    ``powers`` are the places of the effects' powers, -1 without.  ``data.torque_slopes`` has what
-    laws contribute that have no compiled derivative.  The torques follow the state where
-    ``follows``, all by differences where ``differs``, and are held elsewhere.
+    The derivatives of the torques of the drives, and those of each effect, are handed to
+    ``gather(out, data, work, power, of_drives)``, a kernel, as they stand in the data: in
+    ``torque_slopes`` (``of_drives``) or ``force_slopes``.  ``power`` is the place of the power of
+    these forces, -1 without; ``powers`` are those of the effects, the last one is that of all.
+    What is in ``torque_slopes`` before belongs to the control laws beyond ``differences.laws``.
     """
-    model, data, _ = open_system(struct)
-    controlled, status = model.control.shape[0] > 0, OK
+    model, data, work = open_system(struct)
+    controlled, status, total = model.control.shape[0] > 0, OK, data.power.size - 1
+    if data.passive_slopes.shape[0] > 0:
+        clear_slopes(model, data, work, differences.local, data.passive_slopes, 0)
     for k in range(model.applied_end + 1):
         if k == model.passive_end and controlled:
-            status = differentiate_control(struct, differences, follows, differs)
-        if k == model.actuator_end and controlled:
-            add_torque_slopes(data, applied)
+            status = differentiate_control(struct, differences)
+        if status == OK and k == model.actuator_end and controlled:
+            gather(out, data, work, total, True)
         acts = controlled or not actuates(model, k)
         if status == OK and k < model.applied_end and acts:
             status = differentiate_effect(struct, differences, k)
-            add_force_slopes(data, powers[k], applied)
+            if k < model.passive_end:
+                add_passive_slopes(data)
+            gather(out, data, work, powers[k], False)
         if status != OK:
             break
     return status
@@ -177,61 +164,89 @@ def actuates(model, k):
 
 
 @inlined
-def add_torque_slopes(data, applied):
-    """Add the derivatives of the torques that act on the joints, and of their power."""
-    first, rates = chart_places(data).joints, force_columns(data).rates
-    power = applied[applied.shape[0] - 1]
-    for j in range(data.torque.size):
-        slopes, row = data.torque_slopes[j], applied[first + j]
-        for c in range(slopes.size):
-            row[c] += slopes[c]
-            power[c] += slopes[c] * data.v[j]
-        power[rates + j] += data.torque[j]
-
-
-@inlined
-def add_force_slopes(data, power, applied):
-    """Add the derivatives of one effect; ``power`` is the place of its power, -1 without."""
-    nv, columns = data.velocity.size, force_columns(data)
+def add_passive_slopes(data):
+    """Add the derivatives of one effect to those of all that act on the joints before control."""
     first = chart_places(data).joints
-    for i in range(data.force_slopes.shape[0]):
-        slopes, row = data.force_slopes[i], applied[i]
-        for c in range(slopes.size):
+    for j in range(data.passive_slopes.shape[0]):
+        slopes, row = data.force_slopes[first + j], data.passive_slopes[j]
+        for c in range(row.size):
             row[c] += slopes[c]
-    if power < 0:
-        return
-    for place in (data.force_slopes.shape[0] + power, applied.shape[0] - 1):
-        row = applied[place]
-        for i in range(nv):
-            slopes = data.force_slopes[i]
-            for c in range(slopes.size):
-                row[c] += slopes[c] * data.velocity[i]
-            rate = columns.twists + i if i < first else columns.rates + i - first
-            row[rate] += data.generalised_forces[i]
 
 
 @kernel
-def differentiate_control(struct, differences, follows, differs):
+def add_slopes(applied, data, _work, power, of_drives):
+    """Add derivatives of generalised forces, rates of effects' states, and powers to ``applied``.
+
+    Its rows are these; the powers are those of each effect and of all.
+    """
+    first, columns = chart_places(data).joints, force_columns(data)
+    slopes = data.torque_slopes if of_drives else data.force_slopes
+    begin = first if of_drives else 0
+    for i in range(slopes.shape[0]):
+        row = applied[begin + i]
+        for c in range(row.size):
+            row[c] += slopes[i, c]
+    if power < 0:
+        return
+    powers, total = data.force_slopes.shape[0], data.power.size - 1
+    last = data.torque.size if of_drives else data.velocity.size
+    for place in range(power, total + 1, max(total - power, 1)):
+        row = applied[powers + place]
+        for i in range(last):
+            l = begin + i  # noqa: E741
+            for c in range(row.size):
+                row[c] += slopes[i, c] * data.velocity[l]
+            rate = columns.twists + l if l < first else columns.rates + l - first
+            row[rate] += data.torque[i] if of_drives else data.generalised_forces[i]
+
+
+@kernel
+def differentiate_control(struct, differences):
     """Add the derivatives of the torques of the control laws, and compute these.
 
-    By the time, and, where they follow the state, by this: all by differences where ``differs``,
-    else as the laws state them.  Returns a status.
+    By the time, and, where they follow the state, by this: as the laws state them, or all by
+    differences where one states none.  Returns a status; ``SINGULAR`` where forces are local and a
+    law has no derivative at this state.
     """
     model, data, work = open_system(struct)
-    columns, status = force_columns(data), OK
+    columns, status, differs = force_columns(data), OK, False
     clear_slopes(model, data, work, differences.local, data.force_slopes, chart_places(data).joints)
-    if follows and not differs:
+    act(struct, differences, CONTROL, model, data, work)
+    if differences.follows:
         for k in range(differences.laws):
-            if model.control[k, DERIVATIVE] != 0:
-                call_listed(model.control, k, DERIVATIVE, struct, data)
-    if follows and differs:
+            differs = differs or model.control[k, DERIVATIVE] == 0
+        if not differs:
+            status = differentiate_laws(struct, differences, model, data)
+        if status == SINGULAR and not differences.local:
+            clear_table(data.torque_slopes)
+            status, differs = OK, True
+    if differs:
         status = add_differences(struct, differences, CONTROL, True)
         take_torque_slopes(data, 0, columns.end)
-    elif differences.time_change > 0.0 and not differences.held:
+    elif status == OK and differences.time_change > 0.0 and not differences.held:
         status = add_differences(struct, differences, CONTROL, False)
         take_torque_slopes(data, columns.time, columns.time + 1)
     act(struct, differences, CONTROL, model, data, work)
+    for k in range(differences.laws, model.control.shape[0]):
+        call_listed(model.control, k, ADDRESS, struct, data)
     return status
+
+
+@inlined
+def differentiate_laws(struct, differences, model, data):
+    """Let the laws add their derivatives; returns a status, ``SINGULAR`` where one has none."""
+    status = OK
+    of_laws = struct_at(data.modes.closed, 0) if data.modes.active else struct
+    for k in range(differences.laws):
+        if status == OK:
+            status = failure(call_listed(model.control, k, DERIVATIVE, of_laws, data))
+    return status
+
+
+@inlined
+def failure(returned):
+    """The status that a derivative returned; those that cannot fail may return 0."""
+    return returned if returned < OK else OK
 
 
 @inlined
@@ -255,8 +270,9 @@ def differentiate_effect(struct, differences, k):
     stated = model.effects[k, DERIVATIVE] != 0
     clear_slopes(model, data, work, differences.local, data.force_slopes, first)
     if stated:
-        call_listed(model.effects, k, DERIVATIVE, struct, data)
-    if not stated or (differences.time_change > 0.0 and not actuates(model, k)):
+        status = failure(call_listed(model.effects, k, DERIVATIVE, struct, data))
+    by_time = differences.time_change > 0.0 and not actuates(model, k)
+    if status == OK and (not stated or by_time):
         status = add_differences(struct, differences, k, not stated)
     if actuates(model, k) and not stated:
         for j in range(data.torque.size):

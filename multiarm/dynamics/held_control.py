@@ -26,6 +26,7 @@ from multiarm.dynamics.arrays import (
     ADDRESS,
     CARRYING,
     COUPLED,
+    DERIVATIVE,
     HELD,
     ONCE,
     OPEN_LOOP,
@@ -71,7 +72,8 @@ class Sampling:
 
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
-    row, reach = [address_of(hold_torques), 0, 0], constants.control_reach
+    derivative = address_of(differentiate_held_torques) if laws[:, 2].all() else 0
+    row, reach = [address_of(hold_torques), 0, derivative], constants.control_reach
     if not len(laws):
         reach = OPEN_LOOP
     elif reach == CARRYING:  # the last law is another one now
@@ -102,3 +104,15 @@ def hold_torques(address, size, _at, _t):
             sampling.due = HELD
     copy(held[0], data.torque)
     return 0
+
+
+@cfunc
+def differentiate_held_torques(address, size, _at, _t):
+    """Let the laws add their derivatives, where they follow the state; returns a status."""
+    struct = struct_at(address, size)
+    model, data, _ = open_system(struct)
+    status = 0
+    for k in range(model.sampled.shape[0] if data.sampling.due != HELD else 0):
+        if status == 0:
+            status = call_listed(model.sampled, k, DERIVATIVE, struct, data)
+    return status

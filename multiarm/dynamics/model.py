@@ -12,7 +12,7 @@ Data.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -57,6 +57,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
+from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
 from multiarm.scene import ResolvedArm
 from multiarm.scene.values import SURROUNDINGS
@@ -101,8 +102,6 @@ class Model:
     python_control: PythonControl | None = None  # None: control is compiled
     sampling: Sampling | None = None  # None: control is evaluated all the time
     control_span: ControlSpan | None = None  # None: control is defined at all times
-    # derivatives of its torques in closed form, see multiarm.control.program; None: by differences
-    control_derivative: Callable[[Data], np.ndarray | None] | None = None
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
     # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
@@ -184,7 +183,6 @@ class Model:
             python_control=control,
             sampling=sampling,
             control_span=None,
-            control_derivative=None,
             breakpoints=self.effects.breakpoints,
         )
         user = model.calls_user or bool(self.surfaces)
@@ -200,7 +198,7 @@ class Model:
         if self.sampling is not None:
             return self
         constants = with_held_control(self.constants, self.constants.control)
-        return replace(self, constants=constants, control_derivative=None)
+        return replace(self, constants=constants)
 
     def with_constants(self, **changes: Any) -> Model:
         """The same model with other constants for kernels."""
@@ -290,6 +288,8 @@ class Data:
         The table of those of the model, which only report.
     effects : list of EffectData
         What every effect kernel reads and writes.
+    law_works : list of tuple
+        What every control law writes; empty for one without work.
     callbacks : dict of str to GuardedCall
         Python functions that compiled code calls.
     surfaces : list of SmoothShape
@@ -312,6 +312,7 @@ class Data:
     def __init__(self, model: Model) -> None:
         self.model, self._backends = model, model.backends.copy()
         self._base: Data | None = None
+        self._of_laws: Data | None = None
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
@@ -355,12 +356,15 @@ class Data:
         of two surfaces are found from the same places.
         """
         other = copy(self)
+        other._of_laws = None
         other._base = self  # keeps alive the arrays whose addresses are in the struct
         other.model, other.cache, other.callbacks = model, {}, dict(self.callbacks)
         arrays = self.arrays._replace(functions=self.arrays.functions.copy())
         same_rows = model.constants.codes is self.model.constants.codes
         if same_rows:
             other.arrays = arrays
+            if model.laws is not self.model.laws:
+                other._connect_laws()
             other._struct = other._make_struct()
         else:
             rows: dict[str, Any] = row_variables(model.constants, model.layout)
@@ -380,14 +384,29 @@ class Data:
             self.cache["closed"] = self.view(self.model.with_contacts_closed())
         return self.cache["closed"]
 
+    @property
+    def of_laws(self) -> Data:
+        """The data in which control laws are evaluated: these, unless others have been set."""
+        return self if self._of_laws is None else self._of_laws
+
+    @of_laws.setter
+    def of_laws(self, closed: Data) -> None:
+        self._of_laws = closed
+
     def _connect_rows(self) -> None:
-        """Make workspace and dense solver for the rows of the model."""
+        """Make workspace and dense solver for the rows of the model, and the work of the laws."""
         model, b = self.model, self.arrays
         sizes = np.diff(model.layout.dofs).tolist(), np.diff(model.layout.rows).tolist()
         self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
         self.dense_solver = DenseSolver(b, self.work)
         self._add_callback("dense", PythonCallback(self.dense_solver, b.status))
+        self._connect_laws()
         self._struct = self._make_struct()
+
+    def _connect_laws(self) -> None:
+        """Make the work of the control laws."""
+        laws = self.model.laws
+        self.law_works = [() if law.work is None else law.work.of(self) for law in laws]
 
     def _pointers(self) -> np.ndarray:
         """``Variables.pointers``; the surroundings are an arm without joints."""
@@ -398,7 +417,8 @@ class Data:
 
     def _make_struct(self, constants: Constants | None = None) -> np.ndarray:
         further = [effect.struct for effect in self.effects]
-        further += [law.struct for law in self.model.laws]
+        for law, work in zip(self.model.laws, self.law_works, strict=True):
+            further += [law.struct, struct_of(work)] if work else [law.struct]
         constants = self.model.constants if constants is None else constants
         return system_struct(constants, self.arrays, self.work, self.coupled, self.guards, further)
 
@@ -424,16 +444,20 @@ class Data:
         self._struct = self._make_struct(constants)
 
     def take_rows(
-        self, model: Model, rows: Mapping[str, Any], work: NodeWork, coupled: CoupledWork
+        self,
+        model: Model,
+        rows: Mapping[str, Any],
+        work: NodeWork,
+        coupled: CoupledWork,
+        cache: dict[object, Any],
     ) -> None:
         """Continue with the rows of another model, whose arrays are at the same addresses.
 
-        The struct is left to the caller.
+        ``cache`` is what these rows have left before.  The struct is left to the caller.
         """
-        self.model, self.work, self.coupled = model, work, coupled
+        self.model, self.work, self.coupled, self.cache = model, work, coupled, cache
         self.arrays = self.arrays._replace(**rows)
         self.dense_solver.variables, self.dense_solver.work = self.arrays, work
-        self.cache.clear()
 
     @property
     def struct(self) -> np.ndarray:

@@ -53,6 +53,7 @@ class Selected(NamedTuple):
     work: NodeWork
     coupled: CoupledWork
     contents: list[tuple[np.ndarray, np.ndarray]]  # arrays, and what they contain
+    cache: dict[object, Any]  # of the Data: what is made for these rows stays right for them
     places: np.ndarray  # of the sizes in the struct
     sizes: np.ndarray
 
@@ -117,7 +118,9 @@ class RowSelection:
             array[:] = content
         data.struct[selected.places] = selected.sizes
         data.work.by_arm[0] = 0
-        data.take_rows(selected.model, selected.variables, selected.work, selected.coupled)
+        data.take_rows(
+            selected.model, selected.variables, selected.work, selected.coupled, selected.cache
+        )
 
     def _prepare(self, rows: tuple[int, ...]) -> Selected:
         data, dofs = self.data, self._dofs
@@ -140,6 +143,7 @@ class RowSelection:
             data.work._replace(**work),
             data.coupled._replace(**coupled),
             contents,
+            {},
             *row_sizes(of_model, variables, work, coupled),
         )
 

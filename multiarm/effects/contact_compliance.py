@@ -24,7 +24,7 @@ import numpy as np
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
@@ -106,22 +106,12 @@ def differentiate_contact_compliance(address, size, at, _t):
         columns = arm_columns(n, False)
         for j in range(n):
             for c in range(columns.end):
-                column = column_of_forces(by, columns, d0, c)
+                column = column_of_state(by, columns, d0, c)
                 data.force_slopes[first + d0 + j, column] -= equations.dF[i, j, c]
         for s in range(work.rows[i], work.rows[i + 1]):
             if springs.active[s] != 0:
                 add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data)
     return status
-
-
-@inlined
-def column_of_forces(by, columns, d0, c):
-    """Place among all columns of one of an arm."""
-    if c < columns.positions:
-        return c
-    if c < columns.velocities:
-        return by.positions + d0 + c - columns.positions
-    return by.rates + d0 + c - columns.velocities
 
 
 @inlined
@@ -138,7 +128,7 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
         change = springs.damping[s] * rate
         if not of_rate:
             change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
-        column = column_of_forces(by, columns, d0, c)
+        column = column_of_state(by, columns, d0, c)
         for l in range(first):  # noqa: E741
             data.force_slopes[l, column] -= rows.Wo[s, l] * change
         for j in range(n):
@@ -150,7 +140,7 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
 
     def connect(data: Data, arrays: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
-        _, derivatives = equation_work(rows, state_columns(data.arrays).torques, massless=True)
+        _, derivatives = equation_work(rows, state_columns(data.arrays).torques, masses=False)
         arrays.rows[:] = rows.struct.ctypes.data, rows.struct.size
         arrays.derivatives[:] = derivatives.ctypes.data, derivatives.size
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address

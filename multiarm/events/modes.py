@@ -151,6 +151,7 @@ class Modes:
         structs = ModeStructs(active=True, closed=_address(self.closed), full=_address(full))
         self._held = RowSelection(full, modes=structs, shown=full.arrays.shown)
         self.data = self._held.data
+        self.data.of_laws = self.closed
         self.data.arrays.functions.contact_forces = address_of(record_forces)
         self.data.arrays.functions.guards = address_of(check_guards)
         self._numbers = ModeNumbers(slow=slow, power=_power_of_friction(full))
@@ -183,6 +184,7 @@ class Modes:
         """Data with fixed rows, in which control and effects act as in all modes."""
         data = _view(self.full, rows)
         data.replace_arrays(modes=ModeStructs(active=True, closed=_address(self.closed)))
+        data.of_laws = self.closed
         return data
 
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:

@@ -53,36 +53,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import ADDRESS, CARRYING, call_listed, open_data, open_system
+from multiarm.dynamics.arrays import CARRYING, open_data, open_system
 from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
     open_equations,
     write_derivatives,
+    write_derivatives_at_rest,
 )
 from multiarm.dynamics.force_derivatives import (
     Differences,
-    actuates,
     begin_differences,
     clear_slopes,
     clear_table,
-    differentiate_control,
-    differentiate_effect,
-    follow_the_state,
+    differentiate_forces,
     torques_are_held,
 )
-from multiarm.dynamics.forces.compiled import write_wrench_products
+from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
+from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.step import Step
-from multiarm.jit.kernels import clear, inlined, kernel, plain
+from multiarm.jit.kernels import clear, copy, inlined, kernel, plain
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, Ints2
-
-# Contacts that carry wrenches in some direction by so much less than in others leave s to rounding.
-CARRIED = 1e-10
 
 
 class ArmBlocks(NamedTuple):
@@ -243,7 +238,8 @@ def is_regular(struct):
 def differentiate_arms(step, blocks, t, h):
     """Write the derivatives at the beginning of a step, right after its evaluation.
 
-    Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular.
+    Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular, ``SINGULAR`` where
+    a law has no derivative at this state.
     """
     model, data, work = open_system(step.system)
     for i in range(blocks.counts.size):
@@ -251,7 +247,7 @@ def differentiate_arms(step, blocks, t, h):
         clear_table(blocks.on_object[i])
     clear_table(blocks.by_object)
     clear_slopes(model, data, work, 1, data.torque_slopes, 0)
-    status = write_derivatives(step.system, blocks.equations, False, data.twist)
+    status = write_derivatives(step.system, blocks.equations)
     if status != OK:
         return status
     add_drift_feedback(step.system, blocks.equations, step.stage.alpha, step.stage.beta)
@@ -260,8 +256,10 @@ def differentiate_arms(step, blocks, t, h):
         status = differentiate_carrying(step.system, blocks)
         if status != OK:
             return status
-    usable = factor_arms(blocks, data, work)
-    status = add_forces(step, blocks, h)
+    usable, differences = factor_arms(blocks, data, work), blocks.differences
+    begin_differences(model, data, differences, h)
+    status = differentiate_forces(step.system, differences, blocks.powers, gather, blocks)
+    step.stage.evaluations += differences.evaluations
     if status != OK:
         return status
     return OK if usable and solve_arms(blocks, work) else NOT_FINITE
@@ -311,7 +309,9 @@ def differentiate_carrying(struct, blocks):
         data.static_force[k] = 0.0
         for l in range(blocks.frames):  # noqa: E741
             data.static_force[k] += data.Wo[k, l] * blocks.share[l]
-    status = write_derivatives(struct, blocks.equations, True, blocks.share)
+    copy(data.static_force, equations.force)
+    clear(equations.a_j)
+    status = write_derivatives_at_rest(struct, blocks.equations, blocks.share)
     if status != OK:
         return status
     for i in range(blocks.counts.size):
@@ -352,47 +352,11 @@ def differentiate_carrying(struct, blocks):
 
 
 @kernel
-def add_forces(step, blocks, h):
-    """Add the derivatives of the forces of control and effects, and of their powers.
-
-    Returns a status.
-    """
-    struct, differences = step.system, blocks.differences
-    model, data, work = open_system(struct)
-    controlled = model.control.shape[0] > 0
-    begin_differences(model, data, differences, h)
-    total, status = blocks.works - 1, OK
-    for k in range(model.applied_end + 1):
-        if k == model.passive_end and controlled:
-            status = differentiate_laws(struct, differences)
-        if status == OK and k == model.actuator_end and controlled:
-            gather(blocks, data, work, total, True)
-        acts = controlled or not actuates(model, k)
-        if status == OK and k < model.applied_end and acts:
-            status = differentiate_effect(struct, differences, k)
-            gather(blocks, data, work, blocks.powers[k], False)
-        if status != OK:
-            break
-    step.stage.evaluations += differences.evaluations
-    return status
-
-
-@inlined
-def differentiate_laws(struct, differences):
-    """Add the derivatives of the torques of the control, and compute these; returns a status."""
-    model, data, _ = open_system(struct)
-    follows, differs = follow_the_state(model, differences)
-    status = differentiate_control(struct, differences, follows, differs)
-    for k in range(differences.laws, model.control.shape[0]):
-        call_listed(model.control, k, ADDRESS, struct, data)
-    return status
-
-
-@kernel
 def gather(blocks, data, work, power, of_drives):
     """Add the derivatives in the data, of torques of the drives or of one effect, to the blocks.
 
     ``power`` is the place of the power of these, whose derivatives follow; -1: it does not count.
+    See :func:`multiarm.dynamics.force_derivatives.differentiate_forces`.
     """
     total, frames = blocks.works - 1, blocks.frames
     of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
@@ -449,16 +413,11 @@ def share_weight(struct, blocks):
     """Write s of the state in the data; returns whether the contacts carry any wrench."""
     if blocks.shared == blocks.frames:
         return True
-    data = open_data(struct)
-    A, s, scale = blocks.node, blocks.share, blocks.alpha
-    write_wrench_products(data.Wo, A, scale)
-    for l in range(s.size):  # noqa: E741
-        s[l] = scale[l] * data.weight[l]
-    if not factor_lu(A, s.size, blocks.node_pivots) > CARRIED:
+    data, s = open_data(struct), blocks.share
+    copy(data.weight, s)
+    if not factor_wrench_products(data.Wo, blocks.node, blocks.alpha, blocks.node_pivots):
         return False
-    solve_lu(A, s.size, blocks.node_pivots, s)
-    for l in range(s.size):  # noqa: E741
-        s[l] *= scale[l]
+    solve_wrench_products(blocks.node, blocks.alpha, blocks.node_pivots, s)
     return True
 
 

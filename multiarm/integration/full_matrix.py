@@ -43,10 +43,10 @@ from multiarm.dynamics.equation_derivatives import (
 from multiarm.dynamics.force_derivatives import (
     TIME_CHANGE,
     Differences,
+    add_slopes,
     begin_differences,
     clear_table,
     differentiate_forces,
-    follow_the_state,
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
@@ -132,7 +132,7 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     """Write exact derivatives; returns a status, ``SINGULAR`` where there are none."""
     struct, stage, differences = step.system, step.stage, full.differences
     model, data, _ = open_system(struct)
-    status = write_derivatives(struct, full.equations, False, data.twist)
+    status = write_derivatives(struct, full.equations)
     if status == OK:
         add_drift_feedback(struct, full.equations, stage.alpha, stage.beta)
         status = solve_equations(struct, full)
@@ -141,8 +141,7 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     begin_differences(model, data, differences, h)
     clear_table(data.torque_slopes)
     clear_table(full.applied)
-    follows, differs = follow_the_state(model, differences)
-    status = differentiate_forces(struct, differences, follows, differs, full.powers, full.applied)
+    status = differentiate_forces(struct, differences, full.powers, add_slopes, full.applied)
     stage.evaluations += differences.evaluations
     if status == OK:
         respond_to_forces(data, full, time_slope)

@@ -23,11 +23,12 @@ at a cost that is linear in them (:mod:`multiarm.integration.arm_blocks`).  Else
 matrix (:mod:`multiarm.integration.full_matrix`): with the square of the number of arms grows the
 cost of its derivatives, with the cube that of its factors; for few arms both are small.
 
-*The derivatives* are exact with either, and take one evaluation, that of the beginning.
-A law or effect that states no derivative is differentiated by differences, which compute its forces
-and the kinematics that these need: n of the longest arm twice where it is local, twelve and twice n
-of all arms elsewhere, and none for a function of a user, which knows the state alone.  Whole
-evaluations are differentiated only where constraints depend on each other or contacts slide.
+*The derivatives* are exact with either, and take one evaluation, that of the beginning; a step that
+was rejected leaves its own to the next one, which begins there too.  A law or effect that states no
+derivative is differentiated by differences, which compute its forces and the kinematics that these
+need: n of the longest arm twice where it is local, twelve and twice n of all arms elsewhere, and
+none for a function of a user, which knows the state alone.  Whole evaluations are differentiated
+only where constraints depend on each other or contacts slide.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.control_laws import prepare_derivatives
 from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.status import NOT_FINITE, OK
+from multiarm.dynamics.status import NOT_FINITE, OK, SINGULAR
 from multiarm.integration.arm_blocks import (
     ArmBlocks,
     acts_locally,
@@ -60,7 +62,16 @@ from multiarm.integration.full_matrix import (
 )
 from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at, stage_slope
 from multiarm.jit.kernels import cfunc, copy, kernel
-from multiarm.jit.structs import Floats1, struct_at, view
+from multiarm.jit.structs import Flag, Float, Floats1, Numbers, struct_at, view
+
+
+class Derived(Numbers):
+    """The derivatives in the arrays: what they are for, besides the state."""
+
+    valid: Flag
+    alpha: Float
+    beta: Float
+    gap: Float  # as in ``Stage``
 
 
 class RosenbrockWork(NamedTuple):
@@ -69,11 +80,14 @@ class RosenbrockWork(NamedTuple):
     slope: Floats1  # (D,), the first slope
     right: Floats1  # (D,), right-hand side of a stage
     time_slope: Floats1  # (D,), derivative with respect to time
+    derived: Derived
 
 
 def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks, FullMatrix]:
     """Allocate the arrays of a Rosenbrock method's steps."""
-    work = RosenbrockWork(*(np.zeros(step.z.size) for _ in RosenbrockWork._fields))
+    slope, right, time_slope = np.zeros((3, step.z.size))
+    work = RosenbrockWork(slope, right, time_slope, Derived())
+    prepare_derivatives(data)
     _, equations = equation_work(data, state_columns(data.arrays).end)
     blocks = make_arm_blocks(data, step, equations)
     return work, blocks, make_full_matrix(data, step, equations)
@@ -129,6 +143,24 @@ def rosenbrock_step(address, size, t, h):
 
 @kernel
 def differentiate(step, work, blocks, full, t, h):
+    """Derivatives at the beginning of the step; returns a status.
+
+    Those of a step that was rejected are those of the next one.
+    """
+    stage, derived = step.stage, work.derived
+    if (
+        stage.repeats and derived.valid and derived.gap == stage.gap
+        and derived.alpha == stage.alpha and derived.beta == stage.beta
+    ):  # fmt: skip
+        return OK
+    status = differentiate_anew(step, work, blocks, full, t, h)
+    derived.valid = status == OK
+    derived.alpha, derived.beta, derived.gap = stage.alpha, stage.beta, stage.gap
+    return status
+
+
+@kernel
+def differentiate_anew(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
     status, projected = OK, step.stage.gap >= 0.0
@@ -138,8 +170,9 @@ def differentiate(step, work, blocks, full, t, h):
         return status
     by_arms = not projected and acts_locally(step) and is_regular(step.system)
     if by_arms and share_weight(step.system, blocks):
-        blocks.used[0] = 1
         status = differentiate_arms(step, blocks, t, h)
-        write_time_slope(blocks, step.system, work.time_slope)
-        return status
+        if status != SINGULAR:
+            blocks.used[0] = 1
+            write_time_slope(blocks, step.system, work.time_slope)
+            return status
     return differentiate_full(step, full, work.slope, work.time_slope, t, h)

@@ -68,6 +68,7 @@ class Stage(Numbers):
     beta: Float
     gap: Float  # to which a state is projected before it is evaluated [m]; negative: it is not
     latest: Float  # later times are replaced by it [s]: a step that ends at a jump stays before it
+    repeats: Flag  # the step begins where the one before it began, which was rejected
     evaluations: Int  # that were made and are not in the run's statistics yet
 
     def begin(self) -> None:

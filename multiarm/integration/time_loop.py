@@ -83,6 +83,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
     method, step = open_step(arrays)
     clock, settings, struct = view_clock(clock), view_settings(settings), step.system
     limit = clock.evaluations + budget
+    step.stage.repeats = False  # forces may have changed since the last call
     while True:
         before = clock.evaluations
         status = emit_samples(struct, method, step, clock, settings, block)
@@ -108,7 +109,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             status = complete_step(method, step, clock, settings, h, end)
             if status == OK:
                 count_evaluations(step, clock)
-                clock.step_cost = clock.evaluations - before
+                clock.step_cost, step.stage.repeats = clock.evaluations - before, False
                 accept_step(struct, method, clock, settings, h, end, error)
                 if clock.solver_changes > 0:
                     clock.solver_changes = 0
@@ -120,6 +121,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
         if status in (CALLBACK_FAILED, EVENT) or not settings.adaptive:
             return status
         clock.rejected += 1
+        step.stage.repeats = True
         if near_loss(struct) and settings.gap_tolerance >= 0.0:
             first_failure = clock.retry_steps == 0
             clock.retry_steps = RETRY_STEPS

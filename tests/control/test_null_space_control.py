@@ -153,16 +153,18 @@ def test_contact_forces_do_not_feel_the_springs(rng):
 @pytest.mark.slow
 def test_nearest_accelerations_are_the_constrained_minimum(rng):
     """Against the saddle point of its optimality conditions; rows may depend on each other."""
-    for n, m, rank in ((6, 6, 6), (7, 6, 6), (4, 6, 4), (7, 6, 5)):
+    for n, m, rank in ((6, 6, 6), (6, 5, 5), (7, 6, 6), (4, 6, 4), (3, 6, 3), (7, 6, 5)):
         root = rng.standard_normal((n, n))
         M = root @ root.T + n * np.eye(n)
         W = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, m))
         wish, target = rng.standard_normal(n), W.T @ rng.standard_normal(n)
         saddle = np.block([[M, -W], [W.T, np.zeros((m, m))]])
         wanted = np.linalg.lstsq(saddle, np.concatenate([M @ wish, target]), rcond=1e-11)[0][:n]
-        found = np.empty(n)
-        nearest_accelerations(np.tril(M), W, wish, target, found)
+        found, multipliers = np.empty(n), np.empty(m)
+        independent = nearest_accelerations(np.tril(M), W, wish, target, found, multipliers)
+        assert independent == (rank == m)
         np.testing.assert_allclose(found, wanted, atol=1e-8)
+        np.testing.assert_allclose(M @ (found - wish), W @ multipliers, atol=1e-8)
 
 
 def test_a_negative_stiffness_is_refused():

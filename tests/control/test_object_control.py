@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.control.object_control import ObjectLaw, add_arm_forces, write_spring_wrench
+from multiarm.control.object_control import write_spring_wrench
+from multiarm.control.object_law import ObjectLaw
 from multiarm.control.object_path import PosePath
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.errors import ControlError, SceneError
@@ -170,20 +171,6 @@ def test_motions_that_the_object_does_not_need_are_damped(rng):
         assert free.shape == (7, 2)
         left = ev.joint_accelerations[arm] + 7.0 * state.joint_velocities[arm]
         np.testing.assert_allclose(free.T @ terms.M @ left, 0.0, atol=1e-9)
-
-
-def test_nearest_joint_accelerations_are_the_constrained_minimum(rng):
-    """Against the saddle point of its optimality conditions; rows may depend on each other."""
-    for n, m, rank in ((6, 5, 5), (7, 6, 6), (3, 6, 3)):
-        root = rng.standard_normal((n, n))
-        M = root @ root.T + n * np.eye(n)
-        W = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, m))
-        wish, target = rng.standard_normal(n), W.T @ rng.standard_normal(n)
-        saddle = np.block([[M, -W], [W.T, np.zeros((m, m))]])
-        a_j = np.linalg.lstsq(saddle, np.concatenate([M @ wish, target]), rcond=1e-11)[0][:n]
-        torque = np.ones(n)
-        add_arm_forces(np.tril(M), W, wish, target, torque)
-        np.testing.assert_allclose(torque - 1.0, M @ a_j, atol=1e-8)
 
 
 @pytest.mark.parametrize("n, rank", [(6, 5), (6, 4), (5, 1)])

@@ -9,6 +9,7 @@ closed.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +19,7 @@ from mechanics import (
     chain_urdf,
     difference,
     over_floor,
+    panda_trio,
     planar_pair,
     random_state,
     scene_of,
@@ -33,12 +35,13 @@ from steps import data_at, without_derivatives
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
-from multiarm.control.gravity_compensation import holding_derivatives
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.equation_derivatives import write_derivatives
 from multiarm.dynamics.force_derivatives import applied_derivatives
+from multiarm.dynamics.status import SINGULAR
 from multiarm.errors import ModelError, SolverError
 from multiarm.jit.ahead import argument_types
+from multiarm.jit.pointers import function_at
 from multiarm.spatial import retract
 
 STEP = 1e-4
@@ -155,6 +158,54 @@ HOLDING = {
     "an ellipsoid": lambda: ur5_pair(CURVED, {"kind": "weld"}),
     "without gravity": lambda: ur5_pair({"kind": "weld"}, BALL),
 }
+SPRING = {
+    "stiffness": {"translation": [800, 900, 1000], "rotation": [100, 200, 300]},
+    "damping": {"translation": 100, "rotation": [10, 20, 30]},
+}
+TURNING = [{"time": 1, "xyz": [0.1, 0, 0.55], "rpy": [0.3, 0.2, -0.4]}]
+CARRYING = {
+    "computed torque": lambda: ur5_pair(
+        {"kind": "weld"}, BALL, control={"kind": "computed_torque", "path": TURNING}
+    ),
+    "passive effects": lambda: ur5_pair(
+        {"kind": "weld"}, BALL, control={"kind": "computed_torque"}, effects={
+            "joint_damping": 3.0, "joint_friction": {"torque": 3.0, "speed": 0.3},
+            "rotor_inertia": 0.2,
+        },
+    ),
+    "free motions": lambda: panda_trio(BALL, control={"kind": "computed_torque", "path": TURNING}),
+    "impedance": lambda: ur5_pair(
+        {"kind": "weld"}, BALL, control={"kind": "object_impedance", "path": TURNING, **SPRING}
+    ),
+    "impedance, free motions": lambda: panda_trio(
+        {"kind": "revolute"}, control={"kind": "object_impedance", **SPRING}
+    ),
+    "squeezed fingertips": lambda: two_arm_block().replace(
+        control={"kind": "object_impedance", "squeeze": 20.0, **SPRING}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CARRYING)
+def test_laws_that_move_the_object_have_the_derivatives_of_differences(name, rng):
+    """Differences of order four of torques in which M, b, W, the rates of the gaps and A are."""
+    system = ma.compile_system(CARRYING[name]().replace(gravity=[1, 2, -9]))
+    state = random_state(system, rng, turn=0.1, speed=0.5)
+    by_law, by_differences = (
+        forces_by_state(own, state) for own in (system, without_derivatives(system))
+    )
+    assert_equal(by_law, by_differences, 2e-9)
+    assert np.abs(by_law).max() > 1.0
+    n = state.layout.joints
+    assert np.abs(by_law[6:, 12 + n :]).max() > 1.0  # by velocities
+
+
+def test_a_held_control_has_the_derivatives_of_its_laws(rng):
+    system = ma.compile_system(CARRYING["computed torque"]())
+    held = replace(system, model=system.model.with_held_control())
+    state = random_state(system, rng, turn=0.1, speed=0.5)
+    by_law, of_held = (forces_by_state(own, state) for own in (system, held))
+    np.testing.assert_array_equal(of_held, by_law)
 
 
 @pytest.mark.parametrize("name", HOLDING)
@@ -240,7 +291,10 @@ def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):
     state = random_state(system, rng, turn=0.1)
     with system.borrow() as data:
         evaluation.evaluate(data, 0.3, state)
-        assert holding_derivatives(data) is None
+        applied_derivatives(data, True)  # prepares those of the law
+        _, at, derivative = data.model.constants.control[1]
+        call = function_at(int(derivative))
+        assert call(data.struct.ctypes.data, data.struct.size, float(at), 0.3) == SINGULAR
     found, expected = ma.derivatives(system, 0.3, state), by_differences(system, state)
     assert_equal(found.matrix[:, : expected.shape[1]], expected)
 
@@ -461,7 +515,7 @@ def test_control_knows_the_contacts_of_joints_only(gap):
     control = {"kind": "joint_pd", "stiffness": 100, "damping": 10}
     welded = {"joints": [{"arm": "arm", "kind": "weld"}], "control": control}
     system = ma.compile_system(over_floor(gap).scene.replace(**welded))
-    assert system.model.control_derivative is not None
+    assert system.model.constants.control[:, 2].all()
     plain = without_derivatives(system)
     found, expected = (ma.derivatives(own, 0.3).matrix for own in (system, plain))
     fixed = np.isfinite(expected)

@@ -15,7 +15,15 @@ from mechanics import (
     scene_of,
     ur5_pair,
 )
-from steps import FORWARD, ORDER_8, Slope, assert_derivatives, derivatives_of, step_of_the_package
+from steps import (
+    FORWARD,
+    ORDER_8,
+    Slope,
+    assert_derivatives,
+    coupled,
+    derivatives_of,
+    step_of_the_package,
+)
 from user_classes import empty_registries
 
 import multiarm as ma
@@ -58,7 +66,26 @@ def hanging_box(tmp):
     return ma.compile_system(scene_of({"arm": arm}, [{"arm": "arm", **WELD}]))
 
 
+SPRING = {
+    "stiffness": {"translation": [800, 900, 1000], "rotation": [100, 200, 300]},
+    "damping": {"translation": 100, "rotation": [10, 20, 30]},
+}
+MOVING = {"kind": "computed_torque"}
+WEIGHT = {"gravity": [1, 2, -9]}
+
+
 SCENES = {
+    "computed torque": lambda tmp: ma.compile_system(
+        ur5_pair(WELD, BALL, control=MOVING, effects={"joint_damping": 2.0}).replace(**WEIGHT)
+    ),
+    "object impedance": lambda tmp: ma.compile_system(
+        ur5_pair(WELD, BALL, control={"kind": "object_impedance", **SPRING}).replace(**WEIGHT)
+    ),
+    "gravity compensation beside drives that couple": lambda tmp: coupled(
+        ma.compile_system(
+            ur5_pair(WELD, BALL, control={"kind": "gravity_compensation"}).replace(**WEIGHT)
+        )
+    ),
     "controller in Python": lambda tmp: ma.compile_system(ur5_pair(WELD, BALL)).with_control(
         python_control
     ),
@@ -99,3 +126,19 @@ def test_dependent_constraints_are_differentiated_by_whole_evaluations(name):
     n = 6 + system.model.layout.joints
     stepping = step_of_the_package(system, system.initial_state(), 1e-3)
     assert stepping.step.stage.evaluations >= 3 * n + 1 + 7
+
+
+def test_a_step_that_was_rejected_leaves_its_derivatives_to_the_next_one():
+    """Every attempt has seven stages; an accepted step has its derivatives, its end, its projection
+    (which counts as two) besides."""
+    push = {"on": "object", "force": [500, 0, 0], "sinusoid": {"frequency": 15.0}}
+    sticking = {"torque": 30.0, "speed": 0.01}
+    effects = {"external_wrenches": [push], "joint_friction": sticking}
+    system = ma.compile_system(ur5_pair(WELD, BALL, effects=effects))
+    run = ma.simulate(
+        system, 0.1, integrator="rodas5p", tolerance=1e-7, output_step=0.1, certificate=False
+    )
+    s = run.statistics
+    assert s["rejected_steps"] >= 3
+    of_ends = s["evaluations"] - 11 * s["steps"] - 7 * s["rejected_steps"]
+    assert 0 <= of_ends <= 8  # start, first length, two samples

@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from mechanics import EPS, single_arm
+from mechanics import EPS, single_arm, ur5_pair
 from repository import SCENES
 from scipy.integrate import DOP853 as SCIPY_DOP853
 from scipy.integrate import RK45 as SCIPY_RK45
@@ -270,6 +270,25 @@ def test_error_falls_with_the_order_of_the_method(
         errors.append(np.max(np.abs(found - reference)))
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(order, abs=0.2), errors
+
+
+@pytest.mark.parametrize("kind", ["computed_torque", "object_impedance"])
+def test_laws_that_move_the_object_leave_rodas5p_its_order(kind, monkeypatch):
+    """Its conditions of order 5 hold for the exact matrix only."""
+    control = {"kind": kind, "path": [{"time": 0.4, "xyz": [0.05, 0, 0.55], "rpy": [0.2, 0, 0.1]}]}
+    if kind == "object_impedance":
+        gains = {"translation": 800, "rotation": [100, 200, 300]}
+        control |= {"stiffness": gains, "damping": {"translation": 100, "rotation": 20}}
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "ball"}, control=control))
+    run = {"duration": 0.3, "output_step": 0.3, "stabilization": "none"}
+    exact = end_of(ma.simulate(system, integrator="dop853", tolerance=1e-13, **run))
+    integrator, errors, steps = fixed_step(monkeypatch, "rodas5p"), [], [12, 16, 24]
+    for n in steps:
+        end = ma.simulate(system, integrator=integrator, step=0.3 / n, **run)
+        assert end.statistics["evaluations"] <= 10 * n + 5
+        errors.append(np.max(np.abs(end_of(end) - exact)))
+    slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(5.0, abs=0.35), errors
 
 
 def test_an_explicit_method_is_a_tableau_and_nothing_else(

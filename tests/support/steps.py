@@ -33,8 +33,8 @@ def without_derivatives(system):
     control = constants.control.copy()
     control[:, DERIVATIVE] = 0
     constants = constants._replace(control=control)
-    changes = {"effects": effects, "constants": constants, "control_derivative": None}
-    return replace(system, model=replace(system.model, **changes))
+    model = replace(system.model, effects=effects, constants=constants)
+    return replace(system, model=model)
 
 
 def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):

@@ -15,8 +15,12 @@ import math
 
 import numpy as np
 
-from multiarm.dynamics.solver.factors import solve_semidefinite
-from multiarm.jit.kernels import allocating, copy, kernel
+from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_semidefinite
+from multiarm.jit.kernels import allocating, copy, inlined, kernel
+
+# Contacts that carry wrenches in some direction by so much less than in others leave the forces of
+# least norm to rounding, and to differences their derivatives.
+CARRIED = 1e-10
 
 
 @kernel
@@ -37,6 +41,23 @@ def write_wrench_products(Wo, A, scale):
             for k in range(Wo.shape[0]):
                 A[i, j] += Wo[k, i] * Wo[k, j]
             A[i, j] *= scale[i] * scale[j]
+
+
+@kernel
+def factor_wrench_products(Wo, A, scale, pivots):
+    """Write the factors of :func:`write_wrench_products`; returns whether any wrench is carried."""
+    write_wrench_products(Wo, A, scale)
+    return factor_lu(A, 6, pivots) > CARRIED
+
+
+@inlined
+def solve_wrench_products(A, scale, pivots, x):
+    """Solve ``W_o W_o^T x = b`` with these factors; ``x`` (6,) is ``b`` on entry."""
+    for i in range(6):
+        x[i] *= scale[i]
+    solve_lu(A, 6, pivots, x)
+    for i in range(6):
+        x[i] *= scale[i]
 
 
 @allocating

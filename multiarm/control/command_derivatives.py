@@ -1,0 +1,212 @@
+r"""Derivatives of torques that put a wrench on the object and accelerate the arms.
+
+A law commands the wrench :math:`w` on the object, and distributes it over the contacts by
+:math:`\lambda = \lambda_s + W_o^T y` with :math:`A y = w - W_o\lambda_s`, :math:`A = W_o W_o^T`,
+and constant :math:`\lambda_s` (:mod:`multiarm.dynamics.forces.compiled`).  Its torques are those of
+the inverse dynamics,
+
+.. math::
+    \tau_i = M_i\ddot q_i + b_i - W_i\lambda_i, \qquad
+    M_i(\ddot q_i - p_i) = W_i\kappa_i, \qquad W_i^T\ddot q_i = r_i
+
+(:mod:`multiarm.control.null_space`); of gravity compensation with :math:`\ddot q_i = 0` and no
+targets.  With :math:`\partial` for a derivative at fixed accelerations and forces,
+
+.. math::
+    A\,dy &= dw - \partial(W_o\lambda) - W_o\,\partial(W_o^T y), \qquad
+    d\lambda = \partial(W_o^T y) + W_o^T dy, \\
+    \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}
+    \begin{bmatrix} d\ddot q_i \\ d\kappa_i \end{bmatrix} &= \begin{bmatrix}
+    M_i\,dp_i - \partial\big(M_i(\ddot q_i - p_i) - W_i\kappa_i\big) \\
+    dr_i - \partial(W_i^T\ddot q_i) \end{bmatrix}, \\
+    d\tau_i &= \partial(M_i\ddot q_i + b_i - W_i\lambda_i) + M_i\,d\ddot q_i - W_i\,d\lambda_i .
+
+All of these are derivatives of the equations of motion
+(:mod:`multiarm.dynamics.equation_derivatives`) at the motion that is commanded, with its forces:
+the *motion*, and at rest without weight the accelerations :math:`\ddot q_i - p_i` under
+:math:`\kappa_i`, the *excess*.  :math:`\partial(W_o^T y)` is the derivative of the gaps' rates
+while the object moves with the twist y and the arms rest.
+
+There is no closed form where contacts cannot carry any wrench, or the targets of an arm depend on
+each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
+from multiarm.dynamics.coordinates import force_columns
+from multiarm.dynamics.equation_derivatives import equation_work
+from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.dynamics.status import OK, SINGULAR
+from multiarm.jit.kernels import Kernel, clear, inlined, kernel
+from multiarm.jit.pointers import address_of
+from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_of, view
+
+
+class CommandDerivatives(NamedTuple):
+    """Results and scratch for d joints and m contacts of the largest arm, S columns of the state.
+
+    An arm has C columns of its own (:class:`multiarm.dynamics.contact_derivatives.ArmColumns`).
+    """
+
+    # structs of multiarm.dynamics.equation_derivatives
+    motion: Ints1
+    excess: Ints1
+    twist: Floats1  # (6,) y
+    wrench: Floats2  # (6, S) dw at fixed accelerations of object and arms; then dy
+    acceleration: Floats2  # (6, 12) of the object that is commanded, by its pose and twist
+    preferred: Floats2  # (d, C) dp of one arm
+    forces: Floats2  # (N, S) of the contacts
+    motions: Floats2  # (d + m, C) of one arm: right-hand sides, then dq'' and the multipliers
+    pivots: Ints1  # (d + m,)
+    # W_o W_o^T
+    products: Floats2  # (6, 6)
+    scale: Floats1  # (6,)
+    product_pivots: Ints1  # (6,)
+
+
+open_derivatives = view(CommandDerivatives)
+
+
+def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> None:
+    """Write into ``work.derivatives`` the address of a derivative, and that and size of its work.
+
+    So it is compiled where derivatives are taken, and not for every run: the law's own derivative
+    only calls it.
+    """
+    if work.derivatives[0] == 0:
+        key = ("command derivatives", derivative)
+        layout, states = data.model.layout, 2 * data.model.layout.nv
+        d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
+        own = arm_columns(d, False).end
+        _, motion = equation_work(data, states)
+        _, excess = equation_work(data, states, weights=False)
+        arrays = CommandDerivatives(
+            motion=motion,
+            excess=excess,
+            twist=np.zeros(6),
+            wrench=np.zeros((6, states)),
+            acceleration=np.zeros((6, 12)),
+            preferred=np.zeros((d, own)),
+            forces=np.zeros((layout.contacts, states)),
+            motions=np.zeros((d + m, own)),
+            pivots=np.zeros(d + m, dtype=np.int64),
+            products=np.zeros((6, 6)),
+            scale=np.zeros(6),
+            product_pivots=np.zeros(6, dtype=np.int64),
+        )
+        struct = struct_of(arrays)
+        data.cache[key] = arrays, struct
+        work.derivatives[:] = address_of(derivative), struct.ctypes.data, struct.size
+
+
+@kernel
+def begin_command(data, by):
+    """Write y of the wrench ``by.twist``, and clear the results.
+
+    Returns whether the contacts carry any wrench.
+    """
+    for l in range(6):  # noqa: E741
+        clear(by.wrench[l])
+        clear(by.acceleration[l])
+    if not factor_wrench_products(data.Wo, by.products, by.scale, by.product_pivots):
+        return False
+    solve_wrench_products(by.products, by.scale, by.product_pivots, by.twist)
+    return True
+
+
+@kernel
+def differentiate_shares(data, work, motion, rest, by):
+    """Write the derivatives of the contact forces, and subtract ``W d lambda`` from the torques.
+
+    ``motion`` are the derivatives of the equations under the contact forces, ``rest`` those whose
+    ``rates`` are of the twist y (:func:`write_derivatives_at_rest`).
+    """
+    columns, states = force_columns(data), by.wrench.shape[1]
+    for i in range(work.dofs.size - 1):
+        d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        own = arm_columns(n, False)
+        for k in range(work.rows[i], work.rows[i + 1]):
+            clear(by.forces[k])
+            for c in range(own.velocities):
+                if own.twist <= c < own.positions:
+                    continue  # y is no velocity of the state
+                rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
+                by.forces[k, column] = rate
+                for l in range(6):  # noqa: E741
+                    by.wrench[l, column] -= data.Wo[k, l] * rate
+    for l in range(6):  # noqa: E741
+        for c in range(states):
+            by.wrench[l, c] = by.scale[l] * (by.wrench[l, c] + motion.dF_o[l, c])
+    solve_rows(by.products, 6, by.product_pivots, by.wrench)
+    for k in range(data.Wo.shape[0]):
+        for l in range(6):  # noqa: E741
+            share = data.Wo[k, l] * by.scale[l]
+            for c in range(states):
+                by.forces[k, c] += share * by.wrench[l, c]
+    for i in range(work.dofs.size - 1):
+        d0, r0 = work.dofs[i], work.rows[i]
+        for j in range(work.dofs[i + 1] - d0):
+            slopes = data.torque_slopes[d0 + j]
+            for k in range(work.rows[i + 1] - r0):
+                weight, forces = work.W[i, j, k], by.forces[r0 + k]
+                for c in range(states):
+                    slopes[c] -= weight * forces[c]
+
+
+@kernel
+def add_inverse_dynamics(data, work, motion):
+    """Add the derivatives of ``M q'' + b - W lambda`` at fixed accelerations and forces."""
+    columns = force_columns(data)
+    for i in range(work.dofs.size - 1):
+        d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        own = arm_columns(n, False)
+        for j in range(n):
+            slopes = data.torque_slopes[d0 + j]
+            for c in range(own.end):
+                slopes[column_of_state(columns, own, d0, c)] += motion.dF[i, j, c]
+
+
+@kernel
+def add_motion_derivatives(data, work, i, motion, excess, by):
+    """Add ``M dq''`` of an arm to the torques, with ``by.preferred``; returns a status."""
+    d0, n, r0 = work.dofs[i], work.dofs[i + 1] - work.dofs[i], work.rows[i]
+    m, own, X = work.rows[i + 1] - r0, arm_columns(n, False), by.motions
+    columns, M = force_columns(data), motion.M[i]
+    for j in range(n):
+        for c in range(own.end):
+            X[j, c] = -excess.dF[i, j, c]
+        for k in range(n):
+            for c in range(own.end):
+                X[j, c] += M[j, k] * by.preferred[k, c]
+    for k in range(m):
+        for c in range(own.end):
+            X[n + k, c] = -motion.dF[i, n + k, c]
+        for l in range(6):  # noqa: E741
+            for c in range(own.positions):
+                X[n + k, c] -= data.Wo[r0 + k, l] * by.acceleration[l, c]
+    if not factor_lu(motion.K[i], n + m, by.pivots) > 0.0:
+        return SINGULAR
+    solve_rows(motion.K[i], n + m, by.pivots, X)
+    for j in range(n):
+        slopes = data.torque_slopes[d0 + j]
+        for k in range(n):
+            inertia = M[j, k]
+            for c in range(own.end):
+                slopes[column_of_state(columns, own, d0, c)] += inertia * X[k, c]
+    return OK
+
+
+@inlined
+def subtract_passive_slopes(data):
+    """Subtract the derivatives of what passive effects do to the joints from the torques."""
+    for j in range(data.passive_slopes.shape[0]):
+        slopes, passive = data.torque_slopes[j], data.passive_slopes[j]
+        for c in range(passive.size):
+            slopes[c] -= passive[c]

@@ -1,0 +1,183 @@
+r"""Derivatives of the laws that move the object (:mod:`multiarm.control.object_control`).
+
+What they command is differentiated here, by the pose and twist of the object, and what follows from
+it in :mod:`multiarm.control.command_derivatives`.  With the rotation vector :math:`\theta` to the
+reference, :math:`\exp\theta = R_r R_o^T`, a turn :math:`\delta` of the object gives
+
+.. math:: d\theta = -J_r^{-1}(\theta)\,\delta = -J_l^{-1}(-\theta)\,\delta,
+
+*computed torque* :math:`d\dot\omega_o = K\,d\theta - D\,d\omega_o` and the *impedance* the
+moment :math:`d(J_l^{-1}(\theta) K\theta) - D\,d\omega_o`, with :math:`J_l^{-1}` of
+:func:`multiarm.spatial.write_chart_rate`.
+
+Arms that hold their poses on the object, or press on it, leave differences.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.control.command_derivatives import (
+    add_inverse_dynamics,
+    add_motion_derivatives,
+    begin_command,
+    differentiate_shares,
+    open_derivatives,
+    subtract_passive_slopes,
+)
+from multiarm.control.object_law import open_command, open_object_law
+from multiarm.control.object_path import reference_pose
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.contact_derivatives import arm_columns, unit
+from multiarm.dynamics.equation_derivatives import (
+    AT_REST,
+    add_object_equation,
+    differentiate_bodies,
+    open_equations,
+    write_body,
+    write_derivatives_at_rest,
+)
+from multiarm.dynamics.status import OK, SINGULAR
+from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_at
+from multiarm.jit.vectors import scale
+from multiarm.spatial import rotation_between, write_chart_rate, write_chart_rate_slopes
+
+
+@cfunc
+def differentiate_command(address, size, at, t):
+    """Call the derivative that has been prepared."""
+    struct = struct_at(address, size)
+    return call_cfunc(open_command(struct, at).derivatives[0], struct, at, t)
+
+
+@cfunc
+def write_computed_torque_derivatives(address, size, at, t):
+    """Add the derivatives of the torques of computed torque; returns a status."""
+    struct = struct_at(address, size)
+    _, data, work = open_system(struct)
+    law, command = open_object_law(struct, at), open_command(struct, at)
+    by = open_derivatives(struct_at(command.derivatives[1], command.derivatives[2]))
+    motion = open_equations(by.motion)
+    if not has_closed_form(law, command) or not begin(law, data, by):
+        return SINGULAR
+    differentiate_acceleration(t, law, data, by)
+    for l in range(6):  # noqa: E741
+        for k in range(6):
+            for c in range(by.acceleration.shape[1]):
+                by.wrench[l, c] += data.inertia[l, k] * by.acceleration[k, c]
+    copy(data.v, motion.v)
+    copy(command.a_j, motion.a_j)
+    copy(data.static_force, motion.force)
+    write_body(data, data.twist, command.acceleration, motion)
+    status = differentiate_bodies(struct, by.motion)
+    add_object_equation(data.inertia, data.twist, command.acceleration, motion)
+    if status == OK:
+        status = differentiate_torques(law, command, struct, data, work, by)
+        subtract_passive_slopes(data)
+    return status
+
+
+@cfunc
+def write_object_impedance_derivatives(address, size, at, t):
+    """Add the derivatives of the torques of the object impedance; returns a status."""
+    struct = struct_at(address, size)
+    _, data, work = open_system(struct)
+    law, command = open_object_law(struct, at), open_command(struct, at)
+    by = open_derivatives(struct_at(command.derivatives[1], command.derivatives[2]))
+    motion = open_equations(by.motion)
+    if not has_closed_form(law, command) or not begin(law, data, by):
+        return SINGULAR
+    differentiate_spring_wrench(t, law, data, by.wrench)
+    copy(command.a_j, motion.a_j)
+    copy(data.static_force, motion.force)
+    status = write_derivatives_at_rest(struct, by.motion, AT_REST)
+    if status == OK:
+        status = differentiate_torques(law, command, struct, data, work, by)
+    return status
+
+
+@kernel
+def has_closed_form(law, command):
+    """Whether the derivatives are here: targets are independent, poses free, no arm presses."""
+    for i in range(law.wrenches_of_arms.shape[0]):
+        for l in range(6):  # noqa: E741
+            if law.wrenches_of_arms[i, l] != 0.0:
+                return False
+    return command.independent[0] != 0 and law.free_stiffness == 0.0
+
+
+@kernel
+def differentiate_torques(law, command, struct, data, work, by):
+    """Add the derivatives of the torques, after those of the commanded motion; returns a status."""
+    motion, excess = open_equations(by.motion), open_equations(by.excess)
+    for j in range(command.a_j.size):
+        excess.a_j[j] = command.a_j[j] - command.preferred[j]
+    copy(command.multipliers, excess.force)
+    status = write_derivatives_at_rest(struct, by.excess, by.twist)
+    differentiate_shares(data, work, motion, excess, by)
+    add_inverse_dynamics(data, work, motion)
+    for i in range(work.dofs.size - 1):
+        n = work.dofs[i + 1] - work.dofs[i]
+        rates = arm_columns(n, False).velocities
+        for j in range(n):
+            clear(by.preferred[j])
+            by.preferred[j, rates + j] = -law.free_rate
+        if status == OK:
+            status = add_motion_derivatives(data, work, i, motion, excess, by)
+    return status
+
+
+@inlined
+def begin(law, data, by):
+    """Write y without the internal forces, and clear the results; see :func:`begin_command`."""
+    copy(data.weight, by.twist)
+    for k in range(data.Wo.shape[0]):
+        for l in range(6):  # noqa: E741
+            by.twist[l] -= data.Wo[k, l] * law.forces_of_contacts[k]
+    return begin_command(data, by)
+
+
+@allocating
+def differentiate_acceleration(t, law, data, by):
+    """Write the derivatives of the object's acceleration by its pose and twist."""
+    _, quaternion, _, _, _, _ = reference_pose(t, law)
+    turned, by_turn = rotation_between(data.position[3:7], quaternion), np.empty((3, 3))
+    differentiate_turn(turned, by_turn)
+    for k in range(3):
+        by.acceleration[k, k] = -law.stiffness[k]
+        by.acceleration[k, 6 + k] = -law.damping[k]
+        for axis in range(3):
+            by.acceleration[3 + k, 3 + axis] = law.stiffness[3 + k] * by_turn[axis, k]
+        by.acceleration[3 + k, 9 + k] = -law.damping[3 + k]
+
+
+@allocating
+def differentiate_spring_wrench(t, law, data, wrench):
+    """Write the derivatives of the wrench of the impedance's spring and damper into ``wrench``."""
+    _, quaternion, _, _, _, _ = reference_pose(t, law)
+    turned, by_turn = rotation_between(data.position[3:7], quaternion), np.empty((3, 3))
+    differentiate_turn(turned, by_turn)
+    pull, change, of_change, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
+    for k in range(3):
+        pull[k] = law.stiffness[3 + k] * turned[k]
+        wrench[k, k], wrench[k, 6 + k] = -law.stiffness[k], -law.damping[k]
+        wrench[3 + k, 9 + k] = -law.damping[3 + k]
+    write_chart_rate_slopes(turned, pull, slopes)
+    for axis in range(3):
+        for k in range(3):
+            change[k] = law.stiffness[3 + k] * by_turn[axis, k]
+        write_chart_rate(turned, change, of_change)
+        for r in range(3):
+            wrench[3 + r, 3 + axis] = of_change[r]
+            for k in range(3):
+                wrench[3 + r, 3 + axis] += slopes[k, r] * by_turn[axis, k]
+
+
+@kernel
+def differentiate_turn(turned, by_turn):
+    """Write the derivatives of the rotation vector to the reference, a row for each turn (3, 3)."""
+    back = scale(-1.0, turned)
+    for axis in range(3):
+        write_chart_rate(back, scale(-1.0, unit(axis)), by_turn[axis])

@@ -1,0 +1,64 @@
+"""Numbers of the laws that move the object, and what they command."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.control_laws import view_of_law, view_of_work
+from multiarm.dynamics.model import Data
+from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Ints1
+
+
+class ObjectLaw(NamedTuple):
+    """Gains of a law that moves the object, its internal forces and its path.
+
+    Stiffness and damping of computed torque are in 1/s^2 and 1/s, those of the impedance in N/m,
+    N m/rad and N s/m, N m s/rad.
+    """
+
+    stiffness: Floats1  # (6,) for shifts and turns, world axes
+    damping: Floats1  # (6,)
+    free_rate: Float  # of the arms' free motions [1/s]
+    free_stiffness: Float  # of the arms' free motions [1/s^2]; 0: they are not held
+    squeezes: Flag  # whether there are internal forces
+    # see multiarm.control.squeeze
+    forces_of_contacts: Floats1  # (N,) [N]
+    wrenches_of_arms: Floats2  # (n, 6) object axes [N, N m]
+    # see multiarm.control.object_path.PosePath
+    times: Floats1
+    positions: Floats2
+    shifts: Floats2
+    quaternions: Floats2
+    turns: Floats2
+
+
+class ObjectCommand(NamedTuple):
+    """What a law commands, and what its derivative needs."""
+
+    acceleration: Floats1  # (6,) of the object; of an impedance zero
+    preferred: Floats1  # (n,) joint accelerations of the free motions
+    a_j: Floats1  # (n,) the nearest ones that the joints allow
+    target: Floats1  # (N,) of these: W^T q''
+    multipliers: Floats1  # (N,) M (q'' - preferred) = W multipliers
+    independent: Ints1  # (1,) whether every arm's targets are
+    derivatives: Ints1  # (3,) see multiarm.control.command_derivatives
+
+    @classmethod
+    def of(cls, data: Data) -> ObjectCommand:
+        """Allocate for some data."""
+        joints, contacts = data.model.layout.joints, data.model.layout.contacts
+        return cls(
+            acceleration=np.zeros(6),
+            preferred=np.zeros(joints),
+            a_j=np.zeros(joints),
+            target=np.zeros(contacts),
+            multipliers=np.zeros(contacts),
+            independent=np.zeros(1, dtype=np.int64),
+            derivatives=np.zeros(3, dtype=np.int64),
+        )
+
+
+open_object_law = view_of_law(ObjectLaw)
+open_command = view_of_work(ObjectCommand, ObjectLaw)
