@@ -24,6 +24,7 @@ import numpy as np
 from multiarm.arms.terms import ArmStructure
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, TABLE, allocating, copy, inlined, kernel
+from multiarm.jit.vectors import compose, rotation_vector
 
 # A posture reaches a place when shift, in lengths of the search, and turn [rad] are off by less.
 REACHED = 1e-8
@@ -177,37 +178,9 @@ def largest(vector):
 @inlined
 def turn_between(a, b):
     """Rotation vector from the orientation in a pose to that in another, world axes [rad]."""
-    x = y = z = trace = 0.0
-    for k in range(3):  # of the product R = R_b R_a^T
-        x += b[2, k] * a[1, k] - b[1, k] * a[2, k]
-        y += b[0, k] * a[2, k] - b[2, k] * a[0, k]
-        z += b[1, k] * a[0, k] - b[0, k] * a[1, k]
-        trace += b[0, k] * a[0, k] + b[1, k] * a[1, k] + b[2, k] * a[2, k]
-    sine = math.sqrt(x * x + y * y + z * z)
-    if sine == 0.0 and trace < 0.0:
-        return half_turn_between(a, b)
-    factor = 0.5 if sine == 0.0 else math.atan2(sine, trace - 1.0) / sine
-    return factor * x, factor * y, factor * z
-
-
-@inlined
-def half_turn_between(a, b):
-    """The same of orientations half a turn apart: R + 1 is twice the square of its axis."""
-    i, most = 0, -1.0
-    for j in range(3):
-        diagonal = b[j, 0] * a[j, 0] + b[j, 1] * a[j, 1] + b[j, 2] * a[j, 2]
-        if diagonal > most:
-            i, most = j, diagonal
-    x = y = z = 0.0
-    for k in range(3):
-        x += b[0, k] * a[i, k]
-        y += b[1, k] * a[i, k]
-        z += b[2, k] * a[i, k]
-    x += 1.0 if i == 0 else 0.0
-    y += 1.0 if i == 1 else 0.0
-    z += 1.0 if i == 2 else 0.0
-    factor = math.pi / math.sqrt(x * x + y * y + z * z)
-    return factor * x, factor * y, factor * z
+    back = (a[0, 0], a[0, 1], a[0, 2]), (a[1, 0], a[1, 1], a[1, 2]), (a[2, 0], a[2, 1], a[2, 2])
+    B = (b[0, 0], b[1, 0], b[2, 0]), (b[0, 1], b[1, 1], b[2, 1]), (b[0, 2], b[1, 2], b[2, 2])
+    return rotation_vector(compose(B, back))
 
 
 @kernel

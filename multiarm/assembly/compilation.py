@@ -560,7 +560,9 @@ def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, St
     unilateral, closed = data.model.unilateral, data
     if unilateral is not None:
         closed = data.view(data.model.select(unilateral.assembled))
-    closed.model = replace(closed.model, unilateral=None, pair_places=locate_pairs(closed, written))
+    places = locate_pairs(closed, written)
+    data.model = replace(data.model, pair_places=places)
+    closed.model = replace(closed.model, pair_places=places, unilateral=None)
     closed.set_state(0.0, written)
     start, report = close_start(closed, scene)
     check_patches(closed, start)

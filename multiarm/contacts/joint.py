@@ -30,12 +30,11 @@ from multiarm.jit.vectors import (
     add_cross,
     compose,
     cross,
-    norm,
     put,
     rotate,
     rotate_back,
     rotation,
-    scale,
+    rotation_vector,
     sub,
     vec,
 )
@@ -129,6 +128,11 @@ class Limit:
         return self.component >= 3
 
     @property
+    def along_axis(self) -> bool:
+        """Whether it is the motion along, or about, the joint's axis z."""
+        return self.component % 3 == 2
+
+    @property
     def motion(self) -> str:
         """Name of the motion, such as ``turn about z``."""
         return f"{'turn about' if self.turns else 'slide along'} {'xyz'[self.component % 3]}"
@@ -204,12 +208,10 @@ def write_relative(frame, link, body, rates, places):
     put(places, 0, rotate_back(J, x))
     put(rates, 0, rotate_back(J, v))
     put(rates, 3, rotate_back(J, sub(omega_m, omega_o)))
-    # R = exp(theta): its skew part is 2 sin |theta| along theta, its trace 1 + 2 cos |theta|; the
-    # turn about one axis alone needs that axis's entry and two of the diagonal
     X, Y, Z = rotate_back(J, M[0]), rotate_back(J, M[1]), rotate_back(J, M[2])
+    put(places, 3, rotation_vector((X, Y, Z)))
+    # the turn about one axis alone needs that axis's entry of the skew part and two of the diagonal
     q = (Y[2] - Z[1], Z[0] - X[2], X[1] - Y[0])
-    sine, cosine = 0.5 * norm(q), 0.5 * (X[0] + Y[1] + Z[2] - 1.0)
-    put(places, 3, scale(0.5 if sine < 1e-12 else 0.5 * math.atan2(sine, cosine) / sine, q))
     places[6] = math.atan2(q[0], Y[1] + Z[2])
     places[7] = math.atan2(q[1], X[0] + Z[2])
     places[8] = math.atan2(q[2], X[0] + Y[1])

@@ -90,9 +90,6 @@ def _stamp_of_module(file: Path) -> str:
     return _stamp([file])
 
 
-_MAKING = threading.Lock()
-
-
 class Kernel:
     """A compiled function: whole when it is called from Python, part of others when from kernels.
 
@@ -114,22 +111,28 @@ class Kernel:
         self._numba_type_ = self._part._numba_type_  # Numba reads the type of a global here
         self._whole: Any = None
         self._wait: Callable[[], object] | None = None
+        self._making = threading.Lock()
 
     @property
     def whole(self) -> Any:
         """Numba's dispatcher of the function as a whole, cached while its sources are the same."""
-        with _MAKING:  # threads must not make two
+        if self._whole is None or self._wait is not None:
+            self._make_whole()
+        return self._whole
+
+    def _make_whole(self) -> None:
+        """Make the dispatcher, or wait for who compiles it: one thread does, others wait for it."""
+        with compiling(), self._making:
             if self._wait is not None:
-                with compiling():
-                    self._wait()
+                self._wait()
                 self._wait = None
             if self._whole is None:
-                self._whole = njit(cache=True, **WHOLE, **self._options)(self.py_func)
-                file = _cache_file(self._whole)
+                whole: Any = njit(cache=True, **WHOLE, **self._options)(self.py_func)
+                file = _cache_file(whole)
                 file._source_stamp = self._stamp
                 file._load_index = _or_nothing(file._load_index)
                 file._load_data = _or_missing(file._load_data)
-        return self._whole
+                self._whole = whole
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the whole, or a plain kernel's Python."""

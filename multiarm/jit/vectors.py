@@ -17,6 +17,10 @@ import math
 from multiarm.jit.kernels import fused, inlined
 
 ZERO = (0.0, 0.0, 0.0)
+AXES = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+# Below this size of the skew part near half a turn, its direction has lost too many digits.
+HALF_TURN = 1e-4
 
 
 @inlined
@@ -150,6 +154,28 @@ def rotate_back(R, a):
 def compose(R, Q):
     """``R Q``."""
     return rotate(R, Q[0]), rotate(R, Q[1]), rotate(R, Q[2])
+
+
+@inlined
+def rotation_vector(R):
+    """Rotation vector ``theta`` of a rotation ``exp(theta)``, up to half a turn [rad].
+
+    The skew part is ``2 sin |theta|`` along it, the trace ``1 + 2 cos |theta|``.  Near half a turn,
+    where the skew part vanishes, it lies along each column of the symmetric part less
+    ``cos |theta|``; the largest one tells it best.
+    """
+    x, y, z = R
+    q, c = (y[2] - z[1], z[0] - x[2], x[1] - y[0]), x[0] + y[1] + z[2] - 1.0
+    size = norm(q)
+    angle = math.atan2(size, c)
+    if c < 0.0 and size < HALF_TURN:
+        k = 0
+        if y[1] > x[0] or z[2] > x[0]:
+            k = 1 if y[1] > z[2] else 2
+        unit = AXES[k]
+        along = add_scaled(add(R[k], rotate_back(R, unit)), -c, unit)
+        return scale((angle if dot(along, q) >= 0.0 else -angle) / norm(along), along)
+    return scale(0.5 if size == 0.0 else angle / size, q)
 
 
 @fused

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.start_warnings import start_warnings
-from multiarm.contacts.joint import axis_travel, limits_of
+from multiarm.contacts.joint import JointFrame, limits_of, write_relative
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import (
@@ -34,7 +34,6 @@ from multiarm.dynamics.evaluation import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
@@ -43,7 +42,7 @@ from multiarm.results.trajectory import plain
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance
-from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
+from multiarm.spatial import matrix_to_quaternion
 
 # A relative pivot is the squared sine of an angle: below half a degree contact directions are
 # nearly dependent, at roundings there is a direction in which the arm does not move at all.
@@ -186,6 +185,7 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         closed = data.with_contacts_closed()
         _place_at_start(closed, system)
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
+        coordinates = _joint_coordinates(closed)
         freedom = None if unknown_joints else count_freedom(closed)
     return Inspection(
         scene=scene.name,
@@ -193,7 +193,7 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         object=_object_facts(scene.object),
         arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
         joints=[
-            _joint_facts(system, joint, terms[joint.arm])
+            _joint_facts(system, joint, terms[joint.arm], coordinates[joint.arm])
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
             if joint.arm not in unknown_joints
         ],
@@ -350,7 +350,9 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
     return spec.file.name
 
 
-def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> JointFacts:
+def _joint_facts(
+    system: System, joint: JointSpec, terms: ContactTerms, coordinates: np.ndarray
+) -> JointFacts:
     frame = system.frames[joint.arm]
     names = [contact.name for contact in system.model.joints[joint.arm].contacts]
     motions = free_motions(wrenches_in_frame(frame.on_object, terms.W_o))
@@ -365,28 +367,31 @@ def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> Joint
         ],
         free_motions=motions.words(),
         coordinates=list(frame.labels),
-        limits=_limit_facts(system, joint, system.initial_state()),
+        limits=_limit_facts(joint, frame, coordinates),
     )
 
 
-def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFacts]:
-    frame, object_pose = system.frames[joint.arm], np.eye(4)
-    object_pose[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw)
-    object_pose[:3, 3] = state.object_position
-    tip_pose = system.arms[joint.arm].tip_pose(state.joint_positions[joint.arm])
-    turn, slide = axis_travel(
-        (object_pose @ frame.on_object)[None], (tip_pose @ frame.on_tip)[None]
-    )
+def _limit_facts(joint: JointSpec, frame: JointFrame, coordinates: np.ndarray) -> list[LimitFacts]:
+    places = dict(zip(frame.free, frame.places, strict=True))
     return [
         LimitFacts(
             coordinate=limit.motion,
             unit=limit.unit,
             low=limit.low,
             high=limit.high,
-            start=float((turn if limit.turns else slide)[0]),
+            start=float(coordinates[places.get(limit.component, limit.component)]),
         )
         for limit in limits_of(joint)
     ]
+
+
+def _joint_coordinates(data: Data) -> dict[str, np.ndarray]:
+    """What :func:`write_relative` writes, of each joint by its arm."""
+    frames, b, coordinates = data.model.constants.frames, data.arrays, {}
+    for i, arm in enumerate(data.model.arm_names):
+        coordinates[arm] = np.zeros(9)
+        write_relative(frames[i], b.arms[i], b.body, np.zeros(6), coordinates[arm])
+    return coordinates
 
 
 def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:

@@ -214,7 +214,8 @@ class Stepper:
             For torques that do not fit the arms.
         SolverError
             When the motion cannot go on, with the place and a remedy; the stepper stays at the end
-            of the last good step.  It can be advanced with other torques from there, or be reset.
+            of the last good step.  It can be advanced with other torques from there, or be reset;
+            after an event that cannot be handled it has to be reset.
         """
         if not isinstance(duration, Real) or not 0.0 < duration < math.inf:
             raise SolverError(

@@ -375,6 +375,7 @@ def _hinges(
     dials = tuple(
         Dial(limit.turns, (limit.low, limit.high), turn if limit.turns else slide)
         for limit in limits_of(joint)
+        if limit.along_axis
     )
     place = placed(on_object @ _turned_outwards(frame.on_object))
     return [HingeTracks(joint.arm, joint.arm, joint.drawn_as, color, *place, dials)]

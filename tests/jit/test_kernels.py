@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import math
 import os
 import subprocess
 import sys
@@ -15,10 +16,11 @@ import numpy as np
 import pytest
 from mechanics import data_of
 from repository import ROOT
+from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.errors import MultiarmError
-from multiarm.jit import kernels
+from multiarm.jit import kernels, vectors
 from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
 from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, kernel, kernel_modules
 from multiarm.jit.pointers import address_of
@@ -308,3 +310,23 @@ def test_a_process_that_fails_is_an_error_and_no_obstacle(monkeypatch, capfd):
     compile_ahead(doubled)
     assert doubled(2.0) == 4.0
     assert "No module named 'no_such_module'" in capfd.readouterr().err
+
+
+# --- rotations ------------------------------------------------------------------------------------
+
+
+@kernel
+def write_rotation_vector(matrix: NUMBERS, vector: NUMBERS):
+    """Of a rotation that stands row by row."""
+    vectors.put(vector, 0, vectors.rotation_vector(vectors.rotation(matrix, 0)))
+
+
+@pytest.mark.parametrize("missing", [math.pi, 1.0, 1e-3, 1e-5, 1e-9, 1e-13, 0.0])
+def test_a_rotation_vector_is_right_up_to_half_a_turn(missing, rng):
+    """Its exponential is the rotation; at half a turn either direction is right."""
+    written = np.empty(3)
+    for axis in [*np.eye(3), *-np.eye(3), *rng.normal(size=(20, 3))]:
+        R = Rotation.from_rotvec((math.pi - missing) * axis / np.linalg.norm(axis)).as_matrix()
+        write_rotation_vector(R.ravel(), written)
+        assert np.linalg.norm(written) == pytest.approx(math.pi - missing, abs=1e-12)
+        assert Rotation.from_rotvec(written).as_matrix() == pytest.approx(R, abs=1e-11)

@@ -32,6 +32,7 @@ from multiarm.scene import (
     named_code,
     parse_scene,
 )
+from multiarm.simulation.inspection import inspect_system
 from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context
@@ -135,6 +136,34 @@ def touching(geometry: dict, **more) -> dict:
     """A joint of a fingertip on a surface about the joint frame."""
     contact = {"arm": {"sphere": {"radius": 0.01, "center": [0, 0, 0.06]}}, "object": geometry}
     return {"kind": "contacts", "at": {"xyz": [-0.6, 0, 0]}, "contacts": [{**contact, **more}]}
+
+
+class Rail(ma.Joint):
+    """Slides along x, not along the axis z, from some way on."""
+
+    example = """
+    reach: [-0.1, 0.2]
+    at: {xyz: [0, 0, 0]}"""
+    free = (0,)
+    limited: ClassVar[dict[str, int]] = {"reach": 0}
+
+    kind: Literal["rail"] = "rail"
+    reach: tuple[float, float] | None = None
+    begin: float = 0.0
+
+    def records(self):
+        """Two points on a line along x, and one beside it."""
+        places = {"y": ([0, 0, 0], [0.1, 0, 0]), "z": ([0, 0, 0], [0.1, 0, 0], [0, 0.1, 0])}
+        normals = {"y": [0, 1, 0], "z": [0, 0, 1]}
+        return [
+            Contact(f"{axis} {k}", point(at), plane(at, normals[axis]))
+            for axis, points in places.items()
+            for k, at in enumerate(points)
+        ]
+
+    def offset(self):
+        """Of the object from the tip, along the rail."""
+        return np.array([self.begin, 0.0, 0.0])
 
 
 # --- mechanics ------------------------------------------------------------------------------------
@@ -480,6 +509,15 @@ class Flat(ma.Surface):
 def test_a_class_that_lacks_something_cannot_be_registered(register, own):
     with refused(ma.MultiarmError, own.__name__):
         register(own)
+
+
+def test_where_a_limited_slide_across_the_axis_begins():
+    ma.register_joint(Rail)
+    left = {"kind": "rail", "reach": [-0.1, 0.2], "begin": 0.03}
+    inspection = inspect_system(ma.compile_system(scene_of(left)))
+    (limit,) = inspection.joints[0].limits
+    assert (limit.coordinate, limit.unit) == ("slide along x", "m")
+    assert limit.start == pytest.approx(-0.03, abs=1e-12)
 
 
 def test_names_that_are_taken_are_refused():
