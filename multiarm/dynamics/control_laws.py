@@ -50,7 +50,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -58,9 +58,6 @@ from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel, inlined
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import make_struct, misfit, struct_of, view_at
-
-if TYPE_CHECKING:
-    from multiarm.dynamics.model import Data
 
 # ``Constants.control`` without a law.
 NO_CONTROL = np.zeros((0, 3), dtype=np.int64)
@@ -116,7 +113,7 @@ class ControlLaw:
     numbers: Any = ()
     derivative: Kernel | None = None
     work: Any = None
-    prepare: Callable[[Data, Any], None] | None = None
+    prepare: Callable[[Any, Any], None] | None = None
 
     @cached_property
     def struct(self) -> np.ndarray:
@@ -142,14 +139,6 @@ class ControlLaw:
             raise ModelError(f"{who} returned a law with wrong numbers: {fault}")
         if not all(np.all(np.isfinite(entry)) for entry in self.numbers):
             raise ModelError(f"{who} returned a law with numbers that are not finite")
-
-
-def prepare_derivatives(data: Data) -> None:
-    """Make what the derivatives of the laws need; to be called before they are taken."""
-    of_laws = data.of_laws
-    for law, work in zip(data.model.laws, of_laws.law_works, strict=True):
-        if law.prepare is not None:
-            law.prepare(of_laws, work)
 
 
 def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:

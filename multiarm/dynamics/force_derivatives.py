@@ -37,7 +37,6 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
-from multiarm.dynamics.control_laws import prepare_derivatives
 from multiarm.dynamics.coordinates import chart_places, force_columns, retract
 from multiarm.dynamics.equations import (
     command_torques,
@@ -88,6 +87,14 @@ def begin_differences(model, data, differences, h):
 def torques_are_held(model, data):
     """Whether the control is sampled, and this is not the time of a sample."""
     return model.sampled.shape[0] > 0 and data.sampling.due == HELD
+
+
+def prepare_derivatives(data: Data) -> None:
+    """Make what the derivatives of the laws need; to be called before they are taken."""
+    of_laws = data.of_laws
+    for law, work in zip(data.model.laws, of_laws.law_works, strict=True):
+        if law.prepare is not None:
+            law.prepare(of_laws, work)
 
 
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:

@@ -38,9 +38,9 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data
-from multiarm.dynamics.control_laws import prepare_derivatives
 from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.equation_derivatives import equation_work
+from multiarm.dynamics.force_derivatives import prepare_derivatives
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import NOT_FINITE, OK, SINGULAR
 from multiarm.integration.arm_blocks import (
