@@ -12,6 +12,7 @@ from itertools import combinations_with_replacement, permutations, product
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -107,11 +108,11 @@ def test_parts_of_faces_may_be_named():
     assert sorted(r.face for r in regions) == [0, 1]
     assert np.ptp(regions[0].inner, axis=0).max() == pytest.approx(0.1)
     assert [r.face for r in touch_regions(BLOCK, corner, 0.2, faces=[2, 5])[0]] == [2]
-    with pytest.raises(GraspError, match=r"faces 0 to 5, not 9"):
+    with refused(GraspError, "faces 0 to 5, not 9"):
         touch_regions(BLOCK, corner, 0.2, faces=[9])
-    with pytest.raises(GraspError, match=r"face 0: .* corners \(K, 3\)"):
+    with refused(GraspError, "face 0:", "corners (K, 3)"):
         touch_regions(BLOCK, corner, 0.2, faces={0: [1.0, 2.0]})
-    with pytest.raises(GraspError, match=r"do not go round"):
+    with refused(GraspError, "do not go round"):
         touch_regions(BLOCK, corner, 0.2, faces={0: square[[0, 2, 1, 3]]})
 
 
@@ -454,20 +455,20 @@ def test_fingers_and_places_may_be_given():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "place"),
     [
-        ({"fingers": (4, 4)}, r"seven contacts together, not \(4, 4\)"),
-        ({"gripper_size": 0.0}, r"gripper_size is a length"),
-        ({"gripper_size": np.inf}, r"gripper_size is a length"),
-        ({"tip_radius": -1.0}, r"tip_radius not negative"),
-        ({"gap": 0.0}, r"gap lies between 0 and 1"),
-        ({"nodes": 0}, r"nodes is positive"),
-        ({"places": [[0.0, 0.0, 0.0]]}, r"places have shape \(M, 3\), two at least"),
-        ({"faces": [0, 1, 2]}, r"no two places from which seven contacts can close"),
-        ({"tip_radius": 0.2}, r"no two places"),
-        ({"conditioning": 0.9, "nodes": 30}, r"floor of the conditioning was found"),
+        ({"fingers": (4, 4)}, "seven contacts together, not (4, 4)"),
+        ({"gripper_size": 0.0}, "gripper_size is a length"),
+        ({"gripper_size": np.inf}, "gripper_size is a length"),
+        ({"tip_radius": -1.0}, "tip_radius not negative"),
+        ({"gap": 0.0}, "gap lies between 0 and 1"),
+        ({"nodes": 0}, "nodes is positive"),
+        ({"places": [[0.0, 0.0, 0.0]]}, "places have shape (M, 3), two at least"),
+        ({"faces": [0, 1, 2]}, "no two places from which seven contacts can close"),
+        ({"tip_radius": 0.2}, "no two places"),
+        ({"conditioning": 0.9, "nodes": 30}, "floor of the conditioning was found"),
     ],
 )
-def test_impossible_searches_are_refused_with_a_reason(change, says):
-    with pytest.raises(GraspError, match=says):
+def test_impossible_searches_are_refused_with_a_reason(change, place):
+    with refused(GraspError, place):
         optimise_grasp(BLOCK, **{"gripper_size": REACH, **change})
