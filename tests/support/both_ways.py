@@ -19,6 +19,7 @@ import numpy as np
 
 import multiarm as ma
 from multiarm.arms.compiled.kernels import place_joint, update_arms
+from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.jit.kernels import kernel
 from multiarm.jit.simd import (
     LANES,
@@ -95,6 +96,16 @@ def gradient() -> golden.Results:
     }
 
 
+def posture() -> golden.Results:
+    """Inverse kinematics of an arm, from three starts."""
+    system = swinging("compiled")
+    arm = system.arms["arm0"]
+    place = arm.tip_pose(system.initial_state().joint_positions["arm0"])
+    reach = InverseKinematics(arm).search([place], np.random.default_rng(1), starts=3)
+    assert reach is not None, "the arm is there at the start"
+    return {"posture": reach.postures[0], "dexterity": reach.dexterity}
+
+
 @kernel
 def write_packs(source, out):
     """Every operation of packs, of 16 numbers."""
@@ -120,7 +131,7 @@ def packs() -> golden.Results:
 
 COMPUTATIONS: dict[str, Callable[[], golden.Results]] = {
     function.__name__: function
-    for function in (packs, step, ten_steps, implicit_steps, event, derivatives, gradient)
+    for function in (packs, posture, step, ten_steps, implicit_steps, event, derivatives, gradient)
 }
 
 
@@ -170,10 +181,6 @@ def lines_of_kernels() -> golden.Results:
     return {code.co_name: len(lines) for code, lines in seen.items()}
 
 
-SEARCHED = "two_arms_one_trunk.yaml"
-"""The scene whose postures are searched by interpreted kernels, and its path followed."""
-
-
 class EvaluatedCase(golden.Case):
     """A case as fast as its evaluations: what a compilation searches takes seconds, interpreted.
 
@@ -182,8 +189,6 @@ class EvaluatedCase(golden.Case):
 
     def scene(self) -> ma.Scene:
         scene = super().scene()
-        if self.source == SEARCHED:
-            return scene
         frozen = golden.load()[self.name]["results"]
         postures = {
             name: frozen[f"start/joint_positions/{name}"]["value"]
