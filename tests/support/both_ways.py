@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import event_scenes
@@ -181,6 +182,12 @@ def lines_of_kernels() -> golden.Results:
     return {code.co_name: len(lines) for code, lines in seen.items()}
 
 
+@cache
+def frozen_cases() -> dict[str, Any]:
+    """The frozen cases, read once: they are some megabytes."""
+    return golden.load()
+
+
 class EvaluatedCase(golden.Case):
     """A case as fast as its evaluations: what a compilation searches takes seconds, interpreted.
 
@@ -189,9 +196,9 @@ class EvaluatedCase(golden.Case):
 
     def scene(self) -> ma.Scene:
         scene = super().scene()
-        frozen = golden.load()[self.name]["results"]
+        results = frozen_cases()[self.name]["results"]
         postures = {
-            name: frozen[f"start/joint_positions/{name}"]["value"]
+            name: results[f"start/joint_positions/{name}"]["value"]
             for name, arm in scene.arms.items()
             if arm.posture == SOLVE
         }
@@ -216,9 +223,8 @@ def evaluated_cases() -> Iterator[golden.Case]:
 def main() -> None:
     """Print what the command line asks for."""
     if sys.argv[1] == "evaluations":
-        frozen = golden.load()
         for case in evaluated_cases():
-            _show(case.name, golden.measure(case, frozen[case.name]["states"])[0])
+            _show(case.name, golden.measure(case, frozen_cases()[case.name]["states"])[0])
         return
     for name, compute in COMPUTATIONS.items():
         _show(name, compute())
