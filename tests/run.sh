@@ -24,8 +24,12 @@ ruff format --check .
 codespell
 mypy
 
+# Beforehand: each of the workers would compile what it lacks, and two compile the same at once.
 echo "== compiling the kernels (once)"
-python examples/01_two_ur5_box.py
+case " $* " in
+*" --quick "*) python examples/01_two_ur5_box.py ;;
+*) multiarm warmup ;;
+esac
 
 echo "== tests"
 python -m pytest -n 2 "$@"

@@ -17,7 +17,7 @@ from study_samples import sample_accuracy
 
 from multiarm.cli import accuracy as command
 from multiarm.plots.style import PALETTE
-from multiarm.studies import work_precision
+from multiarm.studies import work_precision, work_precision_page
 from multiarm.studies.peers import PEERS
 from multiarm.studies.reference import QUANTITIES
 from multiarm.studies.settings import OURS, Setting, our_ladders
@@ -52,8 +52,8 @@ def two_ladders(monkeypatch):
 @pytest.mark.slow
 def test_a_scene_is_studied_drawn_and_written(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command_module, "REWRITE", 0.0)
-    monkeypatch.setattr(command_module, "SHARE", math.inf)
+    monkeypatch.setattr(command_module, "REWRITE", math.inf)  # one early page, and the last one
+    monkeypatch.setattr(work_precision_page, "inline_svg", lambda *_: "<svg></svg>")  # below
     early, make_reference = [], work_precision.make_reference
 
     def late(*words):

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
 import pytest
+from commands import command, figures
 from mechanics import UR5_POSTURE, single_arm
 from repository import SCENES
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.errors import GraspError
 from multiarm.grasp import Polyhedron
 from multiarm.grasp.scenes.judging import judge_grasp, read_grasp
@@ -25,11 +23,7 @@ CORNERS = SCENES / "corner_grippers_block.yaml"
 WELDED = SCENES / "two_ur5_box.yaml"
 HINGED = SCENES / "hinged_box.yaml"
 
-
-def grasp(*words: object, columns: int = 160):
-    """Call the command in this process, on a wide terminal."""
-    runner = CliRunner(env={"COLUMNS": str(columns)})
-    return runner.invoke(app, ["grasp", *(str(word) for word in words)])
+grasp = command("grasp", 160)
 
 
 def held_by(joint):
@@ -40,13 +34,6 @@ def held_by(joint):
 def pose_of(X):
     quaternion = Rotation.from_matrix(X[:3, :3]).as_quat()
     return {"xyz": X[:3, 3].tolist(), "quaternion_xyzw": quaternion.tolist()}
-
-
-def finite_json(path):
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} in the JSON")
-
-    return json.loads(path.read_text(), parse_constant=refuse)
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +186,7 @@ def test_check_tells_verdict_regions_and_stability(designed, tmp_path):
     result = grasp("check", path, "--json", target)
     assert result.exit_code == 0, result.output
     assert "7 contacts hold the body: form closure" in result.stdout
-    told = finite_json(target)
+    told = figures(target)
     assert told["closed"]
     assert told["only_pushes"]
     assert told["immobility_order"] == 1

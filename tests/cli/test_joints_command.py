@@ -8,9 +8,8 @@ import re
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
+from commands import command
 
-from multiarm.cli import app
 from multiarm.cli.joint_cards import joint_section, surface_section
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, Joint, parse_scene
@@ -38,9 +37,7 @@ FREE_MOTIONS = {
 }
 LENGTHS = {"size", "radius", "tip_radius", "circle_radius", "tube_radius", "length"}
 
-
-def multiarm(*words: object):
-    return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "100"})
+joints = command("joints", 100)
 
 
 def flowing(text: str) -> str:
@@ -160,7 +157,7 @@ def test_contacts_are_told_from_the_records(cards):
 
 
 def test_list_shows_every_kind_with_its_picture(cards):
-    result = multiarm("joints")
+    result = joints()
     assert result.exit_code == 0, result.output
     for kind, card in cards.items():
         assert kind in result.stdout
@@ -171,7 +168,7 @@ def test_list_shows_every_kind_with_its_picture(cards):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_one_kind_is_shown_in_full(kind, cards):
-    result = multiarm("joints", kind)
+    result = joints(kind)
     assert result.exit_code == 0, result.output
     assert flowing(cards[kind].example) in flowing(result.stdout)
     for parameter in (*cards[kind].parameters, *parameters_of(Joint)):
@@ -180,7 +177,7 @@ def test_one_kind_is_shown_in_full(kind, cards):
 
 
 def test_surfaces_are_a_section_of_their_own():
-    result = multiarm("joints", "surfaces")
+    result = joints("surfaces")
     assert result.exit_code == 0, result.output
     for word in (*SURFACES, "half_angle", "rolling", "patch"):
         assert word in result.stdout
@@ -188,30 +185,30 @@ def test_surfaces_are_a_section_of_their_own():
 
 
 def test_one_surface_is_shown_in_full():
-    result = multiarm("joints", "cone")
+    result = joints("cone")
     assert result.exit_code == 0, result.output
     assert "half_angle" in result.stdout and "rad" in result.stdout and "funnel" in result.stdout
     assert "doughnut" not in result.stdout
 
 
 def test_unknown_kind_names_the_alternatives():
-    result = multiarm("joints", "revolut")
+    result = joints("revolut")
     assert result.exit_code == 2
     assert "unknown joint kind 'revolut'; did you mean 'revolute'?" in result.stderr
     assert "'prismatic'" in result.stderr
 
 
 def test_json_holds_what_is_shown(tmp_path, cards):
-    assert multiarm("joints", "--json", tmp_path / "all.json").exit_code == 0
+    assert joints("--json", tmp_path / "all.json").exit_code == 0
     found = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
     assert set(found) == {"joints", "surfaces"}
     assert set(found["joints"]) == set(cards) and set(found["surfaces"]) == set(SURFACES)
     assert found["joints"]["universal"]["rows"] == 4
-    assert multiarm("joints", "ball", "--json", tmp_path / "one.json").exit_code == 0
+    assert joints("ball", "--json", tmp_path / "one.json").exit_code == 0
     one = json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))
     assert one == {"joints": {"ball": found["joints"]["ball"]}, "surfaces": {}}
 
 
 def test_file_that_cannot_be_written_is_found_first(tmp_path):
-    result = multiarm("joints", "--json", tmp_path / "no" / "a.json")
+    result = joints("--json", tmp_path / "no" / "a.json")
     assert result.exit_code == 2 and "there is no folder" in result.stderr

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import multiarm
 from jsonschema import Draft202012Validator
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.errors import SceneError
 from multiarm.problems.first_scene import SOLIDS, first_scene
 from multiarm.scene import parse_scene
@@ -20,7 +19,7 @@ from multiarm.scene.loading import parse_yaml
 
 
 def new(*words: object):
-    return CliRunner().invoke(app, ["new", *(str(word) for word in words)])
+    return multiarm("new", *words)
 
 
 def made(path: Path, *words: object) -> ma.System:

@@ -19,7 +19,6 @@ from mechanics import planar_pair
 from repository import ROOT, SCENES
 from rich.console import Console
 from typer.main import get_command
-from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app, check, run
@@ -200,6 +199,7 @@ def test_json_of_a_run_is_what_the_help_promises(finished):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_an_object_without_a_shape_goes_through_all_commands(tmp_path):
     """Mass and inertia are all that its motion needs."""
     body = {"mass": 20.0, "inertia": [0.9, 2.7, 3.0], "pose": {"xyz": [0, 0, 0.5]}}
@@ -417,7 +417,7 @@ def test_tables_fit_eighty_columns_without_breaking_words(words, monkeypatch):
     printed = []
     for width in ("80", "1000"):
         monkeypatch.setenv("COLUMNS", width)
-        result = CliRunner().invoke(app, [str(word) for word in words])
+        result = multiarm(*words)
         assert result.exit_code == 0, result.output
         printed.append(result.stdout)
     assert max(len(line.rstrip()) for line in printed[0].splitlines()) <= 80
@@ -702,6 +702,7 @@ def test_files_that_are_no_results_are_refused(command, finished, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_pages_are_written_from_a_result(finished, tmp_path):
     folder, _ = finished
     page = tmp_path / "page.html"

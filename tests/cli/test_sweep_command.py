@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from commands import multiarm
 from repository import SCENES
 from rich.console import Console
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.cli.sweep import spread_table, trouble_lines
 from multiarm.sweeps.quantities import measure
 from multiarm.sweeps.result import Failure, SweepSummary, load_sweep
@@ -49,11 +48,6 @@ def killing(trajectory):
     return 1.0
 """
 MEASURED = ("wall_time", "worker")
-
-
-def multiarm(*words: object):
-    """Call the program in this process, on a terminal of usual width."""
-    return CliRunner(env={"COLUMNS": "80"}).invoke(app, [str(word) for word in words])
 
 
 def same_table(folder: Path, expected: Path) -> bool:
@@ -252,6 +246,7 @@ def test_a_run_made_once_more_is_the_run_that_was_made(made):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_is_replayed_and_reported_by_its_number(made, tmp_path):
     sweep, html = made[0] / "m.sweep", tmp_path / "r.html"
     called = multiarm("replay", sweep, "--run", 3, "--html", html)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from commands import multiarm
 from loose_scenes import ball_on_cart, body_and_cart, cart_with_box, happened
 from mechanics import ur5_pair
 from repository import SCENES
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.events.evaluation import evaluate_mode, mode_at
 from multiarm.simulation.inspection import inspect_system
 
@@ -234,11 +233,10 @@ def test_the_commands_take_such_scenes(tmp_path):
 
     path = tmp_path / "box.yaml"
     path.write_text(dump_scene(ma.Scene(**sliding_box(tmp_path, run={"duration": 0.2}))))
-    runner = CliRunner()
-    checked = runner.invoke(app, ["check", str(path)])
+    checked = multiarm("check", path)
     assert checked.exit_code == 0, checked.output
     assert "unilateral" in checked.output
-    ran = runner.invoke(app, ["run", str(path), "--out", str(tmp_path / "box.h5")])
+    ran = multiarm("run", path, "--out", tmp_path / "box.h5")
     assert ran.exit_code == 0, ran.output
     loaded = ma.load_trajectory(tmp_path / "box.h5")
     assert loaded.contact_forces["floor"].shape[1] == 24

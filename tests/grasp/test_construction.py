@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import WORKED
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
@@ -179,11 +180,11 @@ def test_the_grippers_hold_every_block_above_the_smallest(A, ratio, beyond, fact
 
 
 def test_what_holds_by_less_than_rounding_is_refused():
-    with pytest.raises(GraspError, match="hangs on rounding"):
+    with refused(GraspError, "hangs on rounding"):
         block_design(1.0, 0.5, 1.0 + 1e-10).grasp([10.0, 10.0, 10.0])
     holds = design_block_grasp([1.0, 1.0, 1.0])
     assert proven(holds, True) is holds
-    with pytest.raises(GraspError, match="hangs on rounding: choose others"):
+    with refused(GraspError, "hangs on rounding: choose others"):
         proven(holds, False, "choose others")
 
 
@@ -219,12 +220,12 @@ def test_any_corner_and_order_of_faces_holds_a_block():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "place"),
     [
         (lambda: block_design(0.1, 0.1), "both 0.1 m"),
         (lambda: block_design(0.1, 0.05, 0.1), "closed only beyond"),
         (lambda: block_design(0.1, 0.15, 0.15), "lies toward the edge"),
-        (lambda: block_design(0.1, 0.25), "below 2 A|closed only beyond"),
+        (lambda: block_design(0.1, 0.25), "contact 7"),
         (lambda: block_design(-0.1), "are positive"),
         (lambda: block_design(0.1, 0.05, np.nan), "distance is a finite length"),
         (lambda: design_block_grasp(WIDE["wedge"]), "construction for blocks needs one"),
@@ -232,8 +233,8 @@ def test_any_corner_and_order_of_faces_holds_a_block():
         (lambda: design_block_grasp([1, 1, 1], offset=0.6), "edge x is 1 m, more than 1.5 m"),
     ],
 )
-def test_blocks_and_lengths_that_do_not_go_together_are_refused(make, words):
-    with pytest.raises(GraspError, match=words):
+def test_blocks_and_lengths_that_do_not_go_together_are_refused(make, place):
+    with refused(GraspError, place):
         make()
 
 
@@ -337,23 +338,23 @@ def test_gripper_size_is_what_was_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "place"),
     [
         (lambda: design_parallel_grasp(WIDE["wedge"]), "three pairs of parallel faces are needed"),
-        (lambda: design_parallel_grasp(oblique(1), faces=(0, 1, 3)), "do not meet|no corner"),
+        (lambda: design_parallel_grasp(oblique(1), faces=(0, 1, 3)), "faces (0, 1, 3)"),
         (lambda: design_parallel_grasp(oblique(1), gripper_size=5.0), "too large for the object"),
         (lambda: design_parallel_grasp(oblique(1), gripper_size=-1.0), "positive length"),
         (lambda: design_parallel_grasp(oblique(1), offsets=(0.1, 0.1, 0.1, 0.1)), "one point"),
         (lambda: design_parallel_grasp(oblique(1), distance=1e-4), "closed only beyond"),
     ],
 )
-def test_parallelepipeds_and_lengths_that_do_not_go_together_are_refused(make, words):
-    with pytest.raises(GraspError, match=words):
+def test_parallelepipeds_and_lengths_that_do_not_go_together_are_refused(make, place):
+    with refused(GraspError, place):
         make()
 
 
 def test_left_handed_faces_are_refused():
-    with pytest.raises(GraspError, match="exchange front and side"):
+    with refused(GraspError, "exchange front and side"):
         parallel_design(BOX, (1, 0, 2), (4, 3, 5), (0.1, 0.1, 0.2, 0.1))
 
 
@@ -449,9 +450,9 @@ def test_every_hull_is_held_of_any_size_anywhere(seed, factor):
 
 def test_wider_construction_refuses_what_is_not_of_the_class():
     tetrahedron = Polyhedron.hull(np.vstack([np.eye(3), np.zeros(3)]))
-    with pytest.raises(GraspError, match="does not fit: a tetrahedron"):
+    with refused(GraspError, "does not fit: a tetrahedron"):
         design_wide_grasp(tetrahedron)
-    with pytest.raises(GraspError, match="class with grippers of 0"):
+    with refused(GraspError, "class with grippers of 0"):
         design_wide_grasp(WIDE["octahedron"], gripper_size=0.01)
 
 
@@ -576,7 +577,7 @@ def test_contacts_beside_their_faces_are_refused():
     frames = [gripper.frame for gripper in grasp.grippers]
     points = grasp.contacts.points.copy()
     points[1, 0] = 0.75
-    with pytest.raises(GraspError, match=r"contact 2 would be 0\.15 m outside \+y"):
+    with refused(GraspError, "contact 2 would be 0.15 m outside +y"):
         assembled(grasp.body, points, grasp.faces, [(0, 1, 2, 6), (3, 4, 5)], frames)
 
 
@@ -604,12 +605,12 @@ def test_a_body_that_may_be_a_round_one_is_held_with_a_word_about_it():
 def test_bodies_of_revolution_are_refused_for_what_they_stand_for(sides):
     angles = 2.0 * np.pi * np.arange(sides) / sides
     body = Polyhedron.prism(np.column_stack([np.cos(angles), np.sin(angles)]), 2.0)
-    with pytest.raises(GraspError, match="one of revolution about the axis"):
+    with refused(GraspError, "one of revolution about the axis"):
         design_grasp(body.placed(pose_of(1, 3.0)))
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "place"),
     [
         (lambda: design_grasp(WIDE["wedge"], offset=0.1), "construction for blocks"),
         (lambda: design_grasp([1, 2, 3]), "Polyhedron is needed, not list"),
@@ -622,13 +623,13 @@ def test_bodies_of_revolution_are_refused_for_what_they_stand_for(sides):
         (lambda: design_grasp(WIDE["octahedron"], gripper_size=0.01), "smallest grippers found"),
     ],
 )
-def test_questions_without_a_grasp_are_refused(make, words):
-    with pytest.raises(GraspError, match=words):
+def test_questions_without_a_grasp_are_refused(make, place):
+    with refused(GraspError, place):
         make()
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "place"),
     [
         (
             lambda: design_parallel_grasp(WIDE["wedge"].vertices),
@@ -636,7 +637,7 @@ def test_questions_without_a_grasp_are_refused(make, words):
         ),
         (lambda: design_parallel_grasp(BOX, offsets=(0.1, 0.1, 0.1)), "four lengths E, F, G1, G2"),
         (lambda: design_parallel_grasp(BOX, offsets=0.1), "four lengths E, F, G1, G2"),
-        (lambda: design_parallel_grasp(BOX, offsets=(0.1, 0.1, "a", 0.1)), "finite length.* 'a'"),
+        (lambda: design_parallel_grasp(BOX, offsets=(0.1, 0.1, "a", 0.1)), "'a'"),
         (lambda: design_parallel_grasp(BOX, distance="a"), "finite length in metres, not 'a'"),
         (lambda: design_parallel_grasp(BOX, gripper_size="a"), "finite length in metres, not 'a'"),
         (lambda: design_block_grasp(BOX, offset="a"), "the offset is a finite length"),
@@ -650,8 +651,8 @@ def test_questions_without_a_grasp_are_refused(make, words):
         (lambda: design_grasp([1, 1, 1]), "Polyhedron is needed, not list"),
     ],
 )
-def test_lengths_that_are_none_are_refused_in_words(make, words):
-    with pytest.raises(GraspError, match=words):
+def test_lengths_that_are_none_are_refused_in_words(make, place):
+    with refused(GraspError, place):
         make()
 
 

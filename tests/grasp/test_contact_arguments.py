@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import multiarm as ma
 from multiarm.errors import GraspError
@@ -64,12 +65,12 @@ def test_what_has_contacts_is_asked_as_its_contacts_are(name):
 def test_what_has_no_contacts_is_refused_in_words(name):
     _, ask = QUESTIONS[name]
     for none, what in ((GRASP.contacts.points, "ndarray"), (Held([1, 2]), "Held"), (None, "None")):
-        with pytest.raises(GraspError, match=rf"Contacts\(points, normals\).* not {what}"):
+        with refused(GraspError, f"not {what}"):
             ask(none)
 
 
 def test_regions_of_each_contact_are_asked_of_a_grasp():
-    with pytest.raises(GraspError, match=r"need a Grasp.* not Contacts; seventh_contact_region"):
+    with refused(GraspError, "not Contacts", "seventh_contact_region"):
         ma.grasp.own_regions(GRASP.contacts)
 
 
@@ -86,10 +87,10 @@ def test_contacts_are_chosen_by_numbers_or_by_truth_values():
 
 
 @pytest.mark.parametrize(
-    ("chosen", "words"),
+    ("chosen", "place"),
     [
-        ([9], r"numbers 0 to 6; got \[9\]"),
-        ([-1], r"numbers 0 to 6; got \[-1\]"),
+        ([9], "numbers 0 to 6; got [9]"),
+        ([-1], "numbers 0 to 6; got [-1]"),
         ([True, False], "7 contacts must have as many truth values, not 2"),
         ([False] * 7, "none was chosen"),
         ([], "none was chosen"),
@@ -97,8 +98,8 @@ def test_contacts_are_chosen_by_numbers_or_by_truth_values():
         (["a"], "whole numbers"),
     ],
 )
-def test_contacts_that_there_are_not_cannot_be_chosen(chosen, words):
-    with pytest.raises(GraspError, match=words):
+def test_contacts_that_there_are_not_cannot_be_chosen(chosen, place):
+    with refused(GraspError, place):
         GRASP.contacts.subset(chosen)
 
 
@@ -134,7 +135,7 @@ def test_every_part_of_the_package_tells_the_same_rank(gap):
         if independent:
             ask(six)
         else:
-            with pytest.raises(GraspError, match=r"rank|dependent"):
+            with refused(GraspError):
                 ask(six)
 
 
@@ -145,11 +146,11 @@ def test_the_gaps_lie_on_both_sides_of_the_border():
 
 def test_the_advice_about_a_missing_rank_holds():
     six = nearly_dependent(0.0)
-    with pytest.raises(GraspError, match=r"independence says what depends on what"):
+    with refused(GraspError, "independence says what depends on what"):
         ma.grasp.wrench_cone(six)
     assert ma.grasp.independence(six).dependent
     seven = six.joined(six.subset([0]))
-    with pytest.raises(GraspError, match=r"is_form_closure says which motion is free"):
+    with refused(GraspError, "is_form_closure says which motion is free"):
         ma.grasp.wrench_cone(seven)
     assert np.abs(seven.wrenches.T @ ma.grasp.is_form_closure(seven).motion).max() < 1e-12
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import WORKED
 from scipy.linalg import expm
 from scipy.optimize import linprog
@@ -357,15 +358,15 @@ def test_forces_do_not_depend_on_frame_size_or_units(seed, scale, strength, obje
 
 
 @pytest.mark.parametrize(
-    ("keywords", "words"),
+    ("keywords", "place"),
     [
         ({"objective": "least"}, "unknown objective 'least'; objectives are largest, norm"),
-        ({"wrench": [0, 0]}, r"three finite numbers \[fx, fy, m\], not \[0.0, 0.0\]"),
+        ({"wrench": [0, 0]}, "three finite numbers [fx, fy, m], not [0.0, 0.0]"),
         ({"wrench": [0, np.nan, 0]}, "finite numbers"),
-        ({"wrench": ["up", 0, 0]}, r"three finite numbers .* not \['up', 0, 0\]"),
+        ({"wrench": ["up", 0, 0]}, "'up'"),
         ({"minimum": -1.0}, "contacts only push"),
         ({"minimum": np.inf}, "must be finite"),
-        ({"minimum": [1.0, 2.0]}, r"a number or 5 of them, one for each contact"),
+        ({"minimum": [1.0, 2.0]}, "a number or 5 of them, one for each contact"),
         ({"minimum": "much"}, "a number or 5 of them"),
         ({"limit": [np.nan] * 5}, "a number or 5 of them"),
         (
@@ -374,14 +375,14 @@ def test_forces_do_not_depend_on_frame_size_or_units(seed, scale, strength, obje
         ),
     ],
 )
-def test_numbers_that_make_no_sense_are_refused(five, keywords, words):
+def test_numbers_that_make_no_sense_are_refused(five, keywords, place):
     given = {"wrench": [0.0, 1.0, 0.0], **keywords}
-    with pytest.raises(GraspError, match=words):
+    with refused(GraspError, place):
         distribute_forces(five, **given)
 
 
 def test_a_wrench_in_space_has_six_numbers(rng):
-    with pytest.raises(GraspError, match="six finite numbers"):
+    with refused(GraspError, "six finite numbers"):
         distribute_forces(random_contacts(rng, 7), [0, 0, 1])
 
 
@@ -540,18 +541,18 @@ def test_a_map_may_be_a_segment_a_point_or_nothing(five, plane):
 def test_places_in_a_map_that_are_none_are_refused(five):
     found = liftable(five, 10.0, [0, 0, 0], np.eye(3)[:2])
     nothing = liftable(five.subset([0, 1]), 10.0, [0, 0, 1], np.eye(3)[:2])
-    with pytest.raises(GraspError, match=r"\(0, 0\) leads nowhere"):
+    with refused(GraspError, "(0, 0) leads nowhere"):
         found.reach((0.0, 0.0))
     for none in ((0, 0, 0), 1.0, "ab", (np.nan, 1.0), [[0, 1], [1, 0]]):
         for ask in (found.contains, found.reach, nothing.contains, nothing.reach):
-            with pytest.raises(GraspError, match=r"two (finite )?numbers \(x, y\)"):
+            with refused(GraspError, "(x, y)"):
                 ask(none)
-    with pytest.raises(GraspError, match=r"several wrenches are a list"):
+    with refused(GraspError, "several wrenches are a list"):
         worst_force(five, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("limit", "directions", "words"),
+    ("limit", "directions", "place"),
     [
         (None, [[1, 0, 0], [0, 1, 0]], "give a limit"),
         (np.inf, [[1, 0, 0], [0, 1, 0]], "give a limit"),
@@ -561,15 +562,15 @@ def test_places_in_a_map_that_are_none_are_refused(five):
         (1.0, [[1, 0, 0], [0, 0, 0]], "a direction of the map is zero"),
     ],
 )
-def test_maps_that_make_no_sense_are_refused(five, limit, directions, words):
-    with pytest.raises(GraspError, match=words):
+def test_maps_that_make_no_sense_are_refused(five, limit, directions, place):
+    with refused(GraspError, place):
         liftable(five, limit, [0, 0, 0], directions)
 
 
 def test_loads_that_make_no_sense_are_refused(five):
-    with pytest.raises(GraspError, match="worst of no loads"):
+    with refused(GraspError, "worst of no loads"):
         worst_force(five, [])
-    with pytest.raises(GraspError, match="capacity for no loads"):
+    with refused(GraspError, "capacity for no loads"):
         load_capacity(five, [], 1.0)
-    with pytest.raises(GraspError, match="load 2 is zero"):
+    with refused(GraspError, "load 2 is zero"):
         load_capacity(five, [[0, 1, 0], [0, 0, 0]], 1.0)

@@ -14,6 +14,7 @@ import pytest
 from grasp_oracles import rational_rank
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import DATA, WORKED
 from scipy.linalg import expm
 from scipy.optimize import OptimizeResult, linprog
@@ -882,22 +883,22 @@ def test_contacts_that_never_balance_leave_the_body_movable(rng):
 
 
 def test_what_is_not_contacts_is_refused():
-    with pytest.raises(GraspError, match=r"Contacts\(points, normals\), .* not list"):
+    with refused(GraspError, "not list"):
         is_form_closure([[0, 0, 1]])
 
 
 @pytest.mark.parametrize(
-    ("points", "normals", "words"),
+    ("points", "normals", "place"),
     [
-        (np.zeros((2, 7)), np.zeros((2, 7)), r"\(M, N, 3\)"),
-        (np.zeros((2, 7, 3)), np.zeros((2, 6, 3)), r"not \(2, 7, 3\) and \(2, 6, 3\)"),
+        (np.zeros((2, 7)), np.zeros((2, 7)), "(M, N, 3)"),
+        (np.zeros((2, 7, 3)), np.zeros((2, 6, 3)), "not (2, 7, 3) and (2, 6, 3)"),
         (np.zeros((1, 2, 2)), [[[1, 0], [0, 0.5]]], "normal 2 of set 1"),
-        ([[[0, np.nan]]], [[[1, 0]]], "finite numbers, .*; number 1 is .*nan"),
-        ([[["a", 0]]], [[[1, 0]]], "finite numbers, .*'a'"),
+        ([[[0, np.nan]]], [[[1, 0]]], "number 1"),
+        ([[["a", 0]]], [[[1, 0]]], "'a'"),
     ],
 )
-def test_many_sets_of_the_wrong_kind_are_refused(points, normals, words):
-    with pytest.raises(GraspError, match=words):
+def test_many_sets_of_the_wrong_kind_are_refused(points, normals, place):
+    with refused(GraspError, place):
         closed_many(points, normals)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
@@ -274,29 +275,29 @@ def test_an_object_that_the_arms_do_not_reach_upright_is_turned():
 
 
 def test_a_grasp_that_does_not_hold_is_refused_in_words():
-    with pytest.raises(GraspError, match=r"the grasp does not hold the body: .*contact"):
+    with refused(GraspError, "contact"):
         grasp_scene(block_grasp(distance=0.05))
 
 
 def test_another_number_of_arms_is_refused():
-    with pytest.raises(GraspError, match=r"2 grippers and takes as many arms, not 3; robots are"):
+    with refused(GraspError, "2 grippers and takes as many arms, not 3"):
         grasp_scene(block_grasp(), ("panda",) * 3)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "place"),
     [
-        ({"path": []}, r"path has no pose after the start"),
-        ({"path": [Waypoint(time=1.0), Waypoint(time=1.0)]}, r"times of the path must increase"),
-        ({"path": [Waypoint(time=2.0), Waypoint(time=1.0)]}, r"1 s comes after 2 s"),
-        ({"mass": -1.0}, r"mass is greater than 0, not -1"),
-        ({"squeeze": -1.0}, r"squeeze is at least 0"),
-        ({"height": "high"}, r"height is a finite number, not 'high'"),
+        ({"path": []}, "path has no pose after the start"),
+        ({"path": [Waypoint(time=1.0), Waypoint(time=1.0)]}, "times of the path must increase"),
+        ({"path": [Waypoint(time=2.0), Waypoint(time=1.0)]}, "1 s comes after 2 s"),
+        ({"mass": -1.0}, "mass is greater than 0, not -1"),
+        ({"squeeze": -1.0}, "squeeze is at least 0"),
+        ({"height": "high"}, "height is a finite number, not 'high'"),
     ],
 )
-def test_bad_numbers_are_refused_before_the_search(options, message, monkeypatch):
+def test_bad_numbers_are_refused_before_the_search(options, place, monkeypatch):
     monkeypatch.setattr("multiarm.grasp.scenes.stand_arms", None)  # it is not called
-    with pytest.raises(GraspError, match=message):
+    with refused(GraspError, place):
         grasp_scene(block_grasp(), **options)
 
 
@@ -317,7 +318,7 @@ def test_no_mesh_is_written_when_the_arms_do_not_reach(tmp_path, monkeypatch):
         faces.append(int(off.argmin()))
     grasp = Grasp(notched, grasp.contacts, tuple(faces), grasp.grippers)
     mesh = tmp_path / "notched.stl"
-    with pytest.raises(UnreachableError):
+    with refused(UnreachableError):
         grasp_scene(grasp, mesh=mesh)
     assert not mesh.exists()
 
@@ -326,16 +327,16 @@ def test_a_grasp_looks_at_its_contacts():
     made = block_grasp()
     points, normals = made.contacts.points.copy(), made.contacts.normals
     points[0, 1] += 50.0
-    with pytest.raises(GraspError, match=r"contact 1 is 49\.9 m off \+x"):
+    with refused(GraspError, "contact 1 is 49.9 m off +x"):
         replace(made, contacts=Contacts(points, normals))
-    with pytest.raises(GraspError, match=r"normal of contact 1 is not that of \+x"):
+    with refused(GraspError, "normal of contact 1 is not that of +x"):
         replace(made, contacts=Contacts(made.contacts.points, -normals))
-    with pytest.raises(GraspError, match=r"faces of the body are 0 to 5, not 99"):
+    with refused(GraspError, "faces of the body are 0 to 5, not 99"):
         replace(made, faces=(99, 1, 2, 3, 4, 5, 2))
-    with pytest.raises(GraspError, match=r"no gripper is called 'nobody'; grippers are 'left'"):
+    with refused(GraspError, "no gripper is called 'nobody'; grippers are 'left'"):
         made.gripper_size("nobody")
 
 
 def test_an_object_out_of_reach_is_refused_with_the_gripper():
-    with pytest.raises(GraspError, match=r"arm of 'left' reaches its corner from nowhere"):
+    with refused(GraspError, "arm of 'left' reaches its corner from nowhere"):
         grasp_scene(block_grasp(), ("panda", "panda"), height=4.0)

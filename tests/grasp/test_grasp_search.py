@@ -12,6 +12,7 @@ from itertools import combinations_with_replacement, permutations, product
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -107,11 +108,11 @@ def test_parts_of_faces_may_be_named():
     assert sorted(r.face for r in regions) == [0, 1]
     assert np.ptp(regions[0].inner, axis=0).max() == pytest.approx(0.1)
     assert [r.face for r in touch_regions(BLOCK, corner, 0.2, faces=[2, 5])[0]] == [2]
-    with pytest.raises(GraspError, match=r"faces 0 to 5, not 9"):
+    with refused(GraspError, "faces 0 to 5, not 9"):
         touch_regions(BLOCK, corner, 0.2, faces=[9])
-    with pytest.raises(GraspError, match=r"face 0: .* corners \(K, 3\)"):
+    with refused(GraspError, "face 0:", "corners (K, 3)"):
         touch_regions(BLOCK, corner, 0.2, faces={0: [1.0, 2.0]})
-    with pytest.raises(GraspError, match=r"do not go round"):
+    with refused(GraspError, "do not go round"):
         touch_regions(BLOCK, corner, 0.2, faces={0: square[[0, 2, 1, 3]]})
 
 
@@ -287,6 +288,12 @@ def search(**options):
     return optimise_grasp(options.pop("body"), **options)
 
 
+@pytest.fixture(scope="module")
+def best_of_block():
+    """What a search with nothing but defaults says about the block."""
+    return search()
+
+
 def checked(result, body, reach, tip=0.0):
     """What every result must keep to."""
     grasp = result.grasp
@@ -322,11 +329,10 @@ def test_grasps_of_a_block_keep_to_the_limits_and_say_what_is_proven():
 
 
 @pytest.mark.slow
-def test_no_placement_drawn_from_all_choices_beats_the_bound(rng):
-    result = search(nodes=25)
+def test_no_placement_drawn_from_all_choices_beats_the_bound(best_of_block, rng):
     for number in range(24):  # the block is its own mirror image: all corners are alike
         touches = block_touches(number)
-        assert margins(touches, touches.drawn(300, rng)).max() <= result.bound * (1 + SOLVED)
+        assert margins(touches, touches.drawn(300, rng)).max() <= best_of_block.bound * (1 + SOLVED)
 
 
 @pytest.mark.slow
@@ -394,23 +400,18 @@ def test_a_body_with_twelve_faces_is_done_within_the_gap():
 
 
 @pytest.mark.slow
-def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning():
-    def best(**limits):
-        return search(nodes=1, **limits)
-
+def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning(best_of_block):
     def nearest(result):
         points = result.grasp.contacts.points
         return (np.linalg.norm(points[:, None] - points[None], axis=-1) + 10.0 * np.eye(7)).min()
 
-    free = best()
-    apart = best(spacing=1.2 * nearest(free))
-    assert nearest(apart) >= 1.2 * nearest(free) * (1 - 1e-9)
-    firm = best(conditioning=0.8 * free.conditioning)
-    assert firm.conditioning >= 0.8 * free.conditioning
+    distance, conditioning = 1.2 * nearest(best_of_block), 0.8 * best_of_block.conditioning
+    assert nearest(search(nodes=1, spacing=distance)) >= distance * (1 - 1e-9)
+    assert search(nodes=1, conditioning=conditioning).conditioning >= conditioning
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
+def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter(best_of_block):
     def best(body, places):
         size = REACH * body.size / BLOCK.size
         options = {"gripper_size": size, "places": places, "nodes": 8, "rng": 5}
@@ -428,11 +429,8 @@ def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
         assert scaled.value == pytest.approx(plain.value, rel=0.05)
     pose[:3, :3] = Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix()
     places = CORNERS @ pose[:3, :3].T + pose[:3, 3]
-    margins = [
-        search(body=body, places=where)
-        for body, where in ((BLOCK, CORNERS), (BLOCK.placed(pose), places))
-    ]
-    assert margins[1].bound == pytest.approx(margins[0].bound, rel=0.06)
+    turned = search(body=BLOCK.placed(pose), places=places)
+    assert turned.bound == pytest.approx(best_of_block.bound, rel=0.06)
 
 
 @pytest.mark.slow
@@ -454,20 +452,20 @@ def test_fingers_and_places_may_be_given():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "place"),
     [
-        ({"fingers": (4, 4)}, r"seven contacts together, not \(4, 4\)"),
-        ({"gripper_size": 0.0}, r"gripper_size is a length"),
-        ({"gripper_size": np.inf}, r"gripper_size is a length"),
-        ({"tip_radius": -1.0}, r"tip_radius not negative"),
-        ({"gap": 0.0}, r"gap lies between 0 and 1"),
-        ({"nodes": 0}, r"nodes is positive"),
-        ({"places": [[0.0, 0.0, 0.0]]}, r"places have shape \(M, 3\), two at least"),
-        ({"faces": [0, 1, 2]}, r"no two places from which seven contacts can close"),
-        ({"tip_radius": 0.2}, r"no two places"),
-        ({"conditioning": 0.9, "nodes": 30}, r"floor of the conditioning was found"),
+        ({"fingers": (4, 4)}, "seven contacts together, not (4, 4)"),
+        ({"gripper_size": 0.0}, "gripper_size is a length"),
+        ({"gripper_size": np.inf}, "gripper_size is a length"),
+        ({"tip_radius": -1.0}, "tip_radius not negative"),
+        ({"gap": 0.0}, "gap lies between 0 and 1"),
+        ({"nodes": 0}, "nodes is positive"),
+        ({"places": [[0.0, 0.0, 0.0]]}, "places have shape (M, 3), two at least"),
+        ({"faces": [0, 1, 2]}, "no two places from which seven contacts can close"),
+        ({"tip_radius": 0.2}, "no two places"),
+        ({"conditioning": 0.9, "nodes": 30}, "floor of the conditioning was found"),
     ],
 )
-def test_impossible_searches_are_refused_with_a_reason(change, says):
-    with pytest.raises(GraspError, match=says):
+def test_impossible_searches_are_refused_with_a_reason(change, place):
+    with refused(GraspError, place):
         optimise_grasp(BLOCK, **{"gripper_size": REACH, **change})

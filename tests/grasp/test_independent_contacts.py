@@ -7,6 +7,7 @@ import pytest
 from grasp_oracles import rational_rank
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import WORKED
 from scipy.linalg import expm
 
@@ -94,15 +95,15 @@ def test_the_block_a_and_the_determinant_are_the_same_about_every_origin(rng):
 
 
 def test_dependent_contacts_have_no_inverse_and_are_named():
-    with pytest.raises(GraspError, match=r"rank 5\): the wrenches of contact 3, .* no inverse"):
+    with refused(GraspError, "rank 5): the wrenches of contact 3,", "no inverse"):
         block_inverse(worked("case_III_counterexample_B"))
 
 
 @pytest.mark.parametrize("ask", [block_inverse, independence, violated_conditions])
 def test_only_six_contacts_in_space_will_do(ask):
-    with pytest.raises(GraspError, match="6 contacts in space are needed here, not 5 in space"):
+    with refused(GraspError, "6 contacts in space are needed here, not 5 in space"):
         ask(Contacts(np.eye(3)[[0, 1, 2, 0, 1]], np.eye(3)[[0, 1, 2, 0, 1]]))
-    with pytest.raises(GraspError, match="not 6 in the plane"):
+    with refused(GraspError, "not 6 in the plane"):
         ask(Contacts(np.zeros((6, 2)), np.eye(2)[[0] * 6]))
 
 
@@ -316,9 +317,9 @@ def test_three_moments_do_not_depend_on_size(scale, rng):
 
 
 def test_three_moments_refuse_other_numbers_of_contacts_and_points_that_are_none():
-    with pytest.raises(GraspError, match="3 contacts in space are needed here, not 2"):
+    with refused(GraspError, "3 contacts in space are needed here, not 2"):
         three_moments(Contacts(np.eye(3)[:2], np.eye(3)[:2]))
-    with pytest.raises(GraspError, match="three finite coordinates"):
+    with refused(GraspError, "three finite coordinates"):
         three_moments(Contacts(np.eye(3), np.eye(3)), about=[0, np.inf, 0])
 
 
@@ -343,15 +344,15 @@ def test_case_I_mirrors_three_contacts_and_has_the_blocks_of_the_thesis(rng):
 
 def test_case_I_refuses_dependent_normals_and_dependent_moments(rng):
     points = rng.normal(size=(3, 3))
-    with pytest.raises(GraspError, match=r"Case I takes three faces .* lie in a plane"):
+    with refused(GraspError, "Case I takes three faces", "lie in a plane"):
         case_I(points, unit(np.array([[1, 0, 0], [0, 1, 0], [1, 1, 0]])))
-    with pytest.raises(GraspError, match=r"rule 4: the three normal lines meet"):
+    with refused(GraspError, "rule 4: the three normal lines meet"):
         case_I([[1, 1, 9], [1, 9, 1], [9, 1, 1]], np.eye(3)[::-1])
-    with pytest.raises(GraspError, match="3 contacts in space are needed here, not 2"):
+    with refused(GraspError, "3 contacts in space are needed here, not 2"):
         case_I(np.eye(3)[:2], np.eye(3)[:2])
-    with pytest.raises(GraspError, match="three finite coordinates"):
+    with refused(GraspError, "three finite coordinates"):
         case_I(points, np.eye(3), centre=[0, 0])
-    with pytest.raises(GraspError, match="three finite coordinates, not 'middle'"):
+    with refused(GraspError, "three finite coordinates, not 'middle'"):
         case_I(points, np.eye(3), centre="middle")
 
 
@@ -361,7 +362,7 @@ def test_case_I_looks_at_the_moments_about_its_centre(rng):
     along = unit(along)
     points[2] += np.cross(along[2], rng.normal(size=3))  # two lines through X, one beside it
     assert case_I(points, along).count == 6
-    with pytest.raises(GraspError, match="rule 1: the normal line of contact 1 passes through"):
+    with refused(GraspError, "rule 1: the normal line of contact 1 passes through"):
         case_I(points, along, centre=X)
 
 
@@ -380,19 +381,19 @@ def test_case_II_refuses_what_is_not_one_and_says_which_rule(rng):
     X = rng.normal(size=3)
     first, last = lines_through(rng, X, 3), anything(rng, 3)
     points, along = stack(anything(rng, 3), last)
-    with pytest.raises(GraspError, match=r"lines that meet at a point; those of contact 1, .* not"):
+    with refused(GraspError, "lines that meet at a point; those of contact 1"):
         case_II(points, unit(along))
     points, along = stack(first, lines_through(rng, rng.normal(size=3), 3))
-    with pytest.raises(GraspError, match=r"Case II: the moments of contact 4.*rule 4"):
+    with refused(GraspError, "Case II: the moments of contact 4", "rule 4"):
         case_II(points, unit(along))
     points, along = stack(first, lines_through(rng, X, 1), anything(rng, 2))
-    with pytest.raises(GraspError, match=r"rule 1: the normal line of contact 4 passes"):
+    with refused(GraspError, "rule 1: the normal line of contact 4 passes"):
         case_II(points, unit(along))
     flat = lines_in_plane(rng, 3, X, rng.normal(size=(2, 3)))
     points, along = stack(flat, last)
-    with pytest.raises(GraspError, match=r"first three normals that are independent"):
+    with refused(GraspError, "first three normals that are independent"):
         case_II(points, unit(along))
-    with pytest.raises(GraspError, match="6 contacts in space are needed here, not 3"):
+    with refused(GraspError, "6 contacts in space are needed here, not 3"):
         case_II(np.eye(3), np.eye(3))
 
 
@@ -431,7 +432,7 @@ def test_case_III_determinant_is_the_product_of_its_three_factors(rng):
 def test_worked_counterexamples_of_case_III_are_refused_with_the_condition(name, letter):
     six = worked(name)
     assert numerical_rank(six) == WORKED[name]["expected"]["rank"] == independence(six).rank
-    with pytest.raises(GraspError, match=rf"dependent: \({letter}\)"):
+    with refused(GraspError, f"({letter})"):
         case_III(six.points, six.normals)
 
 
@@ -453,28 +454,28 @@ def test_case_III_refuses_each_of_its_conditions_alone(rng):
     in_line[4] = 2 * points[3] - points[2] + common
     meeting[5] = X + 0.7 * common + 0.2 * along[5]
     cases = {
-        r"\(a\) .* lie in the plane of the normals": (at, level),
-        r"\(b\) contact 3, contact 4 and contact 5": (in_line, along),
-        r"\(c\) the normal line of contact 6": (meeting, along),
+        "(a)": (at, level),
+        "(b) contact 3, contact 4 and contact 5": (in_line, along),
+        "(c) the normal line of contact 6": (meeting, along),
     }
-    for words, (p, e) in cases.items():
+    for place, (p, e) in cases.items():
         contacts = Contacts.along(p, e)
         assert numerical_rank(contacts) == 5
-        with pytest.raises(GraspError, match=words):
+        with refused(GraspError, place):
             case_III(p, unit(e))
     parallel = along.copy()
     parallel[5] = common
-    with pytest.raises(GraspError, match=r"dependent: \(c\)"):
+    with refused(GraspError, "dependent: (c)"):
         case_III(points, unit(parallel))
 
 
 def test_case_III_refuses_what_is_not_one(rng):
     (points, along), _, _ = third_case(rng)
-    with pytest.raises(GraspError, match=r"two normal lines that meet at one point"):
+    with refused(GraspError, "two normal lines that meet at one point"):
         case_III(points + rng.normal(size=(6, 3)), unit(along))
-    with pytest.raises(GraspError, match=r"two normal lines that meet at one point"):
+    with refused(GraspError, "two normal lines that meet at one point"):
         case_III(points, unit(along[[0, 0, 2, 3, 4, 5]]))
-    with pytest.raises(GraspError, match=r"three parallel normals; those of contact 3"):
+    with refused(GraspError, "three parallel normals; those of contact 3"):
         case_III(points, unit(along[[0, 1, 2, 3, 5, 4]]))
 
 

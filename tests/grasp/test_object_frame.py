@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 from repository import WORKED
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -384,52 +385,52 @@ def block(**changes):
 
 
 def test_contradictions_are_refused_with_the_offender():
-    with pytest.raises(GraspError, match=r"contacts 1 and 4 are on faces 1 and -1, 2 m apart"):
+    with refused(GraspError, "contacts 1 and 4 are on faces 1 and -1, 2 m apart"):
         object_frame_from_contacts(**block(distances=[2.0, 1.2, 1.0]))
-    with pytest.raises(GraspError, match=r"no pose of the body fits: .* check the order"):
+    with refused(GraspError, "no pose of the body fits"):
         object_frame_from_contacts(**block(distances=[0.4, 1.2, 1.0]))
     coincident = block()["points"].copy()
     coincident[6] = coincident[0]
-    with pytest.raises(GraspError, match=r"contacts 1 and 7, both on face 1, coincide"):
+    with refused(GraspError, "contacts 1 and 7, both on face 1, coincide"):
         object_frame_from_contacts(**block(points=coincident))
-    with pytest.raises(GraspError, match=r"missing in .*: \[-2\]"):
+    with refused(GraspError, "[-2]"):
         object_frame_from_contacts(**block(faces=[1, 2, 3, -1, 2, -3, 1]))
-    with pytest.raises(GraspError, match=r"7 numbers for 6 points"):
+    with refused(GraspError, "7 numbers for 6 points"):
         object_frame_from_contacts(**block(points=block()["points"][:6]))
-    with pytest.raises(GraspError, match=r"positive"):
+    with refused(GraspError, "positive"):
         object_frame_from_contacts(**block(distances=[0.8, 0.0, 1.0]))
-    with pytest.raises(GraspError, match=r"distances has shape \(3,\)"):
+    with refused(GraspError, "distances has shape (3,)"):
         object_frame_from_contacts(**block(distances=[0.8, 1.0]))
     noisy = block()["points"] + 1e-3 * np.random.default_rng(1).standard_normal((7, 3))
-    with pytest.raises(GraspError, match=r"point_covariance or tolerance"):
+    with refused(GraspError, "point_covariance or tolerance"):
         object_frame_from_contacts(**block(points=noisy, point_covariance=1e-6))
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "place"),
     [
-        ({"points": np.zeros((5, 3))}, r"six contacts at least"),
-        ({"points": np.zeros((6, 3))}, r"coincide"),
-        ({"points": np.full((6, 3), np.nan)}, r"finite"),
-        ({"points": "seven"}, r"vectors of three numbers, not 'seven'"),
-        ({"normals": np.tile([[1.0, 0, 0], [0, 1.0, 0]], (3, 1))}, r"lie in one plane"),
-        ({"normals": 2 * np.eye(3)[[0, 1, 2, 0, 1, 2]]}, r"normal 1, .* has length 2"),
-        ({"offsets": [1.0]}, r"finite offsets"),
-        ({"offsets": ["far"] * 6}, r"finite offsets, not \['far'"),
-        ({"point_covariance": "small"}, r"point_covariance is .* not 'small'"),
-        ({"point_covariance": -1.0}, r"not negative"),
-        ({"point_covariance": np.zeros(4)}, r"one for each of the 6 points"),
-        ({"point_covariance": np.diag([1.0, 1.0, -1.0])}, r"negative eigenvalue"),
-        ({"point_covariance": np.triu(np.ones((3, 3)))}, r"symmetric"),
-        ({"polygons": [np.eye(3)]}, r"as many polygons"),
-        ({"previous": np.eye(3)}, r"previous has shape \(4, 4\)"),
+        ({"points": np.zeros((5, 3))}, "six contacts at least"),
+        ({"points": np.zeros((6, 3))}, "coincide"),
+        ({"points": np.full((6, 3), np.nan)}, "finite"),
+        ({"points": "seven"}, "vectors of three numbers, not 'seven'"),
+        ({"normals": np.tile([[1.0, 0, 0], [0, 1.0, 0]], (3, 1))}, "lie in one plane"),
+        ({"normals": 2 * np.eye(3)[[0, 1, 2, 0, 1, 2]]}, "has length 2"),
+        ({"offsets": [1.0]}, "finite offsets"),
+        ({"offsets": ["far"] * 6}, "finite offsets, not ['far'"),
+        ({"point_covariance": "small"}, "point_covariance is"),
+        ({"point_covariance": -1.0}, "not negative"),
+        ({"point_covariance": np.zeros(4)}, "one for each of the 6 points"),
+        ({"point_covariance": np.diag([1.0, 1.0, -1.0])}, "negative eigenvalue"),
+        ({"point_covariance": np.triu(np.ones((3, 3)))}, "symmetric"),
+        ({"polygons": [np.eye(3)]}, "as many polygons"),
+        ({"previous": np.eye(3)}, "previous has shape (4, 4)"),
     ],
 )
-def test_unusable_data_are_refused_by_name(change, says):
+def test_unusable_data_are_refused_by_name(change, place):
     n = np.vstack([np.eye(3), -np.eye(3)])
     turned = n @ Rotation.from_rotvec([0.3, 0.2, -0.4]).as_matrix().T
     values = {"points": 0.5 * n + 0.2 * turned, "normals": n, "offsets": np.full(6, 0.5)}
-    with pytest.raises(GraspError, match=says):
+    with refused(GraspError, place):
         object_frame_from_faces(**{**values, **change})
 
 
@@ -471,20 +472,20 @@ def test_the_pose_of_a_body_that_is_not_convex_is_among_those_found(rng):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "place"),
     [
-        ({"faces": [0, 1, 2, 3, 4, 5, 99]}, r"faces of the body are 0 to 7, not 99"),
-        ({"faces": [0, 1, 2, 3, 4, 5, -1]}, r"faces of the body are 0 to 7, not -1"),
-        ({"faces": [0.5, 1, 2, 3, 4, 5, 6]}, r"faces are whole numbers"),
-        ({"faces": "abcdefg"}, r"faces are whole numbers"),
-        ({"tolerance": np.nan}, r"tolerance is a length greater than 0"),
-        ({"tolerance": -1.0}, r"tolerance is a length greater than 0"),
-        ({"previous": np.zeros((4, 4))}, r"previous is a pose"),
-        ({"previous": np.diag([1.0, 1.0, -1.0, 1.0])}, r"previous is a pose"),
+        ({"faces": [0, 1, 2, 3, 4, 5, 99]}, "faces of the body are 0 to 7, not 99"),
+        ({"faces": [0, 1, 2, 3, 4, 5, -1]}, "faces of the body are 0 to 7, not -1"),
+        ({"faces": [0.5, 1, 2, 3, 4, 5, 6]}, "faces are whole numbers"),
+        ({"faces": "abcdefg"}, "faces are whole numbers"),
+        ({"tolerance": np.nan}, "tolerance is a length greater than 0"),
+        ({"tolerance": -1.0}, "tolerance is a length greater than 0"),
+        ({"previous": np.zeros((4, 4))}, "previous is a pose"),
+        ({"previous": np.diag([1.0, 1.0, -1.0, 1.0])}, "previous is a pose"),
     ],
 )
-def test_what_is_no_face_tolerance_or_pose_is_refused(change, message, rng):
+def test_what_is_no_face_tolerance_or_pose_is_refused(change, place, rng):
     points, numbers = on_surface(L_PRISM, 7, rng)
     given = {"faces": numbers, **change}
-    with pytest.raises(GraspError, match=message):
+    with refused(GraspError, place):
         object_frame_on_body(points, L_PRISM, **given)

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import WORKED
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
@@ -274,10 +275,10 @@ def test_sheets_are_bodies_until_their_thickness_is_rounding(tmp_path):
     trimesh.creation.box([1.0, 1e-5, 1e-5]).export(tmp_path / "wire.stl")
     assert len(Polyhedron.mesh(tmp_path / "wire.stl").faces) == 6
     for thickness in (2e-7, 1e-9):
-        with pytest.raises(GraspError, match="thinner than its coordinates resolve"):
+        with refused(GraspError, "thinner than its coordinates resolve"):
             Polyhedron.hull(Polyhedron.box([1.0, 1.0, thickness]).vertices)
         trimesh.creation.box([1.0, 1.0, thickness]).export(tmp_path / "sheet.stl")
-        with pytest.raises(GraspError, match="thinner than its coordinates resolve"):
+        with refused(GraspError, "thinner than its coordinates resolve"):
             Polyhedron.mesh(tmp_path / "sheet.stl")
 
 
@@ -294,9 +295,8 @@ def test_meshes_that_are_no_solids_are_refused_with_a_remedy(tmp_path):
 
     def refusal(triangles, vertices=body.vertices) -> str:
         trimesh.Trimesh(vertices, triangles, process=False).export(file)
-        with pytest.raises(GraspError) as caught:
+        with refused(GraspError, "bad.obj") as caught:
             Polyhedron.mesh(file)
-        assert "bad.obj" in str(caught.value)
         return str(caught.value)
 
     alone = [tri for tri in T.tolist() if set(tri) <= {12, 13, 8, 9}][:1]
@@ -313,19 +313,19 @@ def test_meshes_that_are_no_solids_are_refused_with_a_remedy(tmp_path):
 
 
 def test_files_that_are_no_meshes_are_refused(tmp_path):
-    with pytest.raises(GraspError, match="no such file"):
+    with refused(GraspError, "no such file"):
         Polyhedron.mesh(tmp_path / "nothing.stl")
     (tmp_path / "text.stl").write_text("hello")
-    with pytest.raises(GraspError, match=r"text\.stl"):
+    with refused(GraspError, "text.stl"):
         Polyhedron.mesh(tmp_path / "text.stl")
-    with pytest.raises(GraspError, match=r"positive factor"):
+    with refused(GraspError, "positive factor"):
         Polyhedron.mesh(tmp_path / "text.stl", scale=0.0)
-    with pytest.raises(GraspError, match=r"ends in \.stl"):
+    with refused(GraspError, "ends in .stl"):
         BODIES["box"].save(tmp_path / "body.nonsense")
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "place"),
     [
         (lambda: Polyhedron.box([1, 2]), "edge lengths"),
         (lambda: Polyhedron.box([1, 2, 0]), "edge lengths"),
@@ -336,7 +336,7 @@ def test_files_that_are_no_meshes_are_refused(tmp_path):
         (lambda: Polyhedron.prism([(0, 0), (1, 0)], 1.0), "three corners"),
         (lambda: Polyhedron.wedge([1, 1, 1], 1.0), "top of a wedge"),
         (lambda: Polyhedron.pyramid(SQUARE, [0, 0, 0]), "apex"),
-        (lambda: Polyhedron.pyramid(SQUARE, "top"), "apex .* not 'top'"),
+        (lambda: Polyhedron.pyramid(SQUARE, "top"), "not 'top'"),
         (lambda: Polyhedron.hull(np.zeros((5, 3))), "no volume"),
         (lambda: Polyhedron.hull(np.eye(3)), "four or more"),
         (lambda: Polyhedron.hull([[0, 0, 0], [1]]), "rows of three finite numbers"),
@@ -366,13 +366,13 @@ def test_files_that_are_no_meshes_are_refused(tmp_path):
         (lambda: BODIES["box"].placed(np.diag([1.0, 1.0, -1.0, 1.0])), "a rotation matrix"),
         (lambda: BODIES["box"].faces[0].room([0.0, 1.0]), "points are finite, of shape"),
         (lambda: BODIES["box"].faces[0].contains([0.0, 1.0, np.nan]), "points are finite"),
-        (lambda: BODIES["box"].faces[0].contains("here"), "points are finite, .* not 'here'"),
+        (lambda: BODIES["box"].faces[0].contains("here"), "points are finite,"),
         (lambda: BODIES["box"].mass_properties(0.0), "positive number of kilograms"),
         (lambda: BODIES["box"].scaled(-1.0), "positive factor"),
     ],
 )
-def test_numbers_that_make_no_body_are_refused(make, words):
-    with pytest.raises(GraspError, match=words):
+def test_numbers_that_make_no_body_are_refused(make, place):
+    with refused(GraspError, place):
         make()
 
 

@@ -10,6 +10,7 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from repository import WORKED
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
@@ -240,9 +241,9 @@ def test_a_contact_that_cannot_push_leaves_no_region():
         region = seventh_contact_region(six, TOP, method)
         assert not region and region.vertices.shape == (0, 3) and region.area == 0.0
         assert not region.contains(TOP.centre) and region.depth(TOP.centre) == -np.inf
-        with pytest.raises(GraspError, match=r"no contact on \+z closes"):
+        with refused(GraspError, "no contact on +z closes"):
             region.best_point()
-        with pytest.raises(GraspError, match=r"no contact on \+z closes"):
+        with refused(GraspError, "no contact on +z closes"):
             region.contact(TOP.centre)
 
 
@@ -370,14 +371,14 @@ def test_contact_joins_the_last_one_and_refuses_what_does_not_close():
     seven = region.contact([0.4, 0.4, 0.7])
     assert is_form_closure(seven) and seven.names[6] == "contact 7"
     np.testing.assert_allclose(seven.points[6], [0.4, 0.4, 0.4])
-    with pytest.raises(GraspError, match=r"0\.01874 m outside the region"):
+    with refused(GraspError, "0.01874 m outside the region"):
         region.contact([0.48, 0.4, 0.4])
 
 
 def test_coefficients_are_for_six_contacts_only():
     seven = SIX.joined(Contacts.along([[0.5, 0.4, 0.4]], [[0, 0, -1]]))
     region = seventh_contact_region(seven, BOX.faces[0])
-    with pytest.raises(GraspError, match="not unique"):
+    with refused(GraspError, "not unique"):
         region.coefficients([0.6, 0.0, 0.0])
 
 
@@ -509,7 +510,7 @@ def test_moments_refuse_normals_that_are_nearly_parallel(tilt):
         drawn = closable(BOX, int(rng.integers(6, 11)), rng)
         tilted = drawn.normals + tilt * rng.normal(size=drawn.normals.shape)
         contacts = Contacts.along(drawn.points, tilted)
-        with pytest.raises(GraspError, match=r"clearly not; those of contact .* use method"):
+        with refused(GraspError, "contact"):
             seventh_contact_region(contacts, TOP, "moments")
         for face in BOX.faces:
             region = seventh_contact_region(contacts, face)
@@ -562,7 +563,7 @@ def test_region_of_a_contact_is_where_the_others_may_have_it(count):
 def test_no_region_for_a_contact_whose_others_are_dependent():
     twice = SIX.subset([0, 1, 2, 3, 4, 4]).joined(SIX.subset([5]))
     assert region_of(twice, 6, TOP) is None and region_of(twice, 5, TOP) is not None
-    with pytest.raises(GraspError, match="three or more corners"):
+    with refused(GraspError, "three or more corners"):
         region_of(twice, 6, [[0, 0, 0]])
 
 
@@ -571,35 +572,35 @@ def test_no_region_for_a_contact_whose_others_are_dependent():
 
 def test_dependent_contacts_are_refused_with_the_reason():
     normals = np.vstack([-np.eye(3), np.eye(3)])
-    with pytest.raises(GraspError, match="have rank 3, not 6"):
+    with refused(GraspError, "have rank 3, not 6"):
         seventh_contact_region(Contacts(-normals, normals), TOP)
-    with pytest.raises(GraspError, match="rank 5"):
+    with refused(GraspError, "rank 5"):
         seventh_contact_region(SIX.subset([0, 1, 2, 3, 4]), TOP)
 
 
 def test_questions_without_sense_are_refused():
-    with pytest.raises(GraspError, match='methods are "inverse" and "moments"'):
+    with refused(GraspError, 'methods are "inverse" and "moments"'):
         seventh_contact_region(SIX, TOP, "magic")  # type: ignore[arg-type]
-    with pytest.raises(GraspError, match="not list"):
+    with refused(GraspError, "not list"):
         seventh_contact_region([1, 2, 3], TOP)  # type: ignore[arg-type]
-    with pytest.raises(GraspError, match="three finite coordinates"):
+    with refused(GraspError, "three finite coordinates"):
         seventh_contact_region(SIX, [[0, 0], [1, 0], [0, 1]])
     flat = Contacts([[0, 0], [1, 0], [0, 1]], [[0, 1], [1, 0], [0, -1]])
-    with pytest.raises(GraspError, match="in the plane"):
+    with refused(GraspError, "in the plane"):
         seventh_contact_region(flat, TOP)
     many = SIX.joined(SIX).joined(SIX)
-    with pytest.raises(GraspError, match="at most 12 contacts"):
+    with refused(GraspError, "at most 12 contacts"):
         seventh_contact_region(many, TOP, "moments")
-    with pytest.raises(GraspError, match="arrays"):
+    with refused(GraspError, "arrays"):
         closes_on_surface(SIX, [[0, 0]], [[0, 0, 1]])
-    with pytest.raises(GraspError, match="arrays"):
+    with refused(GraspError, "arrays"):
         closes_on_surface(SIX, [[0, 0, np.nan]], [[0, 0, 1]])
-    with pytest.raises(GraspError, match="arrays"):
+    with refused(GraspError, "arrays"):
         closes_on_surface(SIX, np.zeros((2, 3)), np.zeros((4, 3)))
-    with pytest.raises(GraspError, match=r"normal 2, .* has length 3, not 1: divide"):
+    with refused(GraspError, "normal 2"):
         wrench_cone(SIX).levels([0.4, 0.4, 0.4], [[0, 0, -1], [0, 0, -3]])
     for points in ([0.4, 0.4], [0.4, np.nan, 0.4], "ab"):
         region = seventh_contact_region(SIX, TOP)
         for ask in (region.contains, region.depth, region.contact, TOP.room):
-            with pytest.raises(GraspError, match="points are"):
+            with refused(GraspError, "points are"):
                 ask(points)

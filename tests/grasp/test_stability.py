@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from refusals import refused
 from repository import WORKED
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
@@ -239,7 +240,7 @@ def test_own_regions_hold_the_contacts_and_the_regions_of_the_seventh():
         body, contacts.subset(range(6)), faces[:6],
         (Gripper("a", (0, 1, 2), np.eye(4)), Gripper("b", (3, 4, 5), np.eye(4))),
     )  # fmt: skip
-    with pytest.raises(GraspError, match=r"seven contacts"):
+    with refused(GraspError, "seven contacts"):
         own_regions(six)
 
 
@@ -341,9 +342,9 @@ def test_axes_of_the_squares_may_be_given(rng):
     assert found.lower != closure_radius(contacts, shape="square").lower
     along = np.abs(np.einsum("jx,jsx->js", found.displacements, turned)).max(axis=1)
     np.testing.assert_allclose(along[along > 0], found.upper, rtol=1e-9)
-    with pytest.raises(GraspError, match=r"orthonormal"):
+    with refused(GraspError, "orthonormal"):
         closure_radius(contacts, axes=t + 0.1)
-    with pytest.raises(GraspError, match=r"shape \(7, 2, 3\)"):
+    with refused(GraspError, "shape (7, 2, 3)"):
         closure_radius(contacts, axes=t[:3])
 
 
@@ -421,38 +422,36 @@ def test_only_the_contacts_that_may_move_do():
 def test_unusable_questions_are_refused_by_name():
     flat = Contacts([[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]])
     contacts = block_grasp()
-    with pytest.raises(
-        GraspError, match=r"6 contacts or more in space are needed here, not 2 in the plane"
-    ):
+    with refused(GraspError, "6 contacts or more in space are needed here, not 2 in the plane"):
         configuration_stability(flat)
-    with pytest.raises(GraspError, match=r"rank 5|rank 4|rank 3"):
+    with refused(GraspError, "rank"):
         configuration_stability(
             Contacts(0.5 * np.vstack([np.eye(3), -np.eye(3)]), np.vstack([-np.eye(3), np.eye(3)]))
         )
-    with pytest.raises(GraspError, match=r"displacement is one length or one for each of the 7"):
+    with refused(GraspError, "displacement is one length or one for each of the 7"):
         configuration_stability(contacts, displacement=[1.0, 2.0])
-    with pytest.raises(GraspError, match=r"displacement"):
+    with refused(GraspError, "displacement"):
         configuration_stability(contacts, displacement=-1.0)
-    with pytest.raises(GraspError, match=r"displacement .* not 'far'"):
+    with refused(GraspError, "displacement", "not 'far'"):
         configuration_stability(contacts, displacement="far")
-    with pytest.raises(GraspError, match=r"axes have shape .* not 'x and y'"):
+    with refused(GraspError, "axes have shape", "not 'x and y'"):
         closure_radius(contacts, axes="x and y")
-    with pytest.raises(GraspError, match=r"7 contacts or more in space"):
+    with refused(GraspError, "7 contacts or more in space"):
         closure_radius(contacts.subset(range(6)))
-    with pytest.raises(GraspError, match=r"'disc' or 'square', not 'ball'"):
+    with refused(GraspError, "'disc' or 'square', not 'ball'"):
         closure_radius(contacts, shape="ball")
-    with pytest.raises(GraspError, match=r"plane"):
+    with refused(GraspError, "plane"):
         closure_radius(flat)
-    with pytest.raises(GraspError, match=r"not 7"):
+    with refused(GraspError, "not 7"):
         independence_radius(contacts)
     for samples in (0, -1, 2.5, np.nan, np.inf, "many", None):
-        with pytest.raises(GraspError, match=r"samples is a positive whole number, not"):
+        with refused(GraspError, "samples is a positive whole number, not"):
             monte_carlo_stability(contacts, 0.1, samples)
     for confidence in (0.0, 1.0, np.nan, "high"):
-        with pytest.raises(GraspError, match=r"confidence is a number between 0 and 1, not"):
+        with refused(GraspError, "confidence is a number between 0 and 1, not"):
             monte_carlo_stability(contacts, 0.1, 10, confidence=confidence)
     assert monte_carlo_stability(contacts, 0.1, 2e2, 3).samples == 200
-    with pytest.raises(GraspError, match=r"plane"):
+    with refused(GraspError, "plane"):
         monte_carlo_stability(flat, 0.1)
 
 

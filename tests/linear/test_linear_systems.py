@@ -28,11 +28,9 @@ from refusals import refused
 from repository import SCENES
 from scipy.linalg import expm, solve_continuous_are
 from scipy.optimize import brentq
-from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
-from multiarm.cli import app
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.effect_kernels import (
     ACTUATOR,
@@ -463,10 +461,8 @@ def test_modes_move_on_the_joints():
 @pytest.mark.slow
 def test_the_command_shows_modes_and_writes_them(tmp_path):
     out, page = tmp_path / "modes.json", tmp_path / "modes.html"
-    scene = str(SCENES / "two_ur5_box.yaml")
-    done = CliRunner().invoke(
-        app, ["modes", scene, "--equilibrium", "--json", str(out), "--replay-html", str(page)]
-    )
+    scene = SCENES / "two_ur5_box.yaml"
+    done = multiarm("modes", scene, "--equilibrium", "--json", out, "--replay-html", page)
     assert done.exit_code == 0, done.output
     assert "stability" in done.output and "Hz" in done.output
     found = json.loads(out.read_text(encoding="utf-8"))

@@ -9,14 +9,13 @@ from io import StringIO
 
 import pytest
 import yaml
+from commands import multiarm
 from rich.table import Table
 from rich.text import Text
 from sample_run import rows_of
 from study_samples import sample_accuracy
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.cli.studies import draw_files
 from multiarm.results.files import printable, printable_texts
 from multiarm.results.sinks import MemorySink
@@ -56,7 +55,7 @@ NAME = without_breaks(printable(HOSTILE))
 
 def said(*words: object, code: int = 0) -> str:
     """All that the program says on both streams; it ends with this code."""
-    result = CliRunner(env={"COLUMNS": "300"}).invoke(app, [str(word) for word in words])
+    result = multiarm(*words, columns=300)
     assert result.exit_code == code, result.output
     text = result.stdout + result.stderr
     assert steering(text) == set()

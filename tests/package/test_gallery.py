@@ -7,11 +7,10 @@ import shlex
 
 import numpy as np
 import pytest
+from commands import multiarm
 from repository import ROOT, SCENES
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.problems.first_scene import first_scene
 from multiarm.results.limit_use import joint_uses, limit_warnings, peaks
 from multiarm.scene import parse_scene
@@ -63,7 +62,7 @@ def test_the_grasped_block_is_what_the_command_of_its_header_and_of_the_docs_wri
     command = header.removeprefix("# ")
     for page in ("gallery.md", "how_to/grasps.md"):
         assert command in (ROOT / "docs" / page).read_text(encoding="utf-8"), page
-    result = CliRunner().invoke(app, [*shlex.split(command)[1:], "--out", str(again)])
+    result = multiarm(*shlex.split(command)[1:], "--out", again)
     assert result.exit_code == 0, result.output
     assert again.read_text(encoding="utf-8").startswith(f"{header}\n")
     shown, written = ma.load_scene(path), ma.load_scene(again)

@@ -66,6 +66,7 @@ def _write_text(path):
 
 
 @pytest.mark.parametrize("writer", WRITERS)
+@pytest.mark.usefixtures("without_figures")
 def test_links_under_names_that_can_be_guessed_are_not_touched(trajectory, shared, victim, writer):
     target = shared / "result"
     endings = ("part", "partial", "saving", "tmp", f"{os.getpid()}.part")
@@ -80,6 +81,7 @@ def test_links_under_names_that_can_be_guessed_are_not_touched(trajectory, share
 
 @pytest.mark.parametrize("writer", [name for name in WRITERS if name != "save"])
 @pytest.mark.parametrize("there", [True, False])
+@pytest.mark.usefixtures("without_figures")
 def test_a_link_that_comes_in_between_is_not_followed(
     trajectory, shared, victim, writer, there, monkeypatch
 ):

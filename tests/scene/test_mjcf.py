@@ -8,14 +8,13 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from commands import multiarm
 from refusals import refused
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files
-from multiarm.cli import app
 from multiarm.errors import SceneError
 from multiarm.scene import ArmSpec, dump_scene, parse_scene, resolve_arm
 
@@ -235,7 +234,7 @@ def test_what_would_be_another_arm_in_mujoco_is_refused(text, tmp_path):
 
 
 def test_a_file_is_shown_like_a_robot(hard):
-    result = CliRunner().invoke(app, ["robots", str(hard)], env={"COLUMNS": "100"})
+    result = multiarm("robots", hard, columns=100)
     assert result.exit_code == 0, result.output
     assert "tip" in result.stdout and "tcp (3 joints)" in result.stdout
     assert f"    mjcf: {hard}" in result.stdout

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from commands import multiarm
 from refusals import refused
 from repository import ROOT, SCENES, WORKED
-from typer.testing import CliRunner
 
-from multiarm.cli import app
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene import (
     ArmSpec,
@@ -240,7 +239,7 @@ def test_described_robots_are_used_if_they_are_there_and_never_fetched(descripti
     assert "robot_descriptions.lathe_description" not in sys.modules
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)
     assert not {"crane_description", "winch_description"} & available_robots().keys()
-    listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
+    listed = multiarm("robots", columns=200).stdout
     assert "(python -m robot_descriptions pull NAME): crane_description" in listed
     with refused(SceneError, "python -m robot_descriptions pull crane_description"):
         find_robot("crane_description")

@@ -75,7 +75,9 @@ def test_every_value_of_a_scene_is_at_the_path_that_messages_write(file):
 def test_a_value_put_where_it_is_already_changes_nothing(file):
     scene = load_scene(file)
     text = dump_scene(scene)
-    for parts in paths_below(scene):
+    # of entries of lists, which differ by their numbers only, the last ones
+    keys = {tuple(k for k in parts if isinstance(k, str)): parts for parts in paths_below(scene)}
+    for parts in keys.values():
         if parts[-1] != "kind":  # a kind alone is fine too, and is tried below
             path = place(parts)
             assert dump_scene(scene.replace({path: value_at(scene, path)})) == text, path

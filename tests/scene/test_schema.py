@@ -15,10 +15,8 @@ from jsonschema import Draft202012Validator
 from pydantic import Field
 from refusals import refused
 from repository import DATA, ROOT, SCENES
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.cli.schema import schema_text
 from multiarm.errors import SceneError, SweepError
 from multiarm.geometry import Contact
@@ -273,7 +271,7 @@ def test_a_missing_value_is_explained_by_how_its_documentation_begins(user_kinds
 def test_schema_goes_to_a_file_or_to_the_terminal_without_codes(tmp_path):
     path = tmp_path / "own.json"
     assert multiarm("schema", "sweep", "--out", path).exit_code == 0
-    printed = CliRunner().invoke(app, ["schema", "sweep"], env={"COLUMNS": "40"}).stdout
+    printed = multiarm("schema", "sweep", columns=40).stdout
     assert printed == path.read_text(encoding="utf-8")
     refused = multiarm("schema", "--out", tmp_path / "no" / "a.json")
     assert refused.exit_code == 2 and "there is no folder" in refused.stderr

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from commands import multiarm
 from mechanics import slides
 from refusals import refused
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import CONTROLS, EFFECTS, parse_scene
 
@@ -111,10 +110,6 @@ KINDS = {
         "the control kind 'helm' of package 'strange' (strange_module:Helm)", "$.control.kind",
     ),
 }  # fmt: skip
-
-
-def multiarm(*words: object):
-    return CliRunner(env={"COLUMNS": "80"}).invoke(app, [str(word) for word in words])
 
 
 def told(result) -> str:
@@ -232,7 +227,9 @@ def test_a_fault_elsewhere_in_the_scene_loads_nothing_either(stranger):
 
 
 @pytest.mark.slow
-def test_a_look_at_a_result_runs_nothing_and_draws_the_rest(stored):
+def test_a_look_at_a_result_runs_nothing_and_draws_the_rest(stored, request):
+    if stored.kind != "surface":  # figures take a report most of its time
+        request.getfixturevalue("without_figures")
     page, report = stored.folder / "replay.html", stored.folder / "report.html"
     result = multiarm("replay", stored.result, "--html", page)
     assert result.exit_code == 0, result.output

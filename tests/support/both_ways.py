@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import event_scenes
@@ -19,6 +20,7 @@ import numpy as np
 
 import multiarm as ma
 from multiarm.arms.compiled.kernels import place_joint, update_arms
+from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.jit.kernels import kernel
 from multiarm.jit.simd import (
     LANES,
@@ -95,6 +97,16 @@ def gradient() -> golden.Results:
     }
 
 
+def posture() -> golden.Results:
+    """Inverse kinematics of an arm, from three starts."""
+    system = swinging("compiled")
+    arm = system.arms["arm0"]
+    place = arm.tip_pose(system.initial_state().joint_positions["arm0"])
+    reach = InverseKinematics(arm).search([place], np.random.default_rng(1), starts=3)
+    assert reach is not None, "the arm is there at the start"
+    return {"posture": reach.postures[0], "dexterity": reach.dexterity}
+
+
 @kernel
 def write_packs(source, out):
     """Every operation of packs, of 16 numbers."""
@@ -120,7 +132,7 @@ def packs() -> golden.Results:
 
 COMPUTATIONS: dict[str, Callable[[], golden.Results]] = {
     function.__name__: function
-    for function in (packs, step, ten_steps, implicit_steps, event, derivatives, gradient)
+    for function in (packs, posture, step, ten_steps, implicit_steps, event, derivatives, gradient)
 }
 
 
@@ -170,8 +182,10 @@ def lines_of_kernels() -> golden.Results:
     return {code.co_name: len(lines) for code, lines in seen.items()}
 
 
-SEARCHED = "two_arms_one_trunk.yaml"
-"""The scene whose postures are searched by interpreted kernels, and its path followed."""
+@cache
+def frozen_cases() -> dict[str, Any]:
+    """The frozen cases, read once: they are some megabytes."""
+    return golden.load()
 
 
 class EvaluatedCase(golden.Case):
@@ -182,11 +196,9 @@ class EvaluatedCase(golden.Case):
 
     def scene(self) -> ma.Scene:
         scene = super().scene()
-        if self.source == SEARCHED:
-            return scene
-        frozen = golden.load()[self.name]["results"]
+        results = frozen_cases()[self.name]["results"]
         postures = {
-            name: frozen[f"start/joint_positions/{name}"]["value"]
+            name: results[f"start/joint_positions/{name}"]["value"]
             for name, arm in scene.arms.items()
             if arm.posture == SOLVE
         }
@@ -211,9 +223,8 @@ def evaluated_cases() -> Iterator[golden.Case]:
 def main() -> None:
     """Print what the command line asks for."""
     if sys.argv[1] == "evaluations":
-        frozen = golden.load()
         for case in evaluated_cases():
-            _show(case.name, golden.measure(case, frozen[case.name]["states"])[0])
+            _show(case.name, golden.measure(case, frozen_cases()[case.name]["states"])[0])
         return
     for name, compute in COMPUTATIONS.items():
         _show(name, compute())

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import sys
+from functools import cache
 from pathlib import Path
 
-from typer.testing import CliRunner
+from typer.main import get_command
+from typer.testing import CliRunner, Result
 
 from multiarm.cli import app
 
@@ -16,12 +19,38 @@ MACHINE = {
 }  # fmt: skip
 
 
+@cache
+def program():
+    """The program with all its commands.
+
+    Typer's own runner builds them at every call, which takes longer than most commands do.
+    """
+    return get_command(app)
+
+
+def multiarm(*words: object, columns: int | None = None) -> Result:
+    """Call the program in this process, on a terminal of that width."""
+    runner, code, exception = CliRunner(), 0, None
+    size = {} if columns is None else {"COLUMNS": str(columns)}
+    with runner.isolation(env=size) as streams:
+        try:
+            program().main([str(word) for word in words], prog_name="multiarm")
+        except SystemExit as end:
+            code = end.code or 0
+            exception = end if code else None
+        except Exception as error:
+            code, exception = 1, error
+        sys.stdout.flush()
+        sys.stderr.flush()
+        out, err, both = (stream.getvalue() for stream in streams)
+    return Result(runner, out, err, both, None, code, exception)
+
+
 def command(name: str, columns: int = 200):
     """A function that calls a command in this process, on a terminal of that width."""
 
-    def call(*words: object):
-        runner = CliRunner(env={"COLUMNS": str(columns)})
-        return runner.invoke(app, [name, *(str(word) for word in words)])
+    def call(*words: object) -> Result:
+        return multiarm(name, *words, columns=columns)
 
     return call
 
@@ -39,11 +68,6 @@ def promised_keys(function) -> set[str]:
     """The keys of its JSON that a command's help names."""
     promise = re.search(r"The JSON has the keys (.*?)(;|\. Numbers)", function.__doc__, re.S)
     return {key.strip() for key in promise[1].split(",")}
-
-
-def multiarm(*words: object):
-    """Call the command line in this process."""
-    return CliRunner().invoke(app, [str(word) for word in words])
 
 
 def figures(path: Path) -> dict:
