@@ -173,6 +173,11 @@ class Model:
         """Whether there is a control, or torques that a caller holds."""
         return len(self.constants.control) > 0
 
+    @property
+    def coordinate_units(self) -> list[str]:
+        """Units of a displacement: of shift and turn of each frame, and of every joint."""
+        return (["m"] * 3 + ["rad"] * 3) * self.layout.frames + self.joint_units
+
     # --- models of the same bodies --------------------------------------------------------------
 
     def with_python_control(self, control: PythonControl, sampling: Sampling | None) -> Model:

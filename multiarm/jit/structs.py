@@ -403,31 +403,29 @@ def _memory_at(number: Any, address: int, shape: tuple[int, ...]) -> np.ndarray:
     return np.ndarray(shape, number, memoryview(memory))
 
 
-def _entry_of_struct(dtype, axes: int):
-    """Intrinsic ``(struct, k) -> array``: the view at entry ``k`` of a struct."""
+def _entry_of_struct(dtype):
+    """Intrinsic ``(struct, k) -> array``: the vector at entry ``k`` of a struct."""
 
     def read(struct, k):
         if not 0 <= WIDTH * k < struct.size:
             raise IndexError(f"entry {k} of a struct of {struct.size // WIDTH}")
-        return _array_of_entry(struct.ctypes.data + 8 * WIDTH * k, _NUMPY[dtype], axes)
+        return _array_of_entry(struct.ctypes.data + 8 * WIDTH * k, _NUMPY[dtype], 1)
 
     @generated(read)
     def entry(typing_context, struct, k):
         def generate(context, builder, signature, arguments):
             numbers = context.make_array(signature.args[0])(context, builder, arguments[0]).data
             first = builder.mul(arguments[1], context.get_constant(types.intp, WIDTH))
-            return _array_in_struct(context, builder, dtype, axes, numbers, first)
+            return _array_in_struct(context, builder, dtype, 1, numbers, first)
 
-        return types.Array(dtype, axes, "C")(struct, types.intp), generate
+        return types.Array(dtype, 1, "C")(struct, types.intp), generate
 
     return entry
 
 
 # Single arrays in a struct, by their places.
-floats1 = _entry_of_struct(types.float64, 1)
-floats2 = _entry_of_struct(types.float64, 2)
-ints1 = _entry_of_struct(types.int64, 1)
-ints2 = _entry_of_struct(types.int64, 2)
+floats1 = _entry_of_struct(types.float64)
+ints1 = _entry_of_struct(types.int64)
 
 
 def _floats_at(address, count):

@@ -63,7 +63,7 @@ from multiarm.simulation.comparison import (
     Comparison,
     compare,
     growth_rate,
-    state_of,
+    sample_state,
     undetermined_forces,
 )
 
@@ -285,8 +285,8 @@ def _energy_check(
     k, imbalance, exchanged = _worst_balance(run)
     slack = 1e-13 * exchanged + _work_on_gaps(run)  # roundings of many steps
     try:
-        state = state_of(data.model.layout, run, k)
-        units = ["m"] * 3 + ["rad"] * 3 + list(data.model.joint_units)
+        state = sample_state(data.model.layout, run, k)
+        units = data.model.coordinate_units
         off = np.array([accuracy[POSITION if unit == "m" else ROTATION] for unit in units])
         names = ["object/twist", *(f"arms/{arm}/joint_velocity" for arm in data.model.arm_names)]
         slow = np.concatenate([comparison.velocity[name] for name in names])

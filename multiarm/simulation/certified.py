@@ -46,6 +46,8 @@ TIGHTER = 30.0
 """Ratio of the tolerances of a run and its rerun."""
 SMALLEST_CHECKED = 8.0 * SMALLEST_TOLERANCE
 """Smallest tolerance of a run that can be checked: its rerun must be noticeably tighter."""
+MOST_RUNS = 7
+"""A candidate and its rerun are begun while there are at most so many with them."""
 PARTED = 0.01
 """[m, rad] Distance from which on two runs count as separated."""
 
@@ -212,7 +214,7 @@ class Attempts:
                 return exhausted
             if finding.accurate and earlier.accurate:
                 return CHECK, ""
-        if len(self._attempts) + 2 > 7:
+        if len(self._attempts) + 2 > MOST_RUNS:
             return ATTEMPTS, (
                 f"{len(self._attempts)} runs were made, which is the limit: ask for less, or give "
                 f"a smaller `tolerance` yourself"

@@ -226,7 +226,7 @@ def undetermined_forces(data: Data, run: Trajectory) -> dict[str, np.ndarray]:
     for k in sorted(chosen):
         try:
             t = float(run.read("time", k, k + 1)[0])
-            evaluation = evaluate_data(data, t, state_of(data.model.layout, run, k))
+            evaluation = evaluate_data(data, t, sample_state(data.model.layout, run, k))
         except MultiarmError:
             continue
         for arm, unique in evaluation.contact_forces_unique.items():
@@ -234,7 +234,7 @@ def undetermined_forces(data: Data, run: Trajectory) -> dict[str, np.ndarray]:
     return {arm: flags for arm, flags in lost.items() if flags.any()}
 
 
-def state_of(layout: Layout, run: Trajectory, k: int) -> State:
+def sample_state(layout: Layout, run: Trajectory, k: int) -> State:
     """The state of a sample."""
 
     def read(name: str) -> np.ndarray:

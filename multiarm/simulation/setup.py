@@ -195,10 +195,8 @@ def set_tolerance(step: Step, data: Data, tolerance: Tolerance | None) -> None:
     """Write the largest accepted error of each number of the state; a fixed step has none."""
     if tolerance is None:
         return
-    of_frame = ["m"] * 3 + ["rad"] * 3
-    units = of_frame * data.model.layout.frames + list(data.model.joint_units)
     of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
-    coordinates = [of_unit[unit] for unit in units]
+    coordinates = [of_unit[unit] for unit in data.model.coordinate_units]
     step.tolerance[:] = 2 * coordinates + [tolerance.smallest] * data.model.effects.states
 
 

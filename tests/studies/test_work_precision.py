@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
-from multiarm.simulation.comparison import rotation_apart, state_of
+from multiarm.simulation.comparison import rotation_apart, sample_state
 from multiarm.studies import reference as references
 from multiarm.studies import work_precision as studies
 from multiarm.studies.mujoco_peer import TorqueTape
@@ -620,7 +620,7 @@ def test_pinocchio_converges_to_the_reference(trial):
 def test_pinocchios_coordinates_of_a_moving_state_lead_back_to_it(trial):
     own, _, peers = trial
     run, peer = ma.simulate(own), peers["Pinocchio"]
-    state = state_of(own.model.layout, run, len(run) - 1)
+    state = sample_state(own.model.layout, run, len(run) - 1)
     again = peer.state(peer.coordinates(state))
     assert np.max(np.abs(state.object_twist)) > 1e-2
     closed = 1e-9  # [m, m/s] what projection leaves of gaps, of which the object's pose follows
