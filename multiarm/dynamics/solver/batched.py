@@ -219,14 +219,14 @@ def reduce_columns(packs, start, stride, row, low, high, first, last):
         at = row + LANES * k
         s0, s1 = load_pack(packs, at), load_pack(packs, at + LANES)
         s2, s3 = load_pack(packs, at + 2 * LANES), load_pack(packs, at + 3 * LANES)
-        other = start + LANES * k + low * stride
+        above = start + LANES * k + low * stride
         for j in range(low, high):
             factor = load_pack(packs, FACTORS_AT + LANES * j)
-            s0 = s0 - factor * load_pack(packs, other)
-            s1 = s1 - factor * load_pack(packs, other + LANES)
-            s2 = s2 - factor * load_pack(packs, other + 2 * LANES)
-            s3 = s3 - factor * load_pack(packs, other + 3 * LANES)
-            other += stride
+            s0 = s0 - factor * load_pack(packs, above)
+            s1 = s1 - factor * load_pack(packs, above + LANES)
+            s2 = s2 - factor * load_pack(packs, above + 2 * LANES)
+            s3 = s3 - factor * load_pack(packs, above + 3 * LANES)
+            above += stride
         store_pack(packs, at, s0)
         store_pack(packs, at + LANES, s1)
         store_pack(packs, at + 2 * LANES, s2)
@@ -235,10 +235,10 @@ def reduce_columns(packs, start, stride, row, low, high, first, last):
     while k < last:
         at = row + LANES * k
         s = load_pack(packs, at)
-        other = start + LANES * k + low * stride
+        above = start + LANES * k + low * stride
         for j in range(low, high):
-            s = s - load_pack(packs, FACTORS_AT + LANES * j) * load_pack(packs, other)
-            other += stride
+            s = s - load_pack(packs, FACTORS_AT + LANES * j) * load_pack(packs, above)
+            above += stride
         store_pack(packs, at, s)
         k += 1
 

@@ -102,8 +102,8 @@ def solve_dense(
         motion_unique=not loose.size,
         loose_arms=tuple(
             i
-            for i, own in enumerate(np.split(loose, bounds))
-            if np.any(np.linalg.norm(own, axis=1) > PART_TOLERANCE)
+            for i, parts in enumerate(np.split(loose, bounds))
+            if np.any(np.linalg.norm(parts, axis=1) > PART_TOLERANCE)
         ),
     )
 

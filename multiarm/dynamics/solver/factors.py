@@ -197,9 +197,9 @@ def solve_rows(A, n, pivots, X):
     """Solve ``A X = B`` with the factors of ``factor_lu``; ``X[:n]`` is ``B`` on entry."""
     for i in range(n):
         if pivots[i] != i:
-            row, other = X[i], X[pivots[i]]
+            row, pivot_row = X[i], X[pivots[i]]
             for c in range(row.size):
-                row[c], other[c] = other[c], row[c]
+                row[c], pivot_row[c] = pivot_row[c], row[c]
     for i in range(n):
         for k in range(i):
             subtract(A[i, k], X[k], X[i])
@@ -212,10 +212,10 @@ def solve_rows(A, n, pivots, X):
 
 
 @inlined
-def subtract(factor, other, row):
-    """``row -= factor * other``."""
+def subtract(factor, solved_row, row):
+    """``row -= factor * solved_row``."""
     for c in range(row.size):
-        row[c] -= factor * other[c]
+        row[c] -= factor * solved_row[c]
 
 
 @kernel

@@ -109,8 +109,8 @@ def make_work(
         for row, lever in zip(every_lever, levers, strict=True):
             row[: len(lever)] = lever
     M = np.zeros((n, d, d))
-    for inertia, own in zip(M, dofs, strict=True):
-        inertia[range(own, d), range(own, d)] = 1.0
+    for inertia, joints in zip(M, dofs, strict=True):
+        inertia[range(joints, d), range(joints, d)] = 1.0
     tables, size = group_tables(dofs, rows, every_lever)
     return NodeWork(
         dofs=_starts(dofs),

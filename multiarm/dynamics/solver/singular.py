@@ -135,8 +135,8 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     p, rank = coupled.status.unknowns, coupled.status.rank
     rows = np.zeros((p, work.rows[-1]))
     for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
-        own = slice(work.rows[i], work.rows[i + 1])
-        rows[u, own] = coupled.V[i, a, : own.stop - own.start]
+        first, end = work.rows[i : i + 2]
+        rows[u, first:end] = coupled.V[i, a, : end - first]
     basis = coupled.basis[:rank, :p]
     return np.linalg.norm(rows - basis.T @ (basis @ rows), axis=0)
 
