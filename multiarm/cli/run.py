@@ -308,10 +308,10 @@ def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
     if not kinds:
         return {}
     lines = []
-    for kind in kinds[:SHOWN_KINDS]:
-        times = f", {kind.count:,} times, first" if kind.count > 1 else ""
-        whose = f" ({who(kind.first)})" if who(kind.first) else ""
-        lines.append(f"{kind.words}{times} at {number(float(kind.first['time']), 's')}{whose}")
+    for count in kinds[:SHOWN_KINDS]:
+        times = f", {count.count:,} times, first" if count.count > 1 else ""
+        whose = f" ({who(count.first)})" if who(count.first) else ""
+        lines.append(f"{count.kind}{times} at {number(float(count.first['time']), 's')}{whose}")
     if len(kinds) > SHOWN_KINDS:
         lines.append(f"and {count_of(len(kinds) - SHOWN_KINDS, 'more kind')}")
     return {"events": "\n".join(lines)}

@@ -62,7 +62,7 @@ def modes_trajectory(
     sink.open(system.channels, run_metadata(system, spec, True), sample_columns)
     for place, number in enumerate(chosen):
         mode, first = linear.modes[number - 1], place * (SWING + PAUSE)
-        events.append({"time": first, "kind": "mode", "text": mode_text(number, mode)})
+        events.append({"time": first, "kind": "shows a mode", "text": mode_text(number, mode)})
         rows = _swing(task, mode.shape, phases, amplitude)
         rows[:, 0] = first + SWING * phases / (2.0 * math.pi)
         sink.append(rows)

@@ -64,7 +64,7 @@ class EventMarks:
             self._times.setdefault(family_of(event["kind"]), []).append(float(event["time"]))
         kinds: dict[Family, dict[str, int]] = {}
         for count in counts(events):
-            kinds.setdefault(family_of(count.kind), {})[count.words] = count.count
+            kinds.setdefault(family_of(count.kind), {})[count.kind] = count.count
         self._labels = {
             family: f"{', '.join(kinds[family])}: {count_of(sum(kinds[family].values()), 'event')}"
             for family in FAMILIES

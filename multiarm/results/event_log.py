@@ -97,7 +97,6 @@ MADE, LOST, SLIP, STICK, LIMIT, ACTUATOR, OTHER = FAMILIES = (
     Family("other", "+", "#7a8797"),
 )  # fmt: skip
 _FAMILY_OF = {kind: family for family in FAMILIES for kind in family.kinds}
-_IN_WORDS = {"method": "change of the method", "control": "end of the control's table or path"}
 
 
 class EventLog:
@@ -214,11 +213,6 @@ class Count:
     kind: str
     count: int
     first: Event
-
-    @property
-    def words(self) -> str:
-        """What the kind is called where the text of its events is not shown."""
-        return _IN_WORDS.get(self.kind, self.kind)
 
 
 def counts(events: Iterable[Event]) -> list[Count]:

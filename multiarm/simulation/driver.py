@@ -134,7 +134,7 @@ class Switch:
         self._until, self._spent = run.clock.steps + TRIAL_STEPS, _step_evaluations(run)
         self._since = run.clock.t
         text = f"{why}: the run goes on with {name}"
-        run.log.add([{"time": run.clock.t, "kind": "method", "text": text}])
+        run.log.add([{"time": run.clock.t, "kind": "method changes", "text": text}])
 
 
 def _step_evaluations(run: Run) -> int:

@@ -310,7 +310,7 @@ def span_notice(model: Model, end: float) -> list[dict]:
     if span is None or span.end >= end:
         return []
     rest = "is zero" if span.outside == "zero" else "holds its last row"
-    return [{"time": span.end, "kind": "control", "text": f"{span.what} ends and {rest}"}]
+    return [{"time": span.end, "kind": "control ends", "text": f"{span.what} ends and {rest}"}]
 
 
 def _samples(task: Task) -> tuple[int, int]:

@@ -14,11 +14,11 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.results.event_log import EventLog
 
-LOSES_DIRECTION, HAS_IT_AGAIN = "loses a direction", "has it again"
+LOSES_DIRECTION, REGAINS_DIRECTION = "loses a direction", "regains a direction"
 PASSES_SINGULAR_POSTURE = "passes a singular posture"
 RANK_FALLS, RANK_RISES = "rank falls", "rank rises"
 SOLVER_EVENTS = frozenset(
-    {LOSES_DIRECTION, HAS_IT_AGAIN, PASSES_SINGULAR_POSTURE, RANK_FALLS, RANK_RISES}
+    {LOSES_DIRECTION, REGAINS_DIRECTION, PASSES_SINGULAR_POSTURE, RANK_FALLS, RANK_RISES}
 )
 """Kinds of the events of the solver."""
 
@@ -61,7 +61,7 @@ class SolverLog:
 
     def reset(self, data: Data) -> None:
         """Compare later solutions with the last one, without logging anything."""
-        self._lost = data.arrays.lost[: len(data.model.arm_names)].copy()
+        self._lost = data.arrays.lost[: self._lost.size].copy()
         self._rank = data.arrays.last_step.rank
 
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
@@ -80,7 +80,7 @@ def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str
         return {"kind": LOSES_DIRECTION, "arm": arm, "text": f"{arm}: {what}"}
     left = f", {now} still lost" if now else ""
     return {
-        "kind": HAS_IT_AGAIN,
+        "kind": REGAINS_DIRECTION,
         "arm": arm,
         "text": f"{arm}: can move along its joint's directions again{left}",
     }

@@ -179,7 +179,7 @@ def test_a_position_is_what_springs_and_dampers_pull_to(tmp_path, interpolation)
         y = solve_ivp(inside, (a, b), y, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     assert run.joint_positions["cart"][-1, 0] == pytest.approx(y[0], abs=1e-8)
     assert run.joint_velocities["cart"][-1, 0] == pytest.approx(y[1], abs=1e-7)
-    (notice,) = [e for e in run.events if e["kind"] == "control"]
+    (notice,) = [e for e in run.events if e["kind"] == "control ends"]
     assert (
         notice["time"] == 1.0 and notice["text"] == "the table way.csv ends and holds its last row"
     )
@@ -210,7 +210,7 @@ def test_a_run_longer_than_a_table_of_torques_is_refused_unless_told_what_then(
         run = ma.simulate(system, 1.5, accuracy=1e-8, certificate=False, output_step=0.5)
         v = np.sum(FORCES[:-1] * np.diff(TIMES)) + 0.5 * last
         assert run.joint_velocities["cart"][-1, 0] == pytest.approx(v / MASS, abs=1e-10)
-        assert [e["time"] for e in run.events if e["kind"] == "control"] == [1.0]
+        assert [e["time"] for e in run.events if e["kind"] == "control ends"] == [1.0]
 
 
 def test_a_table_that_begins_late_is_held_or_zero_before(tmp_path):

@@ -170,7 +170,7 @@ def test_an_arm_that_is_called_floor_keeps_its_own_forces():
 
 def test_every_kind_has_a_family_that_looks_like_no_other():
     assert OTHER not in {family_of(kind) for kind in (*OLD_KINDS, *NEW_KINDS)}
-    assert family_of("painleve") is family_of("method") is OTHER
+    assert family_of("painleve") is family_of("method changes") is OTHER
     assert len({f.sign for f in FAMILIES}) == len({f.colour for f in FAMILIES}) == len(FAMILIES)
     assert family_of("touches") is family_of("bounces") is not family_of("lets go")
 

@@ -44,7 +44,7 @@ def joints(run):
 
 
 def method_events(run):
-    return [event for event in run.events if event["kind"] == "method"]
+    return [event for event in run.events if event["kind"] == "method changes"]
 
 
 # --- a step, against the textbook written down in NumPy ------------------------------------------

@@ -101,10 +101,10 @@ def test_a_failed_trial_of_a_stiff_method_leaves_the_pending_samples_right(ring,
     damped = ma.compile_system(ring_of_arms(2).replace(effects={"joint_damping": 1e4}))
     asked = {"duration": 0.02, "accuracy": 1e-6, "certificate": False}
     calm = ma.simulate(damped, output_step=2e-6, **asked)
-    assert [event["kind"] for event in calm.events].count("method") == 1
+    assert [event["kind"] for event in calm.events].count("method changes") == 1
     monkeypatch.setattr(driver_module.Switch, "_is_faster", lambda self, run: False)
     monkeypatch.setattr(driver_module, "TRIAL_STEPS", 4)
     hasty = ma.simulate(damped, output_step=2e-6, **asked)
-    assert [event["kind"] for event in hasty.events].count("method") == 2
+    assert [event["kind"] for event in hasty.events].count("method changes") == 2
     assert len(hasty) > preparation.BLOCK_NUMBERS // 100
     np.testing.assert_allclose(hasty.object_position, calm.object_position, atol=1e-6)

@@ -122,7 +122,7 @@ def test_lost_directions_are_told_in_words_and_again_when_they_are_back():
         lost, again = [event for event in trajectory.events if event.get("arm") == arm]
         assert (lost["time"], lost["kind"]) == (0.0, "loses a direction")
         assert lost["text"] == f"{arm}: no motion along its own reach"
-        assert again["kind"] == "has it again"
+        assert again["kind"] == "regains a direction"
         assert again["text"] == f"{arm}: can move along its joint's directions again"
         # how much is left of the weakest direction
         values = [
@@ -140,7 +140,7 @@ def test_lost_directions_are_told_in_words_and_again_when_they_are_back():
 def test_a_direction_lost_for_one_step_is_told_twice():
     """Steps of 1 ms end within the posture: both elbows lose their reach and have it again."""
     trajectory = ma.simulate(released(), 0.1, integrator="rk4", step=1e-3, output_step=1e-3)
-    kinds = ["loses a direction", "has it again"]
+    kinds = ["loses a direction", "regains a direction"]
     for arm in ("left", "right"):
         events = [event for event in trajectory.events if event["arm"] == arm]
         assert [event["kind"] for event in events] == kinds

@@ -207,7 +207,7 @@ def test_the_bound_is_a_positive_number():
 
 def test_a_log_counts_what_it_does_not_list():
     log, count = EventLog(), 23_140
-    kinds = ["loses a direction", "has it again", "rank falls", "rank rises"]
+    kinds = ["loses a direction", "regains a direction", "rank falls", "rank rises"]
     for k in range(MOST_LISTED + count):
         kind = kinds[k % 4]
         by = {"arm": "left"} if k % 4 < 2 else {}

@@ -105,12 +105,12 @@ def active_set(problem: Problem, z: np.ndarray) -> ActiveSet:
     """
     search = _Search(problem, z)
     modes = modes_of(problem, z)
-    found = search.without_limits(modes) or search.with_limits(modes, search.x)
-    if found is None:
+    active = search.without_limits(modes) or search.with_limits(modes, search.x)
+    if active is None:
         rows = tuple(sorted(_Unknowns(problem, modes).rows))
         message = UNDETERMINED if search.undetermined else NO_ROWS
-        found = ActiveSet(search.x, modes, rows, message=message)
-    return replace(found, unique=not search.dependent)
+        active = ActiveSet(search.x, modes, rows, message=message)
+    return replace(active, unique=not search.dependent)
 
 
 def modes_of(problem: Problem, z: np.ndarray) -> tuple[LawMode, ...]:
@@ -227,8 +227,8 @@ class _Search:
         if choice is None:
             return None
         fewer = self._without_idle(choice)
-        if fewer != modes and (found := self.without_limits(fewer)):
-            return found
+        if fewer != modes and (active := self.without_limits(fewer)):
+            return active
         outside = self._outside_of_cones(choice)
         if not outside:
             return None if choice.restricted else choice
@@ -237,8 +237,8 @@ class _Search:
         for group in [outside, {worst}] if len(outside) > 1 else [outside]:
             closed = LawMode(ContactMode.CLOSED)
             fewer = tuple(closed if k in group else mode for k, mode in enumerate(modes))
-            if found := self.without_limits(fewer):
-                return found
+            if active := self.without_limits(fewer):
+                return active
         return None
 
     def with_limits(self, modes: tuple[LawMode, ...], x: np.ndarray) -> ActiveSet | None:
@@ -259,8 +259,8 @@ class _Search:
         if choice is None:
             return None
         fewer = self._without_idle(choice)
-        if fewer != modes and (found := self.with_limits(fewer, choice.forces)):
-            return found
+        if fewer != modes and (active := self.with_limits(fewer, choice.forces)):
+            return active
         return None if choice.restricted else choice
 
     def least(self, modes: tuple[LawMode, ...]) -> ActiveSet | None:

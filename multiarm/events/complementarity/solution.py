@@ -151,7 +151,7 @@ def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) ->
     assert np.all(np.isfinite(D)) and np.all(np.isfinite(b)), "numbers are finite"
     assert np.allclose(D, D.T, rtol=0.0, atol=1e-9 * np.max(np.abs(D), initial=0.0)), "symmetric"
     problem = build((D + D.T) / 2.0, b, laws)
-    (z, *others), verdict, message = _solutions(problem)
+    (z, *alternatives), verdict, message = _solutions(problem)
     if verdict == Verdict.NONE:
         chosen = ActiveSet(problem.E @ z, modes_of(problem, z))
     else:
@@ -166,7 +166,7 @@ def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) ->
         forces_unique=chosen.unique,
         residual=problem.residual((x / problem.scale)[problem.rows]),
         verdict=verdict,
-        alternatives=tuple(_alternative(problem, other) for other in others),
+        alternatives=tuple(_alternative(problem, further) for further in alternatives),
         message="; ".join(part for part in (message, chosen.message) if part),
     )
 
@@ -192,35 +192,35 @@ def judge(problem: Problem) -> Motion:
         if G[n, n] <= cone.mu * np.hypot(*G[n, cone.tangents]) + RANK:
             return Motion.DOUBTFUL
     if len(problem.cones) < len(problem.laws):
-        others = np.setdiff1d(np.arange(problem.g.size), tangents)
-        if _judge_linear(G[np.ix_(others, others)]) == Motion.DOUBTFUL:
+        normals = np.setdiff1d(np.arange(problem.g.size), tangents)
+        if _judge_linear(G[np.ix_(normals, normals)]) == Motion.DOUBTFUL:
             return Motion.DOUBTFUL
     return Motion.UNIQUE if _dominates_friction(problem) else Motion.UNKNOWN
 
 
 def all_solutions(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
-    """Known solutions and those found: one for each motion, smallest forces first."""
-    found = list(known)
+    """Solutions of all modes, known ones first: one a motion, sorted by the size of the forces."""
+    solutions = list(known)
     for modes in product(*(_linear_modes(problem, k) for k in problem.columns)):
         A, c = np.vstack([mode[0] for mode in modes]), np.concatenate([mode[1] for mode in modes])
         z = np.linalg.lstsq(A, c, rcond=RANK)[0]
         if any(guessed for _, _, guessed in modes):
             z = newton(problem, z)
         # where forces can grow without changing the rates of their own laws, there is a family
-        for other in [z, *_along_family(problem, z)]:
-            if problem.residual(other) <= 10.0 * ROUNDING and not any(
-                _same_motion(problem, other, one) for one in found
+        for forces in [z, *_along_family(problem, z)]:
+            if problem.residual(forces) <= 10.0 * ROUNDING and not any(
+                _same_motion(problem, forces, solution) for solution in solutions
             ):
-                found.append(other)
-    return sorted(found, key=lambda z: float(z @ z))
+                solutions.append(forces)
+    return sorted(solutions, key=lambda z: float(z @ z))
 
 
 def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
     """Solutions, the best one first (without any, the nearest point); verdict and message."""
     if problem.convex:
-        found, contradiction = solve_box(problem.G, problem.g, problem.lower, problem.upper)
-        if found is not None and problem.residual(found) <= MARGIN:
-            return [found], Verdict.UNIQUE, ""
+        forces, contradiction = solve_box(problem.G, problem.g, problem.lower, problem.upper)
+        if forces is not None and problem.residual(forces) <= MARGIN:
+            return [forces], Verdict.UNIQUE, ""
         if contradiction:
             message = "no solution: the rows contradict each other, no forces keep all their rates"
             return [problem.without_force()], Verdict.NONE, message
@@ -300,10 +300,10 @@ def _few_modes(problem: Problem) -> bool:
     return prod(len(_linear_modes(problem, k)) for k in problem.columns) <= 300
 
 
-def _same_motion(problem: Problem, one: np.ndarray, other: np.ndarray) -> bool:
+def _same_motion(problem: Problem, first: np.ndarray, second: np.ndarray) -> bool:
     """Whether two solutions have the same rates in all rows."""
-    apart = problem.scale * (problem.D @ (problem.E @ (one - other)))
-    size = max(problem.size(one), problem.size(other))
+    apart = problem.scale * (problem.D @ (problem.E @ (first - second)))
+    size = max(problem.size(first), problem.size(second))
     return bool(np.max(np.abs(apart), initial=0.0) <= CONSISTENT * size)
 
 

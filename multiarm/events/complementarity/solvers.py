@@ -171,9 +171,9 @@ def iterate(problem: Problem) -> np.ndarray:
         if sweeps >= 100 and problem.residual(best) <= RESOLVED:
             break
         z = gauss_seidel(problem, z, sweeps)
-        found = newton(problem, z)
-        if problem.residual(found) < problem.residual(best):
-            best = found
+        refined = newton(problem, z)
+        if problem.residual(refined) < problem.residual(best):
+            best = refined
         if problem.residual(best) <= ROUNDING:
             break
     return best
