@@ -8,7 +8,7 @@ laws, and :math:`\lambda = \lambda_0 + \delta` with :math:`\delta` of minimum no
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +18,10 @@ from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
     FIRED,
+    SLIP_GUARD,
     Guards,
     accept_guards,
+    is_force_guard,
     judge_guards,
     open_guards,
     write_values,
@@ -43,7 +45,7 @@ from multiarm.jit.structs import (
     Int,
     Ints1,
     Numbers,
-    sizes_in_struct,
+    size_places,
     struct_at,
     struct_of,
     view,
@@ -62,7 +64,7 @@ class ModeNumbers(Numbers):
 
 
 class ModeArrays(NamedTuple):
-    """Numbers and arrays of one mode, with m held rows."""
+    """Numbers and arrays of a mode, with m held rows."""
 
     numbers: ModeNumbers
     held: Ints1  # (m,) rows among all
@@ -88,9 +90,71 @@ open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
 open_reactions = view(ReactionWork, _REACTIONS)
 
 
-def reaction_sizes(arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Places in a mode's struct of the sizes of arrays of the reactions, and these sizes."""
-    return sizes_in_struct(ReactionWork, _REACTIONS, arrays)
+class ModeSizes(NamedTuple):
+    """Places of the sizes of arrays in a mode's struct.
+
+    Attributes
+    ----------
+    rows, slides, guards : int64 (k,)
+        Of those with an entry for every held row, sliding contact and guard.
+    reactions : int64 (k,)
+        Of those that depend on the rows of each arm, in the order of their shapes.
+    """
+
+    rows: np.ndarray
+    slides: np.ndarray
+    guards: np.ndarray
+    reactions: np.ndarray
+
+
+def mode_sizes(reactions: Mapping[str, tuple[int, ...]]) -> ModeSizes:
+    """These places; ``reactions`` are the shapes of the arrays of a :class:`ReactionWork`."""
+
+    def lengths(holder: type, at: int, names: Iterable[str]) -> np.ndarray:
+        return size_places(holder, at, dict.fromkeys(names, (0,)))
+
+    of_slides = {"direction"}
+    guards = [name for name in Guards._fields if name not in of_slides]
+    slides = [lengths(Slides, _SLIDES, Slides._fields), lengths(Guards, 0, of_slides)]
+    return ModeSizes(
+        rows=lengths(ModeArrays, _MODE, ("held", "Wr", "prestress")),
+        slides=np.concatenate(slides),
+        guards=lengths(Guards, 0, guards),
+        reactions=size_places(ReactionWork, _REACTIONS, reactions),
+    )
+
+
+@kernel
+def write_guards(struct: INTS, table: INTS, numbers: INTS, place: INTS, sliding: INTS):
+    """Write the guards of a mode, some of those of a ``table``, at their beginning.
+
+    In the table they watch rows among all rows, and constraints that slide; ``place`` (N,) are the
+    numbers of these rows among the held ones (-1: not held), ``sliding`` the constraints.
+    """
+    guards, of_all = open_guards(struct), open_guards(table)
+    for g in range(numbers.size):
+        k = numbers[g]
+        kind, watched = of_all.kind[k], of_all.watched[k]
+        of_force = is_force_guard(of_all, k)
+        if of_force:
+            watched = place[watched]
+        elif kind == SLIP_GUARD:
+            for s in range(sliding.size):
+                if sliding[s] == of_all.watched[k]:
+                    watched = s
+        guards.kind[g], guards.watched[g] = kind, watched
+        for t in range(2):
+            row = of_all.tangents[k, t]
+            guards.tangents[g, t] = place[row] if of_force and row >= 0 else row
+        guards.sign[g], guards.stops[g] = of_all.sign[k], of_all.stops[k]
+        guards.parameter[g], guards.threshold[g] = of_all.parameter[k], of_all.threshold[k]
+        guards.relative[g], guards.constraint[g] = of_all.relative[k], of_all.constraint[k]
+        guards.body[g], guards.margins[g] = of_all.body[k], of_all.margins[k]
+        copy(of_all.patch[k], guards.patch[g])
+        copy(of_all.bounds[k], guards.bounds[g])
+        guards.value[g] = guards.rate[g] = guards.before[g] = guards.rate_before[g] = 0.0
+        guards.least[g], guards.level[g] = math.inf, 0.0
+        guards.armed[g] = guards.result[g] = 0
 
 
 @cfunc
@@ -128,9 +192,10 @@ def solve_sliding(address, size, _a, _b):
     """Solve a mode with sliding contacts."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    own = struct_at(data.modes.mode, 0)
-    mode, slides, reactions = open_mode(own), open_slides(own), open_reactions(own)
-    write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
+    parts = struct_at(data.modes.mode, 0)
+    mode, slides, reactions = open_mode(parts), open_slides(parts), open_reactions(parts)
+    if write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions) != OK:
+        return CALLBACK_FAILED
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
     coupled = open_coupled(struct)
@@ -183,8 +248,8 @@ def solve_reactions(data, work, mode, reactions, couple_all):
 def record_forces(address, size, _t, _b):
     """Write the forces of all rows and the states of contacts, ``data.shown``, and the wrenches."""
     data = open_data(struct_at(address, size))
-    own = struct_at(data.modes.mode, 0)
-    mode, slides, shown = open_mode(own), open_slides(own), data.shown
+    parts = struct_at(data.modes.mode, 0)
+    mode, slides, shown = open_mode(parts), open_slides(parts), data.shown
     shown[:] = 0.0
     for k in range(mode.held.size):
         shown[mode.held[k]] = data.force[k]
@@ -197,52 +262,58 @@ def record_forces(address, size, _t, _b):
     for k in range(mode.states.size):
         shown[first + k] = mode.states[k]
     struct = struct_at(data.modes.full, 0)
-    update_rows(struct)
+    status = update_rows(struct)
     _, full, work = open_system(struct)
     write_wrenches(full.Wo, work.rows, shown, data.wrenches)
-    return CALLBACK_FAILED if data.status.failed else OK
+    return status
 
 
 @kernel
 def write_mode_guards(struct: INTS):
-    """Kinematics of all rows, and the values of a mode's guards at the state evaluated last."""
+    """Kinematics of all rows, and the values of a mode's guards at the state evaluated last.
+
+    Returns ``OK`` or ``CALLBACK_FAILED``.
+    """
     data = open_data(struct)
     rows = struct_at(data.modes.full, 0)
-    update_rows(rows)
+    status = update_rows(rows)
     model, full, _ = open_system(rows)
     write_values(open_guards(struct_at(data.modes.mode, 0)), struct, data, model, full)
+    return status
 
 
 @cfunc
 def check_guards(address, size, begin, end):
     """Check all guards at the end of a step; ``FIRED`` when one of them reports an event."""
     struct = struct_at(address, size)
-    write_mode_guards(struct)
-    data = open_data(struct)
-    if data.status.failed:
+    if write_mode_guards(struct) != OK:
         return OK  # the time loop checks the flag
-    own = struct_at(data.modes.mode, 0)
-    numbers = open_mode(own).numbers
+    data = open_data(struct)
+    parts = struct_at(data.modes.mode, 0)
+    numbers = open_mode(parts).numbers
     numbers.begin, numbers.end = begin, end
-    if judge_guards(open_guards(own), end - begin) > 0 and not numbers.muted:
+    if judge_guards(open_guards(parts), end - begin) > 0 and not numbers.muted:
         return FIRED
     numbers.muted = False
-    begin_step(own, open_data(struct_at(data.modes.full, 0)).contacts)
+    begin_step(parts, open_data(struct_at(data.modes.full, 0)).contacts)
     return OK
 
 
 @kernel
-def begin_step(own, contacts):
+def begin_step(parts, contacts):
     """Make the end of a step the beginning of the next one."""
-    accept_guards(open_guards(own))
-    follow_slip(open_slides(own), open_mode(own).numbers.slow, contacts)
+    accept_guards(open_guards(parts))
+    follow_slip(open_slides(parts), open_mode(parts).numbers.slow, contacts)
 
 
 @kernel
 def start_guards(struct: INTS):
-    """Initialise the guards and the solver monitor at the state evaluated last."""
+    """Begin guards and solver monitor at the state evaluated last; returns a status."""
     data = open_data(struct)
-    call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    if status != OK:
+        return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
-    write_mode_guards(struct)
+    status = write_mode_guards(struct)
     begin_step(struct_at(data.modes.mode, 0), open_data(struct_at(data.modes.full, 0)).contacts)
+    return status
