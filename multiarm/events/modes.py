@@ -56,6 +56,8 @@ class Modes:
     data : RowSelection
         With the held rows of the mode.
     mode : Mode
+    slides, guards : Slides, Guards
+        Its sliding contacts and guards.
     numbers : ModeNumbers
     arrays : ModeArrays
         With room for all rows.
@@ -113,21 +115,9 @@ class Modes:
     # --- the mode that has been entered -----------------------------------------------------------
 
     @property
-    def slides(self) -> Slides:
-        """Its sliding contacts."""
-        return Slides(*(column[: self._sliding] for column in self._slides))
-
-    @property
-    def guards(self) -> Guards:
-        """Its guards."""
-        columns = (column[: self._watching] for column in self._guards.table)
-        return Guards(*columns)._replace(direction=self._slides.direction[: self._sliding])
-
-    @property
     def contradicted(self) -> bool:
         """Whether a guard is violated at the state at which the guards were started."""
-        g, table = self._watching, self._guards.table
-        return not np.all(table.value[:g] >= -table.threshold[:g])
+        return not np.all(self.guards.value >= -self.guards.threshold)
 
     def set_prestress(self, forces: Mapping[int, float]) -> None:
         """Set the forces, by row, to which those of the mode are nearest."""
@@ -141,8 +131,8 @@ class Modes:
             self._select(mode)
         self.mode = mode
         for s, u in enumerate(self._sliding_constraints):
-            self._slides.direction[s] = mode.directions[u]
-        self._guards.table.armed[: self._watching] = 0
+            self.slides.direction[s] = mode.directions[u]
+        self.guards.armed[:] = 0
         self.numbers.muted = self.numbers.stressed = False
         set_constraint_forces(self.full, mode.states)
 
@@ -155,13 +145,15 @@ class Modes:
         self.full.arrays.signs[:] = 0.0  # determinants of other rows
         place = np.full(self.arrays.held.size, -1, dtype=np.int64)
         place[rows] = range(rows.size)
-        self._sliding = len(sliding)
-        struct[self._sizes.rows], struct[self._sizes.slides] = rows.size, self._sliding
+        struct[self._sizes.rows], struct[self._sizes.slides] = rows.size, len(sliding)
         self._write_rows(mode, rows)
         self._write_slides(mode, place)
         numbers = self._guards.numbers(mode, place, sliding)
-        struct[self._sizes.guards] = self._watching = numbers.size
+        struct[self._sizes.guards] = numbers.size
         write_guards(struct, self._guards.struct, numbers, place, np.array(sliding, dtype=np.int64))
+        self.slides = Slides(*(column[: len(sliding)] for column in self._slides))
+        columns = (column[: numbers.size] for column in self._guards.table)
+        self.guards = Guards(*columns)._replace(direction=self.slides.direction)
         self._choose_solver(sliding)
 
     def _write_rows(self, mode: Mode, rows: np.ndarray) -> None:
