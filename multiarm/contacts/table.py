@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact, SmoothShape, Surface
+from multiarm.jit.kernels import plain
 
 # Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
 CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
@@ -113,30 +114,67 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
     )
 
 
-def select_rows(
-    codes: np.ndarray, geometry: np.ndarray, count: int, rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Codes and geometry of a table with some of the ``count`` rows, given in increasing order.
+def count_parts(codes: np.ndarray, count: int) -> int:
+    """The most parts that some of the ``count`` rows of a table can have.
+
+    A tangent without its normal row has a copy of it among the parts.
+    """
+    alone = (codes[:count, KIND] == TANGENT) & (codes[:count, COUNT] == 0)
+    return len(codes) - count + np.count_nonzero(alone)
+
+
+@plain
+def select_rows(codes, geometry, rows, selected_codes, selected_geometry):
+    """Write the table of some rows, in increasing order; returns the number of its parts.
 
     The other surfaces, to which codes refer, are those of the whole table.
     """
-    selected = codes[rows]
-    parts: list[int] = []
-    for k in np.flatnonzero(selected[:, KIND] == COMBINED):
-        first, pieces = selected[k, LINK], selected[k, COUNT]
-        selected[k, LINK] = len(rows) + len(parts)
-        parts += range(first, first + pieces)
-    tangents = np.flatnonzero(selected[:, KIND] == TANGENT)
-    if tangents.size:
-        links, parts_before = selected[tangents, LINK], selected[tangents, COUNT]
-        normals = np.where(parts_before > 0, parts_before, rows[tangents] - links)
-        at = tangents - links  # where the normal row is, if it is selected
-        alone = (parts_before > 0) | (at < 0) | (rows[np.maximum(at, 0)] != normals)
-        selected[tangents, COUNT] = 0
-        selected[tangents[alone], COUNT] = len(rows) + len(parts) + np.arange(np.sum(alone))
-        parts += normals[alone].tolist()
-    sources = np.concatenate([rows, np.array(parts, dtype=np.int64)])
-    return np.concatenate([selected, codes[sources[len(rows) :]]]), geometry[sources]
+    count, parts = rows.size, 0
+    for k in range(count):
+        row = rows[k]
+        copy_record(codes, geometry, row, k, selected_codes, selected_geometry)
+        kind, link = codes[row, KIND], codes[row, LINK]
+        if kind == COMBINED:
+            selected_codes[k, LINK] = count + parts
+            for piece in range(link, link + codes[row, COUNT]):
+                copy_record(
+                    codes, geometry, piece, count + parts, selected_codes, selected_geometry
+                )
+                parts += 1
+        elif kind == TANGENT:
+            part, at = codes[row, COUNT], k - link
+            normal = part if part > 0 else row - link
+            if part > 0 or at < 0 or rows[at] != normal:
+                selected_codes[k, COUNT] = count + parts
+                copy_record(
+                    codes, geometry, normal, count + parts, selected_codes, selected_geometry
+                )
+                parts += 1
+    return parts
+
+
+@plain
+def copy_record(codes, geometry, source, k, selected_codes, selected_geometry):
+    """Copy one record of a table to place ``k`` of another one."""
+    for column in range(CODE_WIDTH):
+        selected_codes[k, column] = codes[source, column]
+    for column in range(GEOMETRY_WIDTH):
+        selected_geometry[k, column] = geometry[source, column]
+
+
+@plain
+def select_joint_rows(codes, rows, dofs, joint_rows):
+    """Write arm, row and joint of the rows that belong to joints, (r, 3).
+
+    ``rows`` and ``dofs`` (n + 1,) are the first ones of each arm.
+    """
+    count = 0
+    for i in range(rows.size - 1):
+        for row in range(rows[i], rows[i + 1]):
+            if codes[row, KIND] == JOINT:
+                joint_rows[count, 0], joint_rows[count, 1] = i, row
+                joint_rows[count, 2] = dofs[i] + codes[row, LINK]
+                count += 1
 
 
 def _follows_its_normal(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:

@@ -29,7 +29,7 @@ from multiarm.jit.structs import (
     Ints1,
     Ints2,
     Numbers,
-    sizes_in_struct,
+    size_places,
     struct_of,
     view,
 )
@@ -321,7 +321,7 @@ def make_variables(
         **{name: np.zeros(arms, np.int64) for name in _OF_ARMS},
         **{name: np.zeros(shape) for name, shape in shapes.items()},
         **stacked_vectors(layout),
-        **row_variables(constants, layout),
+        **row_variables(layout.contacts, len(constants.codes) - layout.contacts),
     )
 
 
@@ -337,19 +337,17 @@ def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def row_variables(constants: Constants, layout: Layout) -> dict[str, np.ndarray]:
-    """The variables with an entry for every row of W."""
-    rows = {name: np.zeros(shape) for name, shape in row_shapes(constants, layout).items()}
-    return {**rows, "shown": rows["force"]}
+def row_variables(rows: int, parts: int) -> dict[str, np.ndarray]:
+    """The variables with an entry for every row of W, and for the parts of combined rows."""
+    arrays = {name: np.zeros(shape) for name, shape in row_shapes(rows).items()}
+    return {**arrays, "parts": np.zeros((parts, CONTACT_WIDTH)), "shown": arrays["force"]}
 
 
-def row_shapes(constants: Constants, layout: Layout) -> dict[str, tuple[int, ...]]:
-    """Shapes of these variables, without ``shown``."""
-    rows = layout.contacts
+def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the variables with an entry for every row, without ``shown``."""
     return {
-        "contacts": (rows, CONTACT_WIDTH), "parts": (len(constants.codes) - rows, CONTACT_WIDTH),
-        "Wo": (rows, 6), "wrench": (6, rows), "c": (rows,), "force": (rows,),
-        "static_force": (rows,),
+        "contacts": (rows, CONTACT_WIDTH), "Wo": (rows, 6), "wrench": (6, rows), "c": (rows,),
+        "force": (rows,), "static_force": (rows,),
     }  # fmt: skip
 
 
@@ -384,14 +382,13 @@ STATUS = _FIRST[1] + Variables._fields.index("status")
 EFFECTS = _FIRST[5]
 
 
-def row_sizes(*arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Places in a system's struct of the sizes of arrays, and these sizes.
+def row_places(*shapes: Mapping[str, tuple[int, ...]]) -> np.ndarray:
+    """Places in a system's struct of the sizes of arrays, in the order of their shapes.
 
     The arrays are some of the ``Constants, Variables, NodeWork, CoupledWork``.
     """
-    parts = zip(_PARTS, _FIRST, arrays, strict=False)
-    places, sizes = zip(*(sizes_in_struct(*part) for part in parts), strict=True)
-    return np.concatenate(places), np.concatenate(sizes)
+    parts = zip(_PARTS, _FIRST, shapes, strict=False)
+    return np.concatenate([size_places(*part) for part in parts])
 
 
 @inlined

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import weakref
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -182,32 +183,38 @@ def call_controller(address, size, _at, _t):
     return 0
 
 
+class Solved(Protocol):
+    """A Data that is solved: its arrays, and the workspace of its solver."""
+
+    arrays: Variables
+    work: NodeWork
+
+
 class DenseSolver:
-    """Solves for ``a_o, a_j, force`` in the variables by the dense solver, when it is called.
+    """Solves for ``a_o, a_j, force`` in a Data by the dense solver, when it is called.
 
     Attributes
     ----------
-    variables : Variables
-    work : NodeWork
     reactions : tuple of ndarray, optional
         The object's rows (N, 6) and the arms' matrices (n, d, m) of the contact forces where these
         differ from the constraints.
     """
 
-    def __init__(self, variables: Variables, work: NodeWork) -> None:
-        self.variables, self.work = variables, work
+    def __init__(self, data: Solved) -> None:
+        self._data = weakref.proxy(data)  # which has this
         self.reactions: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(self) -> None:
         """Solve once."""
-        b, work, dofs = self.variables, self.work, self.work.dofs
+        b, work = self._data.arrays, self._data.work
+        dofs = work.dofs
         arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
         _require_usable(inertias, (b.f_j, b.c, b.f_o, work.W))
-        W_o, W = self._by_arm(b.Wo, work.W)
+        W_o, W = _by_arm(work, b.Wo, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
-            reaction_o, reaction = self._by_arm(*self.reactions)
+            reaction_o, reaction = _by_arm(work, *self.reactions)
         solution = solve_dense(
             M_o=b.inertia,
             f_o=b.f_o,
@@ -226,12 +233,12 @@ class DenseSolver:
         b.loose_arms[:] = 0
         b.loose_arms[list(solution.loose_arms)] = 1
 
-    def _by_arm(self, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
-        rows = self.work.rows
-        sizes = zip(on_arms, np.diff(self.work.dofs), np.diff(rows), strict=True)
-        blocks = [matrix[:d, :m] for matrix, d, m in sizes]
-        bounds = itertools.pairwise(rows)
-        return [on_object[first:end].T for first, end in bounds], blocks
+
+def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
+    sizes = zip(on_arms, np.diff(work.dofs), np.diff(work.rows), strict=True)
+    blocks = [matrix[:d, :m] for matrix, d, m in sizes]
+    bounds = itertools.pairwise(work.rows)
+    return [on_object[first:end].T for first, end in bounds], blocks
 
 
 def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -> None:

@@ -1,8 +1,9 @@
 """What guards watch: contacts, their forces and slip, joints and drives.
 
 Each kind has a record with what the function of its guards depends on, and the function beside it.
-A guard is its sign times this function, see :mod:`multiarm.dynamics.guards`.  "All rows" are those
-of a scene with all contacts closed; *held* rows are those of the mode, whose forces are known.
+A guard is its sign times this function, see :mod:`multiarm.dynamics.guards`.  Rows are numbered
+among all rows, those of a scene with all contacts closed; *held* rows are those of the mode, whose
+forces are known.
 
 Where the rate is known, an extremum inside a step shows.  A function that has a rate returns the
 value, and *course* and rate: a smooth function of time that is the value where both fall.
@@ -43,7 +44,7 @@ def _kind(record: type) -> tuple[int, Callable]:
 class OpenGap(NamedTuple):
     """The gap of an open contact or of a joint's stop [m, rad]; it closes at zero."""
 
-    row: Int  # of all rows
+    row: Int
 
 
 OPEN_GAP, gap_at = _kind(OpenGap)
@@ -52,7 +53,7 @@ OPEN_GAP, gap_at = _kind(OpenGap)
 class Touch(NamedTuple):
     """How far the gap of a contact that touches without force is from opening or pressing [m]."""
 
-    row: Int  # of all rows
+    row: Int
     allowance: Float  # largest gap or penetration [m]
 
 
@@ -62,7 +63,7 @@ TOUCH, touch_at = _kind(Touch)
 class SpringExtension(NamedTuple):
     """The extension of the spring of a compliant contact [m], see :func:`spring_length`."""
 
-    row: Int  # of all rows
+    row: Int
     lag: Float  # damping over stiffness [s]
 
 
@@ -72,7 +73,7 @@ SPRING_EXTENSION, extension_at = _kind(SpringExtension)
 class SpringCompression(NamedTuple):
     """How far the spring of a compliant contact is pressed [m]: minus its extension."""
 
-    row: Int  # of all rows
+    row: Int
     lag: Float  # damping over stiffness [s]
 
 
@@ -82,7 +83,7 @@ SPRING_COMPRESSION, compression_at = _kind(SpringCompression)
 class PatchDepth(NamedTuple):
     """How far inside the patch of its surface a contact is [m]."""
 
-    row: Int  # of all rows
+    row: Int
     body: Int  # with the patch: an arm's number, or ``ON_OBJECT``
     patch: Floats1  # (18,) frame in the body (rotation row by row, origin), and corners
 
@@ -145,7 +146,7 @@ def depth_on_body(patch, body, row, model, data):
 class Push(NamedTuple):
     """The force of a contact [N], which pushes where it is positive."""
 
-    held: Int  # number of its row among the held ones
+    row: Int  # held
 
 
 PUSH, push_at = _kind(Push)
@@ -154,9 +155,9 @@ PUSH, push_at = _kind(Push)
 class FrictionCone(NamedTuple):
     """How far the force of a sticking contact is inside its friction cone [N]."""
 
-    held: Int
+    row: Int  # held
     mu: Float  # coefficient of friction; negative where the contact pulls
-    # numbers of the rows of its tangents among the held ones; -1: other contacts hold it there
+    # its tangents; what is not held has no force: other contacts hold the contact there
     first_tangent: Int
     second_tangent: Int
 
@@ -167,7 +168,7 @@ FRICTION_CONE, cone_at = _kind(FrictionCone)
 class StaticFriction(NamedTuple):
     """How far the torque that dry friction holds a joint with is below its bound [N m, N]."""
 
-    held: Int
+    row: Int  # held
     bound: Float  # [N m, N]
 
 
@@ -185,14 +186,14 @@ DRIVE_MARGIN, drive_at = _kind(DriveMargin)
 
 
 @inlined
-def friction_cone(guard, force):
+def friction_cone(guard, held, force):
     r"""``mu \lambda_n - |\lambda_t|``."""
-    square = 0.0
-    if guard.first_tangent >= 0:
-        square += force[guard.first_tangent] ** 2
-    if guard.second_tangent >= 0:
-        square += force[guard.second_tangent] ** 2
-    return guard.mu * force[guard.held] - math.sqrt(square)
+    first, second, square = held[guard.first_tangent], held[guard.second_tangent], 0.0
+    if first >= 0:
+        square += force[first] ** 2
+    if second >= 0:
+        square += force[second] ** 2
+    return guard.mu * force[held[guard.row]] - math.sqrt(square)
 
 
 @inlined
@@ -207,8 +208,8 @@ def drive_margin(guard, struct):
 class Slip(NamedTuple):
     """The speed of a sliding contact along the direction of its slip [m/s]."""
 
-    tangent: Int  # the first of its two tangents, of all rows
-    slide: Int  # number of the sliding contact
+    tangent: Int  # the row of the first of its two tangents
+    constraint: Int  # of the scene's unilateral constraints
     directions: Floats2  # (s, 2) of all sliding contacts, see multiarm.events.sliding
 
 
@@ -218,7 +219,7 @@ SLIP, slip_at = _kind(Slip)
 class SlipOnset(NamedTuple):
     """How far the slip of a contact that rests is below the speed of one that slides [m/s]."""
 
-    tangent: Int  # the first of its two tangents, of all rows
+    tangent: Int  # the row of the first of its two tangents
     still: Float  # largest speed at rest [m/s]
 
 
@@ -235,9 +236,9 @@ JOINT_SPEED, joint_speed_at = _kind(JointSpeed)
 
 
 @inlined
-def slip(guard, rows):
-    """``d . s``."""
-    t, direction = guard.tangent, guard.directions[guard.slide]
+def slip(guard, slides, rows):
+    """``d . s``; ``slides`` are the numbers of the sliding contacts, by constraint."""
+    t, direction = guard.tangent, guard.directions[slides[guard.constraint]]
     first, second = rows.contacts[t, GAP_RATE], rows.contacts[t + 1, GAP_RATE]
     return first * direction[0] + second * direction[1]
 
@@ -290,24 +291,26 @@ def is_force_function(kind):
 
 
 @kernel
-def force_function(kind, records, at, struct, force):
-    """Value of such a function, for the forces of the held rows."""
+def force_function(guards, g, struct, force):
+    """Value of such a function of guard ``g``, for the forces of the held rows."""
+    kind, records, at, held = guards.kind[g], guards.records, guards.place[g], guards.held
     if kind == PUSH:
-        return force[push_at(records, at).held]
+        return force[held[push_at(records, at).row]]
     if kind == FRICTION_CONE:
-        return friction_cone(cone_at(records, at), force)
+        return friction_cone(cone_at(records, at), held, force)
     if kind == STATIC_FRICTION:
         guard = static_friction_at(records, at)
-        return guard.bound - abs(force[guard.held])
+        return guard.bound - abs(force[held[guard.row]])
     return drive_margin(drive_at(records, at), struct)
 
 
 @kernel
-def guard_function(kind, records, at, struct, data, model, rows):
-    """Value, course and rate of a function at the state evaluated last; without a rate, it is 0.
+def guard_function(guards, g, struct, data, model, rows):
+    """Value, course and rate for guard ``g`` at the state evaluated last; without a rate, it is 0.
 
     ``model`` and ``rows`` are those of the system with all rows, with their kinematics.
     """
+    kind, records, at = guards.kind[g], guards.records, guards.place[g]
     if kind == OPEN_GAP:
         contact = rows.contacts[gap_at(records, at).row]
         return contact[GAP], contact[GAP], contact[GAP_RATE]
@@ -317,7 +320,7 @@ def guard_function(kind, records, at, struct, data, model, rows):
         depth, rate = range_depth(range_at(records, at), model, data)
         return depth, depth, rate
     if is_force_function(kind):
-        value = force_function(kind, records, at, struct, data.force)
+        value = force_function(guards, g, struct, data.force)
     elif kind == TOUCH:
         value = touch(touch_at(records, at), rows)
     elif kind == SPRING_COMPRESSION:
@@ -326,7 +329,7 @@ def guard_function(kind, records, at, struct, data, model, rows):
         guard = patch_at(records, at)
         value = depth_on_body(guard.patch, guard.body, guard.row, model, rows)
     elif kind == SLIP:
-        value = slip(slip_at(records, at), rows)
+        value = slip(slip_at(records, at), guards.slides, rows)
     elif kind == SLIP_ONSET:
         value = slip_onset(onset_at(records, at), rows)
     else:

@@ -64,9 +64,11 @@ class Guard(NamedTuple):
 class Guards(NamedTuple):
     """A table of g guards."""
 
-    kind: Ints1  # number of the function among all kinds
     records: Ints1  # struct of what the functions depend on, one record after the other
-    place: Ints1  # of each guard's record there
+    held: Ints1  # number of every row among the held ones; -1: not held
+    slides: Ints1  # number of every constraint among those that slide
+    kind: Ints1  # number of the function among all kinds
+    place: Ints1  # of the guard's record among all
     sign: Ints1
     stops: Ints1
     threshold: Floats1
@@ -84,10 +86,14 @@ class Guards(NamedTuple):
     result: Ints1  # for the last step
 
 
+SHARED = ("records", "held", "slides")
+"""Those of a table's arrays that have no entry for every guard."""
 open_guards = view(Guards)
 
 
-def make_guards(guards: Sequence[Guard]) -> Guards:
+def make_guards(
+    guards: Sequence[Guard], held: Sequence[int] = (), slides: Sequence[int] = ()
+) -> Guards:
     """The table of some guards; arrays of their records must live as long as it does."""
     g = len(guards)
     records = [struct_of(guard.function) for guard in guards]
@@ -95,8 +101,10 @@ def make_guards(guards: Sequence[Guard]) -> Guards:
     integers = ("sign", "stops", "relative")
     numbers = ("value", "course", "rate", "before", "rate_before", "level")
     return Guards(
-        kind=np.array([KINDS.index(type(guard.function)) for guard in guards], dtype=np.int64),
         records=np.concatenate([np.zeros(0, dtype=np.int64), *records]),
+        held=np.array(held, dtype=np.int64),
+        slides=np.array(slides, dtype=np.int64),
+        kind=np.array([KINDS.index(type(guard.function)) for guard in guards], dtype=np.int64),
         place=first.astype(np.int64),
         **{n: np.array([getattr(guard, n) for guard in guards], dtype=np.int64) for n in integers},
         threshold=np.array([guard.threshold for guard in guards], dtype=float),
@@ -131,8 +139,8 @@ def write_values(guards, struct, data, model, rows):
     for k in range(data.force.size):
         largest = max(largest, abs(data.force[k]))
     for g in range(guards.kind.size):
-        kind, at, sign = guards.kind[g], guards.place[g], guards.sign[g]
-        value, course, rate = guard_function(kind, guards.records, at, struct, data, model, rows)
+        sign = guards.sign[g]
+        value, course, rate = guard_function(guards, g, struct, data, model, rows)
         guards.value[g], guards.course[g], guards.rate[g] = sign * value, sign * course, sign * rate
         threshold = guards.threshold[g]
         guards.level[g] = threshold * largest if guards.relative[g] != 0 else threshold
@@ -152,10 +160,9 @@ def begin_stages(guards):
 def follow_stage(guards, struct, force):
     """Update the least values of force guards at a stage of the step."""
     for g in range(guards.kind.size):
-        kind = guards.kind[g]
-        if is_force_function(kind):
-            value = force_function(kind, guards.records, guards.place[g], struct, force)
-            guards.least[g] = min(guards.least[g], guards.sign[g] * value)
+        if is_force_function(guards.kind[g]):
+            value = guards.sign[g] * force_function(guards, g, struct, force)
+            guards.least[g] = min(guards.least[g], value)
 
 
 @kernel

@@ -26,7 +26,16 @@ from multiarm.arms.terms import Coriolis
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.surfaces import user_surface_callback
-from multiarm.contacts.table import JOINT, KIND, LINK, JointRow, select_rows
+from multiarm.contacts.table import (
+    CODE_WIDTH,
+    GEOMETRY_WIDTH,
+    JOINT,
+    KIND,
+    JointRow,
+    count_parts,
+    select_joint_rows,
+    select_rows,
+)
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import (
     ALWAYS,
@@ -233,9 +242,11 @@ class Model:
                 zip(layout.names, bounds[:-1], bounds[1:], strict=False)
             )
         }
-        codes, geometry = select_rows(
-            self.constants.codes, self.constants.geometry, self.layout.contacts, chosen
-        )
+        codes, geometry = self.constants.codes, self.constants.geometry
+        size = len(chosen) + count_parts(codes, self.layout.contacts)
+        selected = np.zeros((size, CODE_WIDTH), dtype=np.int64), np.zeros((size, GEOMETRY_WIDTH))
+        size = len(chosen) + select_rows(codes, geometry, chosen, *selected)
+        codes, geometry = (table[:size].copy() for table in selected)
         return replace(
             self,
             layout=layout,
@@ -249,10 +260,9 @@ def with_rows(
     constants: Constants, codes: np.ndarray, geometry: np.ndarray, layout: Layout
 ) -> Constants:
     """Constants with other rows, which have the same other surfaces."""
-    rows = np.flatnonzero(codes[: layout.contacts, KIND] == JOINT)
-    arms = np.searchsorted(layout.rows, rows, side="right") - 1
-    joints = np.take(layout.dofs, arms) + codes[rows, LINK]
-    joint_rows = np.column_stack([arms, rows, joints])
+    count = np.count_nonzero(codes[: layout.contacts, KIND] == JOINT)
+    joint_rows = np.zeros((count, 3), dtype=np.int64)
+    select_joint_rows(codes, np.array(layout.rows), np.array(layout.dofs), joint_rows)
     return constants._replace(codes=codes, geometry=geometry, joint_rows=joint_rows)
 
 
@@ -321,7 +331,7 @@ class Data:
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
-        self.guards = make_guards(model.guards)
+        self.guards = make_guards(model.guards, range(model.layout.contacts))
         arrays = make_variables(
             model.constants,
             self._pointers(),
@@ -360,26 +370,30 @@ class Data:
         Where the model has other rows, it has its own arrays with an entry for every row.  Contacts
         of two surfaces are found from the same places.
         """
-        other = copy(self)
-        other._of_laws = None
-        other._base = self  # keeps alive the arrays whose addresses are in the struct
-        other.model, other.cache, other.callbacks = model, {}, dict(self.callbacks)
-        arrays = self.arrays._replace(functions=self.arrays.functions.copy())
-        same_rows = model.constants.codes is self.model.constants.codes
-        if same_rows:
-            other.arrays = arrays
-            if model.laws is not self.model.laws:
-                other._connect_laws()
-            other._struct = other._make_struct()
+        view = copy(self)
+        view._share(self, model)
+        return view
+
+    def _share(self, base: Data, model: Model) -> None:
+        """Become the view of a model on ``base``, of which this is a copy."""
+        self._of_laws = None
+        self._base = base  # keeps alive the arrays whose addresses are in the struct
+        self.model, self.cache, self.callbacks = model, {}, dict(base.callbacks)
+        arrays = base.arrays._replace(functions=base.arrays.functions.copy())
+        if model.constants.codes is base.model.constants.codes:
+            self.arrays = arrays
+            if model.laws is not base.model.laws:
+                self._connect_laws()
+            self._struct = self._make_struct()
         else:
-            rows: dict[str, Any] = row_variables(model.constants, model.layout)
-            other.arrays = arrays._replace(**rows)
-            other._connect_rows()
-        if model.python_control is not self.model.python_control:
-            other._connect_control()
-        if model.sampling != self.model.sampling:
-            other.hold(None)
-        return other
+            count = model.layout.contacts
+            rows: dict[str, Any] = row_variables(count, len(model.constants.codes) - count)
+            self.arrays = arrays._replace(**rows)
+            self._connect_rows()
+        if model.python_control is not base.model.python_control:
+            self._connect_control()
+        if model.sampling != base.model.sampling:
+            self.hold(None)
 
     def with_contacts_closed(self) -> Data:
         """Data of :meth:`Model.with_contacts_closed`."""
@@ -403,7 +417,7 @@ class Data:
         model, b = self.model, self.arrays
         sizes = np.diff(model.layout.dofs).tolist(), np.diff(model.layout.rows).tolist()
         self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
-        self.dense_solver = DenseSolver(b, self.work)
+        self.dense_solver = DenseSolver(self)
         self._add_callback("dense", PythonCallback(self.dense_solver, b.status))
         self._connect_laws()
         self._struct = self._make_struct()
@@ -447,22 +461,6 @@ class Data:
         self.arrays = self.arrays._replace(**changes)
         self.work = self.work if work is None else work
         self._struct = self._make_struct(constants)
-
-    def take_rows(
-        self,
-        model: Model,
-        rows: Mapping[str, Any],
-        work: NodeWork,
-        coupled: CoupledWork,
-        cache: dict[object, Any],
-    ) -> None:
-        """Continue with the rows of another model, whose arrays are at the same addresses.
-
-        ``cache`` is what these rows have left before.  The struct is left to the caller.
-        """
-        self.model, self.work, self.coupled, self.cache = model, work, coupled, cache
-        self.arrays = self.arrays._replace(**rows)
-        self.dense_solver.variables, self.dense_solver.work = self.arrays, work
 
     @property
     def struct(self) -> np.ndarray:

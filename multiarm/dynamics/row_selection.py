@@ -1,9 +1,9 @@
 """Some rows of a Data at a time: the contacts that are closed now.
 
 The addresses in the struct of a :class:`RowSelection` stay, with whatever refers to it: a run and
-its steps.  Where rows are selected, the sizes in the struct and the contents of a few small tables
-are written, and the variables of the rows are cleared.  Rows are never selected while compiled code
-runs: it may have read the sizes.
+its steps.  Its arrays have room for all rows.  Where rows are selected, a kernel writes the sizes
+of the arrays, a few small tables, and zeros into what earlier rows have left.  Rows are never
+selected while compiled code runs: it may have read the sizes.
 """
 
 from __future__ import annotations
@@ -11,55 +11,45 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH
-from multiarm.contacts.table import CODE_WIDTH, GEOMETRY_WIDTH, KIND, TANGENT
-from multiarm.dynamics.arrays import row_shapes, row_sizes
+from multiarm.contacts.table import (
+    CODE_WIDTH,
+    GEOMETRY_WIDTH,
+    JOINT,
+    KIND,
+    count_parts,
+    select_joint_rows,
+    select_rows,
+)
+from multiarm.dynamics.arrays import Variables, open_system, row_places, row_shapes
 from multiarm.dynamics.model import Data, Model
-from multiarm.dynamics.solver.node import NodeWork, group_tables, work_shapes
+from multiarm.dynamics.solver.node import (
+    NodeWork,
+    group_order,
+    group_shapes,
+    make_work,
+    work_shapes,
+    write_groups,
+)
 from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
-from multiarm.jit.simd import aligned_zeros
+from multiarm.jit.kernels import INTS, clear, copy, kernel
 
 Shapes = Mapping[str, tuple[int, ...]]
-# Constants with an entry for every row.
-CONSTANTS = "codes", "geometry", "joint_rows"
-# Selections of which all is known that selecting them again needs.
+# Selections whose caches are kept.
 MOST_RECENT = 32
 
 
-class Room:
-    """Memory for arrays of changing shapes, allocated once for the largest ones."""
+class RowSelection(Data):
+    """Data of those rows of another one that were selected last, at first of none.
 
-    def __init__(self, largest: Mapping[str, np.ndarray]) -> None:
-        self._memory = {name: array.reshape(-1) for name, array in largest.items()}
-
-    def arrays(self, shapes: Shapes) -> dict[str, np.ndarray]:
-        """Arrays of these shapes, at the beginning of the memory, as it is."""
-        return {
-            name: self._memory[name][: math.prod(shape)].reshape(shape)
-            for name, shape in shapes.items()
-        }
-
-
-class Selected(NamedTuple):
-    """What some rows make of a Data, apart from the contents of its memory."""
-
-    model: Model
-    variables: dict[str, np.ndarray]
-    work: NodeWork
-    coupled: CoupledWork
-    contents: list[tuple[np.ndarray, np.ndarray]]  # arrays, and what they contain
-    cache: dict[object, Any]  # of the Data: what is made for these rows stays right for them
-    places: np.ndarray  # of the sizes in the struct
-    sizes: np.ndarray
-
-
-class RowSelection:
-    """The rows of a Data, or any of them.
+    Its attributes ``model, arrays, work, coupled`` are made for the selected rows where Python asks
+    for them.
 
     Parameters
     ----------
@@ -70,83 +60,129 @@ class RowSelection:
 
     Attributes
     ----------
-    data : Data
-        Of the rows that were selected last, at first of none; its struct stays.
+    rows : int64 (m,)
+        The selected rows, increasing.
+    counts : list of int
+        How many each arm has of them.
     """
 
     def __init__(self, full: Data, **variables: Any) -> None:
-        self._full = full
+        vars(self).update(vars(full))
         model, layout = full.model, full.model.layout
-        self._dofs = np.diff(layout.dofs).tolist()
-        self.data = full.view(replace(model.select(range(layout.contacts)), unilateral=None))
-        b, levers = self.data.arrays, self.data.work.levers
-        # a tangent without its normal row has a copy of it among the parts
-        kinds = model.constants.codes[: layout.contacts, KIND]
-        parts = len(b.parts) + np.count_nonzero(kinds == TANGENT)
-        constants: dict[str, Any] = {
-            "codes": np.zeros((layout.contacts + parts, CODE_WIDTH), dtype=np.int64),
-            "geometry": np.zeros((layout.contacts + parts, GEOMETRY_WIDTH)),
-            "joint_rows": np.zeros_like(model.constants.joint_rows),
-        }
+        self._full, self._bounds = full, np.array(layout.rows)
+        self._dofs, counts = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
+        self._of_joints = model.constants.codes[: layout.contacts, KIND] == JOINT
+        self._share(full, replace(model.select(range(layout.contacts)), unilateral=None))
+        parts = count_parts(model.constants.codes, layout.contacts)
+        size = layout.contacts + parts
         # arms with more contacts than joints are in no group
-        rows = np.diff(layout.rows)
-        fewer = np.minimum(self._dofs, rows).tolist()
-        tables, size = group_tables(self._dofs, fewer, levers)
-        tables["packs"] = aligned_zeros(max(size, self.data.work.packs.size))
-        self.data.replace_arrays(
-            constants=self.data.model.constants._replace(**constants),
-            work=self.data.work._replace(**tables),
+        fewer = np.minimum(self._dofs, counts).tolist()
+        grouped, work = make_work(self._dofs, fewer), self.work
+        packs = max(grouped.packs, work.packs, key=len)
+        constants = self.model.constants._replace(
+            codes=np.zeros((size, CODE_WIDTH), dtype=np.int64),
+            geometry=np.zeros((size, GEOMETRY_WIDTH)),
+        )
+        self.replace_arrays(
+            constants=constants,
+            work=work._replace(
+                packs=packs, **{name: getattr(grouped, name) for name in group_shapes([1], [0])}
+            ),
             parts=np.zeros((parts, CONTACT_WIDTH)),
             **variables,
         )
-        shapes = row_shapes(self.data.model.constants, layout)
-        self._tables = Room({**constants, **tables, "rows": self.data.work.rows})
-        self._variables = _room(self.data.arrays, shapes)
-        self._work = _room(self.data.work, work_shapes(self._dofs, rows.tolist()))
-        self._coupled = _room(self.data.coupled, coupled_shapes(self._dofs, rows.tolist()))
-        self._prepared = lru_cache(MOST_RECENT)(self._prepare)
+        # with room for all rows; the struct has their addresses
+        self._constants = constants
+        self._arrays, self._work, self._coupled = self.arrays, self.work, self.coupled
+        self._places = row_places(*self._shapes(counts, 0))
+        # what is made for some rows stays right for them: their arrays are where they were
+        self._cache_of = lru_cache(MOST_RECENT)(_cache_of)
         self.select(np.zeros(0, dtype=np.int64))
 
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
-        data = self.data
-        selected = self._prepared(tuple(rows.tolist()))
-        # no result of other rows is left; columns of W beyond an arm's rows are zero
-        for array in (*selected.variables.values(), selected.work.W):
-            array.fill(0.0)
-        for array, content in selected.contents:
-            array[:] = content
-        data.struct[selected.places] = selected.sizes
-        data.work.by_arm[0] = 0
-        data.take_rows(
-            selected.model, selected.variables, selected.work, selected.coupled, selected.cache
+        bounds = np.searchsorted(rows, self._bounds)
+        starts = bounds.tolist()
+        counts = [end - first for first, end in pairwise(starts)]
+        shapes = self._shapes(counts, int(np.count_nonzero(self._of_joints[rows])))
+        self.struct[self._places] = [
+            size for part in shapes for shape in part.values() for size in shape
+        ]
+        order = group_order(self._dofs, counts)
+        write_selection(self.struct, self._full.struct, rows, bounds, order)
+        self.rows, self.counts = rows, counts
+        self.cache = self._cache_of(tuple(rows.tolist()))
+        for name in ("model", "arrays", "work", "coupled"):
+            vars(self).pop(name, None)
+
+    def _shapes(self, counts: list[int], of_joints: int) -> tuple[Shapes, Shapes, Shapes, Shapes]:
+        """Shapes of constants, variables and workspaces for numbers of rows."""
+        return (
+            {"joint_rows": (of_joints, 3)},
+            row_shapes(sum(counts)),
+            {**work_shapes(self._dofs, counts), **group_shapes(self._dofs, counts)},
+            coupled_shapes(self._dofs, counts),
         )
 
-    def _prepare(self, rows: tuple[int, ...]) -> Selected:
-        data, dofs = self.data, self._dofs
-        model = replace(self._full.model.select(rows), unilateral=None)
-        constants, counts = model.constants, np.diff(model.layout.rows).tolist()
-        tables, size = group_tables(dofs, counts, data.work.levers)
-        tables |= {name: getattr(constants, name) for name in CONSTANTS}
-        tables["rows"] = np.array(model.layout.rows)
-        shapes = {name: table.shape for name, table in tables.items()}
-        copies = self._tables.arrays({**shapes, "packs": (size,)})
-        variables = self._variables.arrays(row_shapes(constants, model.layout))
-        work: dict[str, Any] = self._work.arrays(work_shapes(dofs, counts))
-        coupled: dict[str, Any] = self._coupled.arrays(coupled_shapes(dofs, counts))
-        contents = [(copies[name], table) for name, table in tables.items()]
-        of_model = {name: copies.pop(name) for name in CONSTANTS}
-        work |= copies
-        return Selected(
-            model,
-            variables,
-            data.work._replace(**work),
-            data.coupled._replace(**coupled),
-            contents,
-            {},
-            *row_sizes(of_model, variables, work, coupled),
-        )
+    @cached_property
+    def model(self) -> Model:  # type: ignore[override]
+        """The model with the selected rows."""
+        return replace(self._full.model.select(self.rows), unilateral=None)
+
+    @cached_property
+    def arrays(self) -> Variables:  # type: ignore[override]
+        """The variables of the selected rows."""
+        return beginnings(self._arrays, row_shapes(self.rows.size))
+
+    @cached_property
+    def work(self) -> NodeWork:  # type: ignore[override]
+        """The workspace for the selected rows."""
+        sizes = self._dofs, self.counts
+        return beginnings(self._work, {**work_shapes(*sizes), **group_shapes(*sizes)})
+
+    @cached_property
+    def coupled(self) -> CoupledWork:  # type: ignore[override]
+        """The workspace of the coupled system for the selected rows."""
+        return beginnings(self._coupled, coupled_shapes(self._dofs, self.counts))
 
 
-def _room(arrays: Any, shapes: Shapes) -> Room:
-    return Room({name: getattr(arrays, name) for name in shapes})
+def _cache_of(rows: tuple[int, ...]) -> dict[object, Any]:
+    return {}
+
+
+def beginnings(holder: Any, shapes: Shapes) -> Any:
+    """A ``NamedTuple`` with some arrays of smaller shapes, at the beginning of their memory."""
+    arrays = {
+        name: getattr(holder, name).reshape(-1)[: math.prod(shape)].reshape(shape)
+        for name, shape in shapes.items()
+    }
+    return holder._replace(**arrays)
+
+
+@kernel
+def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: INTS):
+    """Write the tables of some rows of the system ``full``, for arrays that have their sizes.
+
+    ``bounds`` (n + 1,) are the first rows of each arm among them, ``order`` that of the groups.
+    """
+    constants, _, _ = open_system(full)
+    model, data, work = open_system(struct)
+    copy(bounds, work.rows)
+    work.by_arm[0] = 0
+    select_rows(constants.codes, constants.geometry, rows, model.codes, model.geometry)
+    select_joint_rows(model.codes, work.rows, work.dofs, model.joint_rows)
+    write_groups(order, work)
+    # no result of other rows is left; columns of W beyond an arm's rows are zero
+    for k in range(rows.size):
+        clear(data.contacts[k])
+        clear(data.Wo[k])
+    for k in range(6):
+        clear(data.wrench[k])
+    for k in range(data.parts.shape[0]):
+        clear(data.parts[k])
+    clear(data.c)
+    clear(data.force)
+    clear(data.static_force)
+    for i in range(work.W.shape[0]):
+        for j in range(work.W.shape[1]):
+            clear(work.W[i, j])

@@ -12,7 +12,7 @@ from multiarm.dynamics.sensitivity import Derivatives, rows_of
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
-from multiarm.events.evaluation import evaluate_mode, mode_at
+from multiarm.events.evaluation import enter_mode_at, evaluate_mode
 
 
 def derivatives(
@@ -59,26 +59,26 @@ def derivatives(
     t, state = require_time(t), system.checked(state)
     with system.borrow() as data:
         if data.model.unilateral is None:
-            found = evaluation.evaluate(data, t, state)
-            return differentiate(data, found, closed_loop, parameters)
-        mode = mode_at(data, t, state)
-        if mode.slides.row.size:
+            evaluated = evaluation.evaluate(data, t, state)
+            return differentiate(data, evaluated, closed_loop, parameters)
+        modes = enter_mode_at(data, t, state)
+        if modes.slides.row.size:
             raise SolverError(
                 "derivatives: contacts slide with friction at this state, whose direction turns "
                 "with the slip; take a state where they stick, or leave friction out"
             )
-        found = evaluation.evaluate(mode.data, t, state)
-        own = differentiate(mode.data, found, closed_loop, parameters)
-        layout, states = data.model.layout, len(own.effect_state_rates.matrix)
+        evaluated = evaluation.evaluate(modes.data, t, state)
+        of_held_rows = differentiate(modes.data, evaluated, closed_loop, parameters)
+        layout, states = data.model.layout, len(of_held_rows.effect_state_rates.matrix)
         rows = rows_of(layout, states)
-        scattered = np.zeros((rows["effect_state_rates"].stop, own.matrix.shape[1]))
+        matrix = np.zeros((rows["effect_state_rates"].stop, of_held_rows.matrix.shape[1]))
         forces = rows["contact_forces"].start
-        held = np.r_[:forces, forces + mode.arrays.held, rows["effect_state_rates"]]
-        scattered[held] = own.matrix
+        held = np.r_[:forces, forces + modes.data.rows, rows["effect_state_rates"]]
+        matrix[held] = of_held_rows.matrix
         return replace(
-            own,
-            evaluation=evaluate_mode(data, mode, t, state),
-            matrix=scattered,
+            of_held_rows,
+            evaluation=evaluate_mode(modes, t, state),
+            matrix=matrix,
             rows=rows,
             layout=layout,
         )

@@ -31,7 +31,7 @@ from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.event_detection import touching_constraints
 from multiarm.events.kernels import start_guards
-from multiarm.events.modes import Mode, Modes
+from multiarm.events.modes import Modes
 from multiarm.events.transition import Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
@@ -73,22 +73,22 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
     """:func:`evaluate` with a Data at hand."""
     if data.model.unilateral is None:
         return evaluation.evaluate(data, t, state)
-    return evaluate_mode(data, mode_at(data, t, state), t, state)
+    return evaluate_mode(enter_mode_at(data, t, state), t, state)
 
 
-def mode_at(data: Data, t: float, state: State) -> Mode:
-    """The mode of a state, evaluated there; valid until the next call."""
+def enter_mode_at(data: Data, t: float, state: State) -> Modes:
+    """The modes of a Data, with that of a state entered and evaluated there."""
     modes = modes_of(data, SLOW)
     touching, off_patch, _ = touching_constraints(modes, t, state)
     decision = Transition(modes, touching, 0.0, off_patch=off_patch).decide(with_impacts=False)
     if decision.trouble:
         raise SolverError(decision.trouble)
-    mode = modes.enter(decision.choice, decision.directions)
-    require_ok(mode.data, evaluate_state(mode.data.struct, 0.0, 0.0))
-    start_guards(mode.data.struct)
-    if np.any(mode.guards.value < -mode.guards.threshold):
-        mode.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
-    return mode
+    modes.enter(decision.mode)
+    require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
+    require_ok(modes.data, start_guards(modes.data.struct))
+    if modes.contradicted:
+        modes.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
+    return modes
 
 
 def modes_of(data: Data, slow: float) -> Modes:
@@ -98,27 +98,26 @@ def modes_of(data: Data, slow: float) -> Modes:
     return data.cache["modes", slow]
 
 
-def evaluate_mode(data: Data, mode: Mode, t: float, state: State) -> Evaluation:
-    """The evaluation of a mode of a state, in the rows of the whole system."""
-    modes = modes_of(data, SLOW)
-    full, closed = modes.full, modes.full.with_contacts_closed()
-    own = evaluation.evaluate(mode.data, t, state)
-    forces, unique = _all_forces(full, mode)
-    residuals = _residuals(full, mode, forces, own.residuals.constraint)
+def evaluate_mode(modes: Modes, t: float, state: State) -> Evaluation:
+    """The evaluation of the mode that has been entered, in the rows of the whole system."""
+    full, closed = modes.full, modes.closed
+    of_held_rows = evaluation.evaluate(modes.data, t, state)
+    forces, unique = _all_forces(modes)
+    residuals = _residuals(modes, forces, of_held_rows.residuals.constraint)
     contact_places(full, state)
     require_ok(closed, update_rows(closed.struct))
     unilateral, layout = modes.unilateral, full.model.layout
-    doing: dict[str, list[str]] = {}
-    for constraint, does in zip(unilateral.constraints, mode.choice.states, strict=True):
+    words: dict[str, list[str]] = {}
+    for constraint, contact_state in zip(unilateral.constraints, modes.mode.states, strict=True):
         if constraint.kind == CONTACT:
-            doing.setdefault(constraint.arm, []).append(does.word)
+            words.setdefault(constraint.arm, []).append(contact_state.word)
     of_joints = forces[list(unilateral.model)]
     return replace(
-        own,
+        of_held_rows,
         state=state,
         contact_forces=rows_by_owner(layout, forces),
         residuals=residuals,
-        contact_states={owner: tuple(words) for owner, words in doing.items()},
+        contact_states={owner: tuple(states) for owner, states in words.items()},
         _held=Snapshot(closed),
         _all=Snapshot(full),
         _unique=lambda: unique,
@@ -126,23 +125,23 @@ def evaluate_mode(data: Data, mode: Mode, t: float, state: State) -> Evaluation:
     )
 
 
-def _all_forces(full: Data, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     """Forces of all rows [N], and which of them are unique."""
-    count = full.model.layout.contacts
+    count = modes.full.model.layout.contacts
     forces, unique = np.zeros(count), np.ones(count, dtype=bool)
-    arrays, slides, of_held = mode.arrays, mode.slides, mode.data.arrays.force
-    forces[arrays.held] = of_held
-    columns = _columns(full)
-    reactions = columns[:, arrays.held]
+    held, slides, of_held = modes.data.rows, modes.slides, modes.data.arrays.force
+    forces[held] = of_held
+    columns = _columns(modes.full)
+    reactions = columns[:, held]
     for s, (row, first) in enumerate(zip(slides.row, slides.tangent_of_all, strict=True)):
         drag = -slides.mu[s] * slides.turning[s]
         forces[first : first + 2] = drag * of_held[row]
         reactions[:, row] += columns[:, first : first + 2] @ drag
-    forces[arrays.springs] = arrays.spring_force
-    if arrays.held.size:
-        unique[arrays.held] = null_space(reactions).untouched
+    forces[modes.arrays.springs] = modes.arrays.spring_force
+    if held.size:
+        unique[held] = null_space(reactions).untouched
     for row, first in zip(slides.row, slides.tangent_of_all, strict=True):
-        unique[first : first + 2] = unique[arrays.held[row]]
+        unique[first : first + 2] = unique[held[row]]
     return forces, unique
 
 
@@ -155,13 +154,13 @@ def _columns(full: Data) -> np.ndarray:
     return constraint_matrix(full)
 
 
-def _residuals(full: Data, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
+def _residuals(modes: Modes, forces: np.ndarray, constraint: float) -> Residuals:
     """Residuals of the equations of motion with the forces of all rows."""
-    b = mode.data.arrays
-    require_ok(mode.data, evaluate_state(mode.data.struct, 0.0, 0.0))
+    full, b = modes.full, modes.data.arrays
+    require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
     forces_without_contacts = b.generalised_forces.copy()
     require_ok(full, update_kinematics(full.struct))
     pushing = forces.copy()
-    pushing[mode.arrays.springs] = 0.0  # these are among the generalised forces already
+    pushing[modes.arrays.springs] = 0.0  # these are among the generalised forces already
     residuals = residuals_of(full, b.acceleration, forces_without_contacts, pushing, full.arrays.c)
     return replace(residuals, constraint=constraint)  # open contacts move as they like

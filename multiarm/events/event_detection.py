@@ -20,7 +20,9 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import spring_length
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
+from multiarm.events.mode import Mode
+from multiarm.events.mode_guards import GAP_THRESHOLD
+from multiarm.events.modes import Modes
 from multiarm.results.channels import ContactState
 
 
@@ -35,7 +37,7 @@ def touching_constraints(
     place_state(bare, t, state)
     require_ok(bare, update_kinematics(bare.struct))
     require_ok(full, update_rows(full.struct))
-    size, nothing = scene_size(modes.closed), Choice((), ())
+    size, nothing = scene_size(modes.closed), Mode((), ())
     touching = closed_constraints(modes, TOUCHING * size)
     touching |= pressed_constraints(modes, nothing, set())
     return touching, off_patch_constraints(modes, nothing, set()), size
@@ -53,7 +55,7 @@ def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
     }
 
 
-def pressed_constraints(modes: Modes, before: Choice, fired: Set[int]) -> set[int]:
+def pressed_constraints(modes: Modes, before: Mode, fired: Set[int]) -> set[int]:
     """Compliant contacts that push from now on, at the state in the data.
 
     One whose guard has just ``fired`` is at zero and changes its state.  ``before`` has no states
@@ -75,30 +77,30 @@ def pressed_constraints(modes: Modes, before: Choice, fired: Set[int]) -> set[in
     return pressed
 
 
-def off_patch_constraints(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[int]:
+def off_patch_constraints(modes: Modes, before: Mode, crossed: Set[int]) -> frozenset[int]:
     """Constraints whose contacts are off their patches from now on, at the state in the data.
 
     One that has just ``crossed`` an edge is on it, and on its other side from now on.
     """
-    found = set()
+    off_patch = set()
     for u, constraint in enumerate(modes.unilateral.constraints):
         margin = patch_margin(modes.full, constraint)
         off = margin < 0.0
         if u in crossed or abs(margin) <= GAP_THRESHOLD:
             off = (u in before.off_patch) != (u in crossed)
         if off:
-            found.add(u)
-    return frozenset(found)
+            off_patch.add(u)
+    return frozenset(off_patch)
 
 
-def below_patch_constraints(full: Data, others: Set[int]) -> frozenset[int]:
-    """Constraints whose contacts are below their patches; ``others`` are known not to be."""
+def below_patch_constraints(full: Data, above: Set[int]) -> frozenset[int]:
+    """Constraints whose contacts are below their patches; those ``above`` are known not to be."""
     assert full.model.unilateral is not None
     gaps = full.arrays.contacts[:, GAP]
     return frozenset(
         u
         for u, constraint in enumerate(full.model.unilateral.constraints)
-        if u not in others
+        if u not in above
         and gaps[constraint.row] < -1e-8  # [m]
         and patch_margin(full, constraint) != float("inf")
     )

@@ -8,7 +8,7 @@ laws, and :math:`\lambda = \lambda_0 + \delta` with :math:`\delta` of minimum no
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
     FIRED,
+    SHARED,
     Guards,
     accept_guards,
     judge_guards,
@@ -44,7 +45,7 @@ from multiarm.jit.structs import (
     Int,
     Ints1,
     Numbers,
-    sizes_in_struct,
+    size_places,
     struct_at,
     struct_of,
     view,
@@ -63,7 +64,7 @@ class ModeNumbers(Numbers):
 
 
 class ModeArrays(NamedTuple):
-    """Numbers and arrays of one mode, with m held rows."""
+    """Numbers and arrays of a mode, with m held rows."""
 
     numbers: ModeNumbers
     held: Ints1  # (m,) rows among all
@@ -78,7 +79,7 @@ class ModeArrays(NamedTuple):
 def mode_struct(
     arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None = None
 ) -> np.ndarray:
-    """Struct of a mode, which begins with its guards; the functions below open its parts."""
+    """Struct of a mode, which begins with its guards; the functions below open its of_mode."""
     return struct_of(guards, arrays, slides, *([] if reactions is None else [reactions]))
 
 
@@ -89,9 +90,50 @@ open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
 open_reactions = view(ReactionWork, _REACTIONS)
 
 
-def reaction_sizes(arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Places in a mode's struct of the sizes of arrays of the reactions, and these sizes."""
-    return sizes_in_struct(ReactionWork, _REACTIONS, arrays)
+class ModeSizes(NamedTuple):
+    """Places of the sizes of arrays in a mode's struct.
+
+    Attributes
+    ----------
+    rows, slides, guards : int64 (k,)
+        Of those with an entry for every held row, sliding contact and guard.
+    reactions : int64 (k,)
+        Of those that depend on the rows of each arm, in the order of their shapes.
+    """
+
+    rows: np.ndarray
+    slides: np.ndarray
+    guards: np.ndarray
+    reactions: np.ndarray
+
+
+def mode_sizes(reactions: Mapping[str, tuple[int, ...]]) -> ModeSizes:
+    """These places; ``reactions`` are the shapes of the arrays of a :class:`ReactionWork`."""
+
+    def lengths(holder: type, at: int, names: Iterable[str]) -> np.ndarray:
+        return size_places(holder, at, dict.fromkeys(names, (0,)))
+
+    return ModeSizes(
+        rows=lengths(ModeArrays, _MODE, ("held", "Wr", "prestress")),
+        slides=lengths(Slides, _SLIDES, Slides._fields),
+        guards=lengths(Guards, 0, [name for name in Guards._fields if name not in SHARED]),
+        reactions=size_places(ReactionWork, _REACTIONS, reactions),
+    )
+
+
+@kernel
+def write_guards(struct: INTS, table: INTS, numbers: INTS):
+    """Write the guards of a mode, some of those of a ``table``, at their beginning."""
+    guards, of_all = open_guards(struct), open_guards(table)
+    for g in range(numbers.size):
+        k = numbers[g]
+        guards.kind[g], guards.place[g] = of_all.kind[k], of_all.place[k]
+        guards.sign[g], guards.stops[g] = of_all.sign[k], of_all.stops[k]
+        guards.threshold[g], guards.relative[g] = of_all.threshold[k], of_all.relative[k]
+        guards.value[g] = guards.course[g] = guards.rate[g] = 0.0
+        guards.before[g] = guards.rate_before[g] = 0.0
+        guards.least[g], guards.level[g] = math.inf, 0.0
+        guards.armed[g] = guards.result[g] = 0
 
 
 @cfunc
@@ -130,7 +172,8 @@ def solve_sliding(address, size, _a, _b):
     model, data, work = open_system(struct)
     of_mode = struct_at(data.modes.mode, 0)
     mode, slides, reactions = open_mode(of_mode), open_slides(of_mode), open_reactions(of_mode)
-    write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions)
+    if write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions) != OK:
+        return CALLBACK_FAILED
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
     if model.dense:
@@ -204,30 +247,33 @@ def record_forces(address, size, _t, _b):
     for k in range(mode.states.size):
         shown[first + k] = mode.states[k]
     struct = struct_at(data.modes.full, 0)
-    update_rows(struct)
+    status = update_rows(struct)
     _, full, work = open_system(struct)
     write_wrenches(full.Wo, work.rows, shown, data.wrenches)
-    return CALLBACK_FAILED if data.status.failed else OK
+    return status
 
 
 @kernel
 def write_mode_guards(struct: INTS):
-    """Kinematics of all rows, and the values of a mode's guards at the state evaluated last."""
+    """Kinematics of all rows, and the values of a mode's guards at the state evaluated last.
+
+    Returns ``OK`` or ``CALLBACK_FAILED``.
+    """
     data = open_data(struct)
     rows = struct_at(data.modes.full, 0)
-    update_rows(rows)
+    status = update_rows(rows)
     model, full, _ = open_system(rows)
     write_values(open_guards(struct_at(data.modes.mode, 0)), struct, data, model, full)
+    return status
 
 
 @cfunc
 def check_guards(address, size, begin, end):
     """Check all guards at the end of a step; ``FIRED`` when one of them reports an event."""
     struct = struct_at(address, size)
-    write_mode_guards(struct)
-    data = open_data(struct)
-    if data.status.failed:
+    if write_mode_guards(struct) != OK:
         return OK  # the time loop checks the flag
+    data = open_data(struct)
     of_mode = struct_at(data.modes.mode, 0)
     numbers = open_mode(of_mode).numbers
     numbers.begin, numbers.end = begin, end
@@ -247,9 +293,12 @@ def begin_step(of_mode, contacts):
 
 @kernel
 def start_guards(struct: INTS):
-    """Initialise the guards and the solver monitor at the state evaluated last."""
+    """Begin guards and solver monitor at the state evaluated last; returns a status."""
     data = open_data(struct)
-    call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    if status != OK:
+        return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
-    write_mode_guards(struct)
+    status = write_mode_guards(struct)
     begin_step(struct_at(data.modes.mode, 0), open_data(struct_at(data.modes.full, 0)).contacts)
+    return status

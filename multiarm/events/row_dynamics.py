@@ -82,8 +82,8 @@ class RowDynamics:
             bodies.append(read_inertia(full.arrays.pointers[i], full.model.arms[name].dof))
         total, first = np.zeros(len(jacobian)), 0
         for inertia in bodies:
-            own = jacobian[:, first : first + len(inertia)].T
-            total += np.sum(own * np.linalg.solve(inertia, own), axis=0)
+            columns = jacobian[:, first : first + len(inertia)].T
+            total += np.sum(columns * np.linalg.solve(inertia, columns), axis=0)
             first += len(inertia)
         return total
 
@@ -111,9 +111,9 @@ class RowDynamics:
 def can_move(response: np.ndarray, along: np.ndarray, held: list[int]) -> bool:
     """Whether the combination ``along`` of rows can move while other rows are held."""
     moved = response @ along
-    own, across = along @ moved, moved[held]
+    alone, across = along @ moved, moved[held]
     through = across @ np.linalg.lstsq(response[np.ix_(held, held)], across, rcond=1e-10)[0]
-    return bool(own - through > 1e-6 * own)
+    return bool(alone - through > 1e-6 * alone)
 
 
 def depends_on_held_rows(response: np.ndarray, jacobian: np.ndarray) -> bool:

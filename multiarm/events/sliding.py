@@ -64,9 +64,12 @@ def write_direction(slides, s, slow, first, second):
 
 @kernel
 def write_reactions(data, work, Wr, slides, slow, reactions):
-    """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Wr``."""
+    """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Wr``.
+
+    Returns ``OK`` or ``CALLBACK_FAILED``.
+    """
     struct = struct_at(data.modes.tangents, 0)
-    update_rows(struct)
+    status = update_rows(struct)
     _, sideways, tangents = open_system(struct)
     for k in range(data.Wo.shape[0]):
         for l in range(6):  # noqa: E741
@@ -86,6 +89,7 @@ def write_reactions(data, work, Wr, slides, slow, reactions):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             pull = first * tangents.W[i, j, tangent] + second * tangents.W[i, j, tangent + 1]
             reactions.Wr[i, j, column] -= pull
+    return status
 
 
 @kernel

@@ -40,11 +40,8 @@ from multiarm.events.complementarity import (
     solve,
 )
 from multiarm.events.event_detection import below_patch_constraints
-from multiarm.events.modes import (
-    Choice,
-    Modes,
-    set_constraint_forces,
-)
+from multiarm.events.mode import Mode
+from multiarm.events.modes import Modes, set_constraint_forces
 from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
 from multiarm.results.channels import ContactState
 
@@ -94,10 +91,8 @@ class Decision:
 
     Attributes
     ----------
-    choice : Choice
-        The next mode.
-    directions : dict
-        Unit vectors of the slip of sliding constraints, by their numbers.
+    mode : Mode
+        The next one.
     forces : dict
         Forces that obey the contact laws, by row [N, N m].
     residual : float
@@ -111,8 +106,7 @@ class Decision:
         Constraints whose bouncing was ended.
     """
 
-    choice: Choice
-    directions: dict[int, np.ndarray]
+    mode: Mode
     forces: dict[int, float]
     residual: float
     trouble: str = ""
@@ -168,10 +162,8 @@ class Transition:
         hits, energy, rested = self._impact() if with_impacts else ([], 0.0, [])
         if hits:
             self._rows.update()
-        choice, directions, forces, trouble = self._contact_modes()
-        return Decision(
-            choice, directions, forces, self._residual, trouble, tuple(hits), energy, tuple(rested)
-        )
+        mode, forces, trouble = self._contact_modes()
+        return Decision(mode, forces, self._residual, trouble, tuple(hits), energy, tuple(rested))
 
     # --- impacts ----------------------------------------------------------------------------------
 
@@ -258,8 +250,8 @@ class Transition:
 
     # --- contact modes ----------------------------------------------------------------------------
 
-    def _contact_modes(self) -> tuple[Choice, dict[int, np.ndarray], dict[int, float], str]:
-        """Next mode, directions of slip, forces, and why there are none."""
+    def _contact_modes(self) -> tuple[Mode, dict[int, float], str]:
+        """The next mode, forces, and why there are none."""
         constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
         states = [ContactState.OPEN] * len(constraints)
         involved, slips = [], {}
@@ -281,19 +273,20 @@ class Transition:
         moving = tuple(
             ContactState.OPEN if u in involved else state for u, state in enumerate(states)
         )
-        set_constraint_forces(self._modes.full, Choice(moving, ()))
+        set_constraint_forces(self._modes.full, moving)
         if not involved:
-            return self._choice(states, (), frozenset()), {}, {}, ""
+            return self._mode(states, (), frozenset(), {}), {}, ""
         fixed = self._directions_without_slip([u for u in involved if u not in slips])
-        kept = {u for u in involved if fixed.issuperset(constraints[u].tangents or {-1})}
+        unable_to_slip = {u for u in involved if fixed.issuperset(constraints[u].tangents or {-1})}
         rows = [constraints[u].row for u in involved]
-        rows += [t for u in involved if u not in kept for t in constraints[u].tangents]
+        rows += [t for u in involved if u not in unable_to_slip for t in constraints[u].tangents]
         solution, response, pulling = self._solve(involved, rows, slips, fixed)
         at = {row: k for k, row in enumerate(rows)}
         self._residual = max(self._residual, solution.residual)
         directions = dict(slips)
         for k, u in enumerate(involved):
-            states[u] = ContactState.TOUCHING if u in kept else _STATES[solution.modes[k]]
+            touches = u in unable_to_slip
+            states[u] = ContactState.TOUCHING if touches else _STATES[solution.modes[k]]
             if states[u] in (ContactState.SLIDING, ContactState.AT_BOUND) and u not in directions:
                 directions[u] = solution.directions[k]
         closed = {at[constraints[u].row] for u in involved if constraints[u].bilateral}
@@ -315,15 +308,19 @@ class Transition:
         normal = [at[constraints[u].row] for u in involved]
         every = [*rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
-        choice = self._choice(states, held, pulling)
-        return choice, directions, forces, _trouble(solution, normal)
+        mode = self._mode(states, held, pulling, directions)
+        return mode, forces, _trouble(solution, normal)
 
-    def _choice(
-        self, states: list[ContactState], held: tuple[int, ...], pulling: frozenset[int]
-    ) -> Choice:
-        others = self._off_patch.union(self._touching)
-        below = below_patch_constraints(self._modes.full, others)
-        return Choice(tuple(states), held, pulling, self._off_patch, below)
+    def _mode(
+        self,
+        states: list[ContactState],
+        held: tuple[int, ...],
+        pulling: frozenset[int],
+        directions: dict[int, np.ndarray],
+    ) -> Mode:
+        above = self._off_patch.union(self._touching)
+        below = below_patch_constraints(self._modes.full, above)
+        return Mode(tuple(states), held, pulling, self._off_patch, below, directions)
 
     def _directions_without_slip(self, involved: list[int]) -> set[int]:
         """Tangents of bilateral contacts along which the normals of all of them allow no slip.
@@ -333,15 +330,15 @@ class Transition:
         bilateral = [u for u in involved if self._constraints[u].bilateral]
         if not bilateral:
             return set()
-        normals = [own.row for own in self._constraints if own.bilateral]
+        normals = [constraint.row for constraint in self._constraints if constraint.bilateral]
         tangents = [t for u in bilateral for t in self._constraints[u].tangents]
         jacobian = self._rows.jacobian([*normals, *tangents])
         response, _ = self._rows.response(jacobian, self._modes.bare)
-        held, along = list(range(len(normals))), np.eye(len(response))[len(normals) :]
+        held, unit_slips = list(range(len(normals))), np.eye(len(response))[len(normals) :]
         return {
             row
-            for row, one in zip(tangents, along, strict=True)
-            if not can_move(response, one, held)
+            for row, slip in zip(tangents, unit_slips, strict=True)
+            if not can_move(response, slip, held)
         }
 
     def _keep_closed(
@@ -467,8 +464,8 @@ class Transition:
         while True:
             signs = np.ones(rates.size)
             signs[[sided[k].row for k in pulls]] = -1.0
-            found = solve(signs[:, None] * response * signs, signs * rates, laws)
-            wrong = [k for k in sided if found.modes[k] is ContactMode.OPEN]
+            solution = solve(signs[:, None] * response * signs, signs * rates, laws)
+            wrong = [k for k in sided if solution.modes[k] is ContactMode.OPEN]
             if not wrong or len(tried) > 8 * len(sided):
                 break
             tried.add(pulls)
@@ -478,22 +475,25 @@ class Transition:
                 break
             pulls = untried[0]
         if wrong:
-            found = replace(found, verdict=Verdict.NONE, residual=1.0, message=NO_SIDES)
-        others = tuple(
-            replace(other, forces=signs * other.forces, rates=signs * other.rates)
-            for other in found.alternatives
+            solution = replace(solution, verdict=Verdict.NONE, residual=1.0, message=NO_SIDES)
+        alternatives = tuple(
+            replace(motion, forces=signs * motion.forces, rates=signs * motion.rates)
+            for motion in solution.alternatives
         )
-        found = replace(
-            found, forces=signs * found.forces, rates=signs * found.rates, alternatives=others
+        solution = replace(
+            solution,
+            forces=signs * solution.forces,
+            rates=signs * solution.rates,
+            alternatives=alternatives,
         )
-        return found, frozenset(involved[k] for k in pulls)
+        return solution, frozenset(involved[k] for k in pulls)
 
     def _free(self, rows: list[int]) -> np.ndarray:
         return self._rows.free_accelerations(rows, self._modes.bare, self._ahead)
 
 
 def decision_events(
-    modes: Modes, t: float, decision: Decision, before: Choice
+    modes: Modes, t: float, decision: Decision, before: Mode
 ) -> list[dict[str, Any]]:
     """Events of one decision.
 
@@ -501,7 +501,7 @@ def decision_events(
     """
     hits, events = {hit.constraint: hit for hit in decision.hits}, []
     for u, constraint in enumerate(modes.unilateral.constraints):
-        now = decision.choice.states[u]
+        now = decision.mode.states[u]
         was = before.states[u] if before.states else now
         kind = _kind(constraint, was, now, hits.get(u), u in decision.rested)
         if kind:
@@ -543,8 +543,8 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
         return ""
     rates = solution.rates[normal]
     size = 1e-6 * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
-    for other in solution.alternatives:
-        if np.max(np.abs(other.rates[normal] - rates), initial=0.0) > size:
+    for motion in solution.alternatives:
+        if np.max(np.abs(motion.rates[normal] - rates), initial=0.0) > size:
             return solution.message
     return ""
 
@@ -583,7 +583,7 @@ def _event(
     now: ContactState,
     hit: Hit | None,
 ) -> dict[str, Any]:
-    what = (
+    name = (
         constraint.name
         if constraint.kind == CONTACT
         else modes.full.model.joint_name(constraint.joint)
@@ -592,10 +592,10 @@ def _event(
         "time": float(t),
         "kind": kind,
         "arm": constraint.arm,
-        "contact" if constraint.kind == CONTACT else "joint": what,
+        "contact" if constraint.kind == CONTACT else "joint": name,
         "before": {"state": was.word},
         "after": {"state": now.word},
-        "text": f"{constraint.arm}: {what} {_verb(modes, constraint, kind)}",
+        "text": f"{constraint.arm}: {name} {_verb(modes, constraint, kind)}",
     }
     if constraint.kind == CONTACT:
         points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))

@@ -131,25 +131,16 @@ def misfit(holder: tuple) -> str:
     return ""
 
 
-def sizes_in_struct(
-    holder: type, at: int, arrays: Mapping[str, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the sizes of some fields of a holder at place ``at``, and these sizes.
+def size_places(holder: type, at: int, shapes: Mapping[str, tuple[int, ...]]) -> np.ndarray:
+    """Places of the sizes of some fields of a holder at place ``at``, in the order of their shapes.
 
-    With them a struct is written again for arrays that begin where those before did.
+    With them arrays get other shapes in a struct, and keep their addresses.
     """
     places: list[int] = []
-    sizes: list[int] = []
-    for name, array in arrays.items():
-        first = WIDTH * (at + _places_of(holder)[name]) + 1
-        places += range(first, first + array.ndim)
-        sizes += array.shape
-    return np.array(places, dtype=np.int64), np.array(sizes, dtype=np.int64)
-
-
-@functools.cache
-def _places_of(holder: type) -> dict[str, int]:
-    return {name: k for k, name in enumerate(holder._fields)}  # type: ignore[attr-defined]
+    for name, shape in shapes.items():
+        first = WIDTH * (at + holder._fields.index(name)) + 1  # type: ignore[attr-defined]
+        places += range(first, first + len(shape))
+    return np.array(places, dtype=np.int64)
 
 
 @functools.cache

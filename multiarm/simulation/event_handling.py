@@ -32,7 +32,9 @@ from multiarm.events.event_detection import (
     touching_constraints,
 )
 from multiarm.events.kernels import start_guards, write_mode_guards
-from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
+from multiarm.events.mode import Mode
+from multiarm.events.mode_guards import GAP_THRESHOLD
+from multiarm.events.modes import Modes
 from multiarm.events.transition import Decision, Transition, decision_events
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
@@ -93,7 +95,6 @@ class EventHandler:
         self._fault = ""
         self._last_length = self._usual_length = 0.0
         self._simultaneous, self._simultaneous_since = 0, -np.inf
-        self.mode: Mode
 
     # --- beginning --------------------------------------------------------------------------------
 
@@ -107,14 +108,14 @@ class EventHandler:
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
-        before = Choice((), ())
+        before = Mode((), ())
         decision = self._decide(time, _Participants(touching, beside=beside))
         self._log_decision(time, decision, before)
         if self._fault:
             raise SolverError(f"at the start: {self._fault}")
-        self.mode = self.modes.enter(decision.choice, decision.directions)
+        self.modes.enter(decision.mode)
         changed = decision.hits or given
-        return self.mode.data, self.mode.data.get_state() if changed else None
+        return self.modes.data, self.modes.data.get_state() if changed else None
 
     def statistics(self) -> dict[str, Any]:
         """Number of events, and largest residual of the complementarity problems."""
@@ -134,7 +135,7 @@ class EventHandler:
 
     def locate(self, run: Run) -> str:
         """Locate the first event in the last step, and let the loop stop there."""
-        numbers, guards, t = self.mode.arrays.numbers, self.mode.guards, run.clock.t
+        numbers, guards, t = self.modes.numbers, self.modes.guards, run.clock.t
         begin, end = numbers.begin, numbers.end
         probe = GuardValues(
             run.data.struct, run.stepping.struct, write_mode_guards, guards, begin, end
@@ -156,9 +157,9 @@ class EventHandler:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
         assert self._pending is not None, "the run stops at an event"
         pending, self._pending = self._pending, None
-        t, before = run.clock.t, self.mode.choice
+        t, before = run.clock.t, self.modes.mode
         self._load(run)
-        fired = [self.mode.watched[g] for g in pending.guards]
+        fired = [self.modes.watched[g] for g in pending.guards]
         participants = _Participants(
             self._touching(fired),
             self._at_rest(fired),
@@ -192,38 +193,37 @@ class EventHandler:
         Where a bound has just been reached, the decision is made for slightly later times, up to
         fractions of the longest step that led to an event.
         """
-        before = self.mode.choice
+        before = self.modes.mode
         decision = self._decide(t, participants)
         if self._fault:
             return decision
-        made = [decision]
+        decisions = [decision]
         for share in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-            self.mode = self.modes.enter(made[-1].choice, made[-1].directions)
+            self.modes.enter(decisions[-1].mode)
             # the same mode as before would come to the same event with the same forces
-            if made[-1].choice != before and self._holds():
-                return made[-1]
+            if decisions[-1].mode != before and self._holds():
+                return decisions[-1]
             later = self._decide(t, participants, share * self._usual_length)
             if self._fault:  # the contacts, displaced along their rates, contradict each other
                 self._fault = ""
                 break
-            made.append(
+            decisions.append(
                 replace(later, hits=decision.hits, energy=decision.energy, rested=decision.rested)
             )
-        for later in reversed(made):  # other forces than the least ones may obey the contact laws
-            self.mode = self.modes.enter(later.choice, later.directions)
-            self.mode.set_prestress(later.forces)
+        for later in reversed(decisions):  # forces that are not the least may obey the laws
+            self.modes.enter(later.mode)
+            self.modes.set_prestress(later.forces)
             if self._holds():
                 return later
-        return made[0]  # which has been entered last
+        return decisions[0]  # which has been entered last
 
     def _holds(self) -> bool:
         """Whether no guard of the mode is violated at the state in its data."""
-        struct, guards = self.mode.data.struct, self.mode.guards
-        if evaluate_state(struct, 0.0, 0.0) != OK:
-            self.mode.data.reraise()
+        struct = self.modes.data.struct
+        if evaluate_state(struct, 0.0, 0.0) != OK or start_guards(struct) != OK:
+            self.modes.data.reraise()
             return False
-        start_guards(struct)
-        return bool(np.all(guards.value >= -guards.threshold))
+        return not self.modes.contradicted
 
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
@@ -236,16 +236,16 @@ class EventHandler:
 
     def _touching(self, fired: list[Guard]) -> set[int]:
         """Constraints that touch at an event: those that were closed, and those that close."""
-        constraints, choice = self.modes.unilateral.constraints, self.mode.choice
+        constraints, mode = self.modes.unilateral.constraints, self.modes.mode
         closing = {g.constraint for g in fired if not isinstance(g.function, PatchDepth)}
         closed = {
             u
             for u, constraint in enumerate(constraints)
-            if choice.states[u] != ContactState.OPEN
+            if mode.states[u] != ContactState.OPEN
             and constraint.kind != DRY_JOINT
             and not constraint.compliant
         }
-        pressed = pressed_constraints(self.modes, choice, closing)
+        pressed = pressed_constraints(self.modes, mode, closing)
         closing = {
             u for u in closing if constraints[u].kind != DRY_JOINT and not constraints[u].compliant
         }
@@ -293,10 +293,10 @@ class EventHandler:
 
     def arm(self, run: Run) -> None:
         """Start the guards at the state in the data, which has been evaluated."""
-        start_guards(run.data.struct)
+        require_ok(run.data, start_guards(run.data.struct))
         run.solver_log.reset(run.data)
 
-    def _log_decision(self, t: float, decision: Decision, before: Choice) -> None:
+    def _log_decision(self, t: float, decision: Decision, before: Mode) -> None:
         events = decision_events(self.modes, t, decision, before)
         self.count += len(events)
         self._log.add(events)

@@ -69,7 +69,7 @@ def _event(data: Data, g: int, time: float) -> dict[str, Any]:
         name = model.joint_name(joint)
     else:
         patch = isinstance(watched, PatchDepth)
-        arm, contact = model.owner(watched.row if patch else watched.held)
+        arm, contact = model.owner(watched.row)
         part, name = "contact", contact.name
         if patch:
             where = " (on the object)" if watched.body == ON_OBJECT else " (on the arm)"

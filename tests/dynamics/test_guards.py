@@ -99,8 +99,8 @@ def test_what_guards_watch_is_positive_inside_of_its_range_and_zero_at_its_end()
 
 
 def test_a_friction_cone_has_the_tangents_that_are_held_and_the_sign_of_a_pull():
-    force = np.array([10.0, 3.0, -4.0])
-    assert friction_cone.py_func(FrictionCone(0, 0.5, 1, 2), force) == 0.0
-    assert friction_cone.py_func(FrictionCone(0, 0.5, 1, -1), force) == 2.0
-    assert friction_cone.py_func(FrictionCone(0, 0.5, -1, 2), force) == 1.0
-    assert friction_cone.py_func(FrictionCone(0, -0.5, 1, 2), -force) == 0.0
+    force, cone, pull = np.array([10.0, 3.0, -4.0]), FrictionCone(4, 0.5, 5, 6), -0.5
+    for (first, second), margin in {(1, 2): 0.0, (1, -1): 2.0, (-1, 2): 1.0}.items():
+        held = np.array([-1, -1, -1, -1, 0, first, second])
+        assert friction_cone.py_func(cone, held, force) == margin
+        assert friction_cone.py_func(cone._replace(mu=pull), held, -force) == margin

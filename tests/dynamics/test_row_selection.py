@@ -68,15 +68,14 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
     bounds, dofs = full.model.layout.rows, full.model.layout.dofs
     for rows in subsets(full, 40):
         selection.select(rows)
-        data = selection.data
-        assert update_kinematics(data.struct) == OK
-        codes = data.model.constants.codes[: len(rows)]
+        assert update_kinematics(selection.struct) == OK
+        codes = selection.model.constants.codes[: len(rows)]
         alone += np.count_nonzero((codes[:, KIND] == TANGENT) & (codes[:, COUNT] > 0))
-        np.testing.assert_array_equal(data.arrays.Wo, full.arrays.Wo[rows])
-        np.testing.assert_array_equal(data.arrays.contacts, full.arrays.contacts[rows])
+        np.testing.assert_array_equal(selection.arrays.Wo, full.arrays.Wo[rows])
+        np.testing.assert_array_equal(selection.arrays.contacts, full.arrays.contacts[rows])
         for k, row in enumerate(rows):
             i = int(np.searchsorted(bounds, row, side="right")) - 1
-            column = data.work.W[i, : dofs[i + 1] - dofs[i], k - data.work.rows[i]]
+            column = selection.work.W[i, : dofs[i + 1] - dofs[i], k - selection.work.rows[i]]
             expected = full.work.W[i, : dofs[i + 1] - dofs[i], row - bounds[i]]
             np.testing.assert_allclose(column, expected, rtol=1e-14, atol=1e-15)
     assert alone > 0
@@ -87,12 +86,11 @@ def test_a_selection_solves_as_data_that_is_made_for_its_rows(full):
     selection, grouped = RowSelection(full), 0
     for rows in subsets(full, 40):
         selection.select(rows)
-        made = full.view(selection.data.model)
         results = []
-        for data in (made, selection.data):
+        for data in (full.view(selection.model), selection):
             assert evaluate_state(data.struct, 2.0, 3.0) == OK
             results.append((data.arrays.acceleration.copy(), data.arrays.force.copy()))
-        grouped += len(selection.data.work.groups)
+        grouped += len(selection.work.groups)
         np.testing.assert_array_equal(*(acceleration for acceleration, _ in results))
         np.testing.assert_array_equal(*(force for _, force in results))
     assert grouped > 10
@@ -100,9 +98,9 @@ def test_a_selection_solves_as_data_that_is_made_for_its_rows(full):
 
 def test_a_selection_keeps_its_struct_and_the_addresses_in_it(full):
     selection = RowSelection(full)
-    struct = selection.data.struct
+    struct = selection.struct
     addresses = struct[::4].copy()
     for rows in subsets(full, 5):
         selection.select(rows)
-        assert selection.data.struct is struct
+        assert selection.struct is struct
         np.testing.assert_array_equal(struct[::4], addresses)

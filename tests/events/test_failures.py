@@ -8,7 +8,7 @@ from event_scenes import arm, ball, on_floor, run, scene
 
 import multiarm as ma
 from multiarm.errors import SolverError
-from multiarm.events.evaluation import mode_at
+from multiarm.events.evaluation import enter_mode_at
 
 RADIUS = 0.05  # [m]
 WORN_OUT = 0.02  # [m] from the surface, where it fails
@@ -21,7 +21,7 @@ def test_a_mode_that_cannot_be_evaluated_is_told_with_the_reason(height):
     with system.borrow() as data:
         data.model.constants.object_inertia[:] *= -1.0
         with pytest.raises(SolverError, match=r"^the object's node matrix is not positive"):
-            mode_at(data, 0.0, system.initial_state())
+            enter_mode_at(data, 0.0, system.initial_state())
 
 
 def distance_from_a_worn_ball(p):
@@ -73,3 +73,52 @@ def test_a_surface_that_fails_while_its_contact_is_open_is_told_by_an_evaluation
     state.joint_positions["above"][:] = -0.19
     with pytest.raises(ma.MultiarmError, match="worn out"):
         ma.evaluate(system, 0.0, state)
+
+
+class WearsOut:
+    """The distance from a ball, which fails at one of its calls, and counts them."""
+
+    def __init__(self, last: int) -> None:
+        self.calls, self.last = 0, last
+
+    def __call__(self, p):
+        self.calls += 1
+        if self.calls == self.last:
+            raise ValueError("worn out")
+        return distance_from_a_ball(p)
+
+
+def test_no_failure_of_a_surface_is_overlooked_by_an_evaluation():
+    """At whichever call it fails: its error is told, or the contact was found on another way."""
+    surface = WearsOut(0)
+    contact = {
+        "arm": {"sphere": {"radius": 0.01}},
+        "object": {"surface": {"distance": surface, "length": RADIUS}},
+        "mu": 0.3,
+    }
+    sliding = ball(0.05, 0.01, twist=[1.0, 0, 0, 0, 0, 0])
+    pushed = {"kind": "constant", "torques": {"below": [20.0]}}
+    effects = {"unilateral_contacts": {"start": "as_written"}}
+    system = ma.compile_system(
+        scene(sliding, {"below": arm("z")}, {"below": [contact]}, effects, control=pushed)
+    )
+
+    def forces() -> np.ndarray | None:
+        surface.calls = 0
+        try:
+            evaluation = ma.evaluate(system)
+        except ma.MultiarmError as error:
+            assert "worn out" in str(error)
+            return None
+        assert evaluation.contact_states["below"] == ("sliding",)
+        return evaluation.contact_forces["below"]
+
+    right = forces()
+    count, told = surface.calls, 0
+    for surface.last in range(1, count + 1, max(1, count // 200)):
+        result = forces()
+        told += result is None
+        assert result is None or np.array_equal(result, right)
+    assert told > 100
+    surface.last = 0
+    assert np.array_equal(forces(), right)

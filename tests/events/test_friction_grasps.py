@@ -12,7 +12,7 @@ from mechanics import UR5_POSTURE, G
 
 import multiarm as ma
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.events.evaluation import mode_at
+from multiarm.events.evaluation import enter_mode_at
 from multiarm.problems.building import tip_pose
 from multiarm.scene import find_robot, parse_scene
 
@@ -148,7 +148,7 @@ def test_conditioning_of_sliding_hands_is_that_of_the_held_contacts():
     evaluation, least = ma.evaluate(system, 0.0, state), {}
     assert any("sliding" in states for states in evaluation.contact_states.values())
     with system.borrow() as data:
-        held = mode_at(data, 0.0, state).data
+        held = enter_mode_at(data, 0.0, state).data
         for i, arm in enumerate(system.arm_names):
             joints, contacts = np.diff(held.work.dofs)[i], np.diff(held.work.rows)[i]
             M = read_inertia(held.arrays.pointers[i], joints)

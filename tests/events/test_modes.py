@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import tracemalloc
 
+import numpy as np
 import pytest
 from event_scenes import ball, box, on_floor
 
 import multiarm as ma
+from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
+from multiarm.results.channels import ContactState
 from multiarm.simulation.event_handling import EventHandler
 
 
@@ -36,9 +40,9 @@ def test_a_run_keeps_its_data_and_its_step_across_modes(monkeypatch):
     def look(handler, run):
         data, stepping = run.data, run.stepping
         seen.add((id(data), id(data.struct), id(stepping), stepping.struct.tobytes()))
-        rows.add(tuple(handler.mode.arrays.held))
-        assert data is handler.modes.data and handler.mode.data is data
-        assert data.model.layout.contacts == len(handler.mode.arrays.held) == data.arrays.force.size
+        rows.add(tuple(data.rows))
+        assert data is handler.modes.data
+        assert data.model.layout.contacts == len(data.rows) == data.arrays.force.size
 
     observe_events(monkeypatch, look)
     run = ma.simulate(tumbling_box(), 2.0, accuracy=1e-6, certificate=False)
@@ -56,6 +60,7 @@ def test_memory_does_not_grow_with_the_events(monkeypatch):
         nonlocal count
         count += 1
         if count in (20, 100):
+            gc.collect()
             files = tracemalloc.take_snapshot().filter_traces([log, *ours]).statistics("filename")
             taken[count] = sum(file.size for file in files)
 
@@ -67,6 +72,51 @@ def test_memory_does_not_grow_with_the_events(monkeypatch):
     finally:
         tracemalloc.stop()
     assert taken[100] - taken[20] < 10_000  # [bytes], less than one mode has
+
+
+def test_memory_does_not_grow_with_the_modes():
+    """That after 300 modes of which each is new is that after the first 20."""
+    modes, rng = Modes(tumbling_box().model.data(), 1e-3), np.random.default_rng(1)
+    first = modes.mode
+    states = (ContactState.OPEN, ContactState.STICKING, ContactState.SLIDING)
+    constraints = [one for one in modes.unilateral.constraints if one.tangents]
+
+    def enter() -> None:
+        chosen = dict(zip(constraints, rng.choice(3, len(constraints)), strict=True))
+        rows = [c.row for c, k in chosen.items() if k > 0]
+        rows += [t for c, k in chosen.items() if k == 1 for t in c.tangents]
+        every = tuple(states[chosen.get(c, 0)] for c in modes.unilateral.constraints)
+        directions = {u: np.array([0.6, 0.8]) for u in range(len(every))}
+        modes.enter(Mode(every, tuple(sorted(rows)), directions=directions))
+        assert modes.data.arrays.force.size == len(rows) == modes.data.model.layout.contacts
+
+    ours = [tracemalloc.Filter(True, f"*/multiarm/{room}/*") for room in ("dynamics", "events")]
+    sizes = []
+    tracemalloc.start()
+    try:
+        for count in (20, 280):
+            for _ in range(count):
+                enter()
+            modes.enter(first)
+            gc.collect()
+            files = tracemalloc.take_snapshot().filter_traces(ours).statistics("filename")
+            sizes.append(sum(file.size for file in files))
+    finally:
+        tracemalloc.stop()
+    assert sizes[1] - sizes[0] < 2_000  # [bytes], less than one mode has
+
+
+def test_the_signs_of_determinants_do_not_outlive_their_rows():
+    """A posture is not singular because the rows of an arm have changed."""
+    modes = Modes(tumbling_box().model.data(), 1e-3)
+    contact = next(c for c in modes.unilateral.constraints if c.tangents)
+    states = [ContactState.OPEN] * len(modes.unilateral.constraints)
+    states[modes.unilateral.constraints.index(contact)] = ContactState.STICKING
+    modes.data.arrays.signs[:] = 1.0
+    modes.enter(modes.mode)
+    assert np.all(modes.data.arrays.signs == 1.0)
+    modes.enter(Mode(tuple(states), (contact.row, *contact.tangents)))
+    assert np.all(modes.data.arrays.signs == 0.0)
 
 
 @pytest.mark.parametrize("speed", [1e-9, 1e-3])

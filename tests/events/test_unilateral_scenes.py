@@ -10,7 +10,7 @@ from mechanics import ur5_pair
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.events.evaluation import evaluate_mode, mode_at
+from multiarm.events.evaluation import enter_mode_at, evaluate_mode
 from multiarm.simulation.inspection import inspect_system
 
 GRAVITY = 9.81
@@ -145,10 +145,10 @@ def test_given_forces_of_a_mode_are_forces_of_its_contacts(tmp_path, slides, sol
     state = system.initial_state()
     least = ma.evaluate(system, 0.0, state)
     with system.borrow() as data:
-        mode = mode_at(data, 0.0, state)
-        given = {int(row): (2.0 + k) ** 2 for k, row in enumerate(mode.arrays.held)}
-        mode.set_prestress(given)
-        evaluation = evaluate_mode(data, mode, 0.0, state)
+        modes = enter_mode_at(data, 0.0, state)
+        given = {int(row): (2.0 + k) ** 2 for k, row in enumerate(modes.data.rows)}
+        modes.set_prestress(given)
+        evaluation = evaluate_mode(modes, 0.0, state)
     changes = evaluation.contact_forces["floor"] - least.contact_forces["floor"]
     assert np.max(np.abs(changes)) > 0.1
     np.testing.assert_allclose(

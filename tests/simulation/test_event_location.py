@@ -44,7 +44,7 @@ def test_only_the_stages_of_a_step_count_between_its_ends(dry):
         fixed = {"integrator": "rk4", "step": 1e-3, "accuracy": None}
         spec = run_spec(dry.scene.run, changes, fixed, None)
         driver = begin(Task(dry, data, spec, None, np.inf), None)
-        guards = driver.events.mode.guards
+        guards = driver.events.modes.guards
         forces = guards.kind == STATIC_FRICTION
         assert np.any(forces)
         guards.least[:] = -1e6

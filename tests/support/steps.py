@@ -13,7 +13,7 @@ from multiarm.dynamics.arrays import DERIVATIVE
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.model import with_effects
 from multiarm.dynamics.status import OK
-from multiarm.events.evaluation import mode_at
+from multiarm.events.evaluation import enter_mode_at
 from multiarm.integration.step import Stage, evaluate_slope
 from multiarm.jit.pointers import function_at
 from multiarm.results.event_log import EventLog
@@ -56,7 +56,7 @@ def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
 def data_at(system, state):
     """Data, evaluated at a state; with unilateral contacts those of its mode."""
     if system.model.unilateral is not None:
-        return mode_at(data_of(system), 0.0, state).data
+        return enter_mode_at(data_of(system), 0.0, state).data
     ma.evaluate(system, 0.0, state)
     return data_of(system)
 

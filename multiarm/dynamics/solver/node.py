@@ -37,6 +37,8 @@ This module has the arrays and the elimination of one arm;
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -45,9 +47,9 @@ import numpy as np
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
 from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import INTS, inlined, kernel
 from multiarm.jit.simd import LANES, aligned_zeros
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, struct_of, view
 
 # Pivot of an arm whose inertia matrix is not positive definite.
 NO_INERTIA = -2.0
@@ -99,6 +101,9 @@ class NodeWork(NamedTuple):
     packs: Floats1  # contributions to the node matrix, scratch, and the tables
 
 
+open_node = view(NodeWork)
+
+
 def make_work(
     dofs: list[int], rows: list[int], levers: Sequence[np.ndarray] | None = None
 ) -> NodeWork:
@@ -111,8 +116,8 @@ def make_work(
     M = np.zeros((n, d, d))
     for inertia, joints in zip(M, dofs, strict=True):
         inertia[range(joints, d), range(joints, d)] = 1.0
-    tables, size = group_tables(dofs, rows, every_lever)
-    return NodeWork(
+    whole, shapes = {"groups", "places"}, work_shapes(dofs, rows) | group_shapes(dofs, rows)
+    work = NodeWork(
         dofs=_starts(dofs),
         rows=_starts(rows),
         M=M,
@@ -122,10 +127,11 @@ def make_work(
         y=np.zeros(sum(dofs)),
         levers=every_lever,
         pivot=np.ones(n + 1),
-        packs=aligned_zeros(size),
-        **{name: np.zeros(shape) for name, shape in work_shapes(dofs, rows).items()},
-        **tables,
+        packs=np.zeros(0),
+        **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
+    size = write_group_tables(struct_of(work), group_order(dofs, rows))
+    return work._replace(packs=aligned_zeros(size))
 
 
 def work_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
@@ -134,51 +140,64 @@ def work_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
     return {"W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(rows),)}
 
 
-def group_tables(
-    dofs: list[int], rows: list[int], levers: np.ndarray
-) -> tuple[dict[str, np.ndarray], int]:
-    """``groups, places, present, stiffness`` of :class:`NodeWork`, and the size of ``packs``."""
-    groups, size = _group(dofs, rows)
+def group_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of ``groups, places, present, stiffness`` of :class:`NodeWork`."""
     d, m = max(dofs), max(rows)
-    arms, joints, contacts = groups[:, FIRST_ARM:], np.array(dofs), np.array(rows)
-    held = np.arange(m)[:, None] < contacts[arms][:, None, :]  # (g, m, 4)
-    present = np.concatenate([held, np.arange(LANES) < groups[:, None, COUNT, None]], axis=1)
-    moving = np.arange(d) < joints[:, None]
-    stiffness = np.where(moving, 1.0 / levers**2, np.inf)[arms]  # (g, 4, d)
-    places = np.concatenate([_places(joints, arms, d), _places(contacts, arms, m)], axis=1)
-    tables = {
-        "groups": groups,
-        "places": places.reshape(len(groups), LANES * (d + m)),
-        "present": present.astype(float).reshape(len(groups), LANES * (m + 1)),
-        "stiffness": stiffness.swapaxes(1, 2).reshape(len(groups), LANES * d),
-    }
-    return tables, size
+    g = -(-len(dofs) // LANES) if all(map(operator.ge, dofs, rows)) else 0
+    return {
+        "groups": (g, GROUP_WIDTH), "places": (g, LANES * (d + m)),
+        "present": (g, LANES * (m + 1)), "stiffness": (g, LANES * d),
+    }  # fmt: skip
 
 
-def _places(sizes: np.ndarray, arms: np.ndarray, most: int) -> np.ndarray:
-    """Index of every joint or contact of these arms (g, 4) in a stacked vector, (g, most, 4).
-
-    Padding reads from somewhere.
-    """
-    first, count = (np.cumsum(sizes) - sizes)[arms][:, None, :], sizes[arms][:, None, :]
-    number = np.arange(most)[:, None]
-    return np.where(number < count, first + number, np.where(count > 0, first, 0))
+def group_order(dofs: list[int], rows: list[int]) -> np.ndarray:
+    """The arms in the order in which they are put into groups: similar ones stand together."""
+    order = sorted(range(len(dofs)), key=lambda i: (-dofs[i], -rows[i]))
+    return np.array(order, dtype=np.int64)
 
 
-def _group(dofs: list[int], rows: list[int]) -> tuple[np.ndarray, int]:
-    """``NodeWork.groups`` and the size of ``NodeWork.packs``."""
-    groups: list[list[int]] = []
-    size = FACTORS_AT + LANES * (max(dofs) + max(rows))
-    if all(d >= m for d, m in zip(dofs, rows, strict=True)):
-        order = sorted(range(len(dofs)), key=lambda i: (-dofs[i], -rows[i]))
-        for first in range(0, len(order), LANES):
-            arms = order[first : first + LANES]
-            d, m = max(dofs[i] for i in arms), max(rows[i] for i in arms)
-            width = d + m + NODE_WIDTH
-            spare = arms[:1] * (LANES - len(arms))
-            groups.append([d, m, len(arms), size, width, *arms, *spare])
-            size += LANES * width * (d + m + 1)  # the last row is for the unknowns
-    return np.array(groups, dtype=np.int64).reshape(-1, GROUP_WIDTH), size
+@kernel
+def write_group_tables(struct: INTS, order: INTS):
+    """:func:`write_groups` for the struct of a :class:`NodeWork`."""
+    return write_groups(order, open_node(struct))
+
+
+@inlined
+def write_groups(order, work):
+    """Write the tables of the groups for arms in an order; returns the size of ``packs``."""
+    n, all_joints = order.size, work.stiffness.shape[1] // LANES
+    all_contacts = work.places.shape[1] // LANES - all_joints
+    size = FACTORS_AT + LANES * (all_joints + all_contacts)
+    for g in range(work.groups.shape[0]):
+        group, places, present = work.groups[g], work.places[g], work.present[g]
+        group[JOINTS] = group[CONTACTS] = 0
+        group[COUNT] = min(LANES, n - LANES * g)
+        for lane in range(LANES):
+            arm = order[LANES * g + (lane if lane < group[COUNT] else 0)]
+            group[FIRST_ARM + lane] = arm
+            d, m = work.dofs[arm + 1] - work.dofs[arm], work.rows[arm + 1] - work.rows[arm]
+            group[JOINTS], group[CONTACTS] = max(group[JOINTS], d), max(group[CONTACTS], m)
+            for j in range(all_joints):
+                lever = work.levers[arm, j]
+                places[LANES * j + lane] = place_in_vector(work.dofs, arm, j)
+                work.stiffness[g, LANES * j + lane] = 1.0 / (lever * lever) if j < d else math.inf
+            for k in range(all_contacts):
+                places[LANES * (all_joints + k) + lane] = place_in_vector(work.rows, arm, k)
+                present[LANES * k + lane] = 1.0 if k < m else 0.0
+            present[LANES * all_contacts + lane] = 1.0 if lane < group[COUNT] else 0.0
+        unknowns = group[JOINTS] + group[CONTACTS]
+        group[START], group[WIDTH] = size, unknowns + NODE_WIDTH
+        size += LANES * group[WIDTH] * (unknowns + 1)  # the last row is for the unknowns
+    return size
+
+
+@inlined
+def place_in_vector(starts, arm, k):
+    """Index of a joint or contact of an arm in a stacked vector; padding reads from somewhere."""
+    first, end = starts[arm], starts[arm + 1]
+    if first + k < end:
+        return first + k
+    return first if first < end else 0
 
 
 def _starts(sizes: list[int]) -> np.ndarray:
