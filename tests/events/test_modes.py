@@ -10,6 +10,7 @@ import pytest
 from event_scenes import ball, box, on_floor
 
 import multiarm as ma
+from multiarm.dynamics.row_selection import MOST_RECENT
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
 from multiarm.results.channels import ContactState
@@ -75,7 +76,7 @@ def test_memory_does_not_grow_with_the_events(monkeypatch):
 
 
 def test_memory_does_not_grow_with_the_modes():
-    """That after 300 modes of which each is new is that after the first 20."""
+    """That after 300 modes of which each is new is that after 64, once caches are full."""
     modes, rng = Modes(tumbling_box().model.data(), 1e-3), np.random.default_rng(1)
     first = modes.mode
     states = (ContactState.OPEN, ContactState.STICKING, ContactState.SLIDING)
@@ -94,7 +95,7 @@ def test_memory_does_not_grow_with_the_modes():
     sizes = []
     tracemalloc.start()
     try:
-        for count in (20, 280):
+        for count in (2 * MOST_RECENT, 300 - 2 * MOST_RECENT):
             for _ in range(count):
                 enter()
             modes.enter(first)
