@@ -47,6 +47,8 @@ from multiarm.simulation.setup import Run, Tolerance
 
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
 HIT_SHARE = 4.0
+# A run ends after more events at one time.
+MOST_SIMULTANEOUS = 60
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
 
@@ -92,7 +94,6 @@ class EventHandler:
         self._tolerance = tolerance
         self._rest_height = 0.0
         self._pending: Pending | None = None
-        self._fault = ""
         self._last_length = self._usual_length = 0.0
         self._simultaneous, self._simultaneous_since = 0, -np.inf
 
@@ -111,8 +112,8 @@ class EventHandler:
         before = Mode((), ())
         decision = self._decide(time, _Participants(touching, beside=beside))
         self._log_decision(time, decision, before)
-        if self._fault:
-            raise SolverError(f"at the start: {self._fault}")
+        if decision.trouble:
+            raise SolverError(f"at the start: {decision.trouble}")
         self.modes.enter(decision.mode)
         changed = decision.hits or given
         return self.modes.data, self.modes.data.get_state() if changed else None
@@ -168,11 +169,10 @@ class EventHandler:
         )
         decision = self._decide_mode(t, participants)
         self._log_decision(t, decision, before)
-        self._limit_events(t)
-        if self._fault:
-            return self._fault
-        self._continue(run, decision)
-        return ""
+        trouble = decision.trouble or self._limit_events(t)
+        if not trouble:
+            self._continue(run, decision)
+        return trouble
 
     def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
@@ -195,7 +195,7 @@ class EventHandler:
         """
         before = self.modes.mode
         decision = self._decide(t, participants)
-        if self._fault:
+        if decision.trouble:
             return decision
         decisions = [decision]
         for share in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
@@ -204,8 +204,7 @@ class EventHandler:
             if decisions[-1].mode != before and self._holds():
                 return decisions[-1]
             later = self._decide(t, participants, share * self._usual_length)
-            if self._fault:  # the contacts, displaced along their rates, contradict each other
-                self._fault = ""
+            if later.trouble:  # the contacts, displaced along their rates, contradict each other
                 break
             decisions.append(
                 replace(later, hits=decision.hits, energy=decision.energy, rested=decision.rested)
@@ -261,7 +260,6 @@ class EventHandler:
             participants.unloaded, participants.beside, ahead,
         ).decide()  # fmt: skip
         self.residual = max(self.residual, decision.residual)
-        self._fault = decision.trouble
         return decision
 
     def _continue(self, run: Run, decision: Decision) -> None:
@@ -301,16 +299,17 @@ class EventHandler:
         self.count += len(events)
         self._log.add(events)
 
-    def _limit_events(self, t: float) -> None:
-        """End the run after 60 events at one time."""
+    def _limit_events(self, t: float) -> str:
+        """Count an event; returns why the run must end after 60 of them at one time, else empty."""
         if t - self._simultaneous_since > 1e-11 * max(1.0, t):
             self._simultaneous, self._simultaneous_since = 0, t
         self._simultaneous += 1
-        if self._simultaneous > 60 and not self._fault:
-            self._fault = (
-                f"{self._simultaneous} events at one time: contacts open and close without the "
-                f"motion getting on; lessen restitution or friction, or start elsewhere"
-            )
+        if self._simultaneous <= MOST_SIMULTANEOUS:
+            return ""
+        return (
+            f"{self._simultaneous} events at one time: contacts open and close without the "
+            f"motion getting on; lessen restitution or friction, or start elsewhere"
+        )
 
 
 def _constraints(guards: list[Guard], *functions: type) -> set[int]:

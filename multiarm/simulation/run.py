@@ -168,25 +168,21 @@ def leave_undone(
 
 
 class Pace:
-    """Steps of a run for a second of simulated time; a run whose steps get too short is ended.
-
-    Attributes
-    ----------
-    event_stops : int
-        How often the loop has stopped for an event.
-    """
+    """Steps of a run for a second of simulated time; a run whose steps get too short is ended."""
 
     def __init__(self, run: Run, spec: RunSpec) -> None:
-        self.event_stops = 0
         self._unit, self._most = min(1.0, spec.duration), spec.most_steps  # [s], see `most_steps`
         chosen = run.settings.longest_step if run.settings.adaptive else run.clock.step
         self._shortest = min(self._unit / self._most, SHORT_SHARE * chosen)
         self._steps, self._t = 0, run.settings.begin
 
-    def judge(self, run: Run) -> str:
-        """Why the run is ended; empty while it advances fast enough."""
+    def judge(self, run: Run, event_stops: int) -> str:
+        """Why the run is ended; empty while it advances fast enough.
+
+        ``event_stops``: how often the loop has stopped for an event.
+        """
         t, clock = run.clock.t, run.clock
-        steps = clock.steps + clock.rejected + EVENT_STEPS * self.event_stops
+        steps = clock.steps + clock.rejected + EVENT_STEPS * event_stops
         judged, advanced = steps - self._steps, t - self._t
         if judged < JUDGED_STEPS:
             return ""
@@ -287,9 +283,8 @@ def _drive(
             elif fault:
                 ended = _Ended("failed", f"{where_of(run)}: {fault}")
             else:
-                pace.event_stops = driver.event_stops
                 too_many = run.clock.evaluations > most_evaluations
-                if stalled := TOO_MANY if too_many else pace.judge(run):
+                if stalled := TOO_MANY if too_many else pace.judge(run, driver.event_stops):
                     ended = _Ended("failed", f"{where_of(run)}: {stalled}", stalled=True)
             due = time.perf_counter() >= next_checkpoint
             try:

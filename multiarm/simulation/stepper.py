@@ -320,8 +320,7 @@ class Stepper:
                 return
             if reason not in GOES_ON:
                 self._fail(reason)
-            self._pace.event_stops = driver.event_stops
-            fault = self._pace.judge(run)
+            fault = self._pace.judge(run, driver.event_stops)
             if fault:
                 raise SolverError(f"{where_of(run)}: {fault}")
 

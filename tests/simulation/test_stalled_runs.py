@@ -106,13 +106,13 @@ def test_steps_rejected_steps_and_events_count(steps, rejected, stops):
     settings = SimpleNamespace(adaptive=True, longest_step=np.inf, begin=0.0)
     clock = SimpleNamespace(t=0.0, h=0.0, steps=0, rejected=0)
     run = SimpleNamespace(settings=settings, clock=clock)
-    pace = Pace(run, RunSpec(duration=10.0))
+    pace, event_stops = Pace(run, RunSpec(duration=10.0)), 0
     for got_on, verdict in ((2e-8, False), (0.5e-8, True)):  # [s] a step, of 1e-8 s allowed
         clock.t += got_on * JUDGED_STEPS
         clock.steps, clock.rejected = clock.steps + steps, clock.rejected + rejected
-        pace.event_stops += stops
-        assert bool(pace.judge(run)) is verdict
-        assert pace.judge(run) == "", "until as many steps have been made again"
+        event_stops += stops
+        assert bool(pace.judge(run, event_stops)) is verdict
+        assert pace.judge(run, event_stops) == "", "until as many steps have been made again"
 
 
 @pytest.mark.parametrize(
