@@ -12,7 +12,9 @@ from typing import Any
 _HOMES = {
     **dict.fromkeys(("ControlContext", "ControlProgram"), "control.program"),
     **dict.fromkeys(("ControlLaw", "view_of_law"), "dynamics.control_laws"),
-    **dict.fromkeys(("open_data", "open_system"), "dynamics.arrays"),
+    **dict.fromkeys(
+        ("open_data", "open_system", "OPEN_LOOP", "LOCAL", "CARRYING", "COUPLED"), "dynamics.arrays"
+    ),
     "force_columns": "dynamics.coordinates",
 }
 

@@ -168,8 +168,21 @@ def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
 def constraint_matrix(data: Evaluated) -> np.ndarray:
     """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the data, (6 + n, N).
 
-    Columns and rows are scaled so that its singular values can be compared: joint and object
-    coordinates by the square root of their inertia, contacts to unit length.
+    It is scaled so that its singular values can be compared: joint and object coordinates by the
+    square root of their inertia, contacts to unit length.
+    """
+    return of_unit_length(wrench_matrix(data))
+
+
+def of_unit_length(columns: np.ndarray) -> np.ndarray:
+    """Columns of length 1 with the same directions."""
+    return columns / np.linalg.norm(columns, axis=0)
+
+
+def wrench_matrix(data: Evaluated) -> np.ndarray:
+    """What unit contact forces do to object and joints, ``[W_o; W]``, shape (6 + n, N).
+
+    Joint and object coordinates are scaled by the square root of their inertia.
     """
     b, work = data.arrays, data.work
     layout = data.model.layout
@@ -181,8 +194,7 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
         n = d.stop - d.start
         matrix[d, r] = work.W[i, :n, : r.stop - r.start]
         scale[d] = np.sqrt(np.diag(work.M[i])[:n])
-    matrix /= scale[:, None]
-    return matrix / np.linalg.norm(matrix, axis=0)
+    return matrix / scale[:, None]
 
 
 def relative_motion(model: Model, state: State, arm: str) -> RelativeMotion:

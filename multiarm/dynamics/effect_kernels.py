@@ -146,10 +146,10 @@ class EffectKernel:
         of them then leave as they are.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
-    watched : tuple of (str, int, float)
-        An array among ``arrays`` and a joint: this entry is a margin, which is positive while the
-        joint's drive is saturated.  The beginning and the end are events, once it is larger than
-        its roundings, the third number.
+    watched : tuple of tuple (str, int, float)
+        Of each drive: an array among ``arrays``, a joint, and roundings.  This entry of the array
+        is the excess of a command over its limit, positive while the joint's drive is saturated.
+        The beginning and the end are events, once it is larger than its roundings.
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
         only, those on the object on the time and the object's state only.  Derivatives of

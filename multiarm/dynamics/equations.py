@@ -61,8 +61,9 @@ def evaluate_state(struct: INTS, alpha: NUMBER, beta: NUMBER):
     """Accelerations and contact forces at the state in ``data``; returns a status.
 
     Calls :func:`kinematics`, :func:`right_hand_sides` and :func:`solve`, or what replaces them.
-    Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
-    ``beta`` [1/s] are the gains of the drift feedback (0: none).
+    Reads time and state, those of effects too, and torques that are held; writes the terms of the
+    equations and their solution.  ``alpha`` [1/s] and ``beta`` [1/s] are the gains of the drift
+    feedback (0: none).
     """
     functions = open_data(struct).functions
     status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)

@@ -179,7 +179,7 @@ class DriveMargin(NamedTuple):
     """How far the command of a joint's drive is below its limit [N m, N]."""
 
     joint: Int
-    margins: Int  # place in the system's struct of the excesses, see EffectKernel.watched
+    excess: Int  # place of this array in the system's struct, see EffectKernel.watched
 
 
 DRIVE_MARGIN, drive_at = _kind(DriveMargin)
@@ -199,7 +199,7 @@ def friction_cone(guard, held, force):
 @inlined
 def drive_margin(guard, struct):
     """Minus the excess of the command over the limit."""
-    return -floats1(struct, guard.margins)[guard.joint]
+    return -floats1(struct, guard.excess)[guard.joint]
 
 
 # --- speeds ---------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from multiarm.jit.kernels import cfunc, clear
 from multiarm.jit.structs import Floats1, struct_at
 from multiarm.scene import effort_limit_of
 
-# Smaller margins are roundings, as a part of the limit.
+# Smaller excesses are roundings, as a part of the limit.
 ROUNDING = 1e-9
 
 
@@ -27,7 +27,7 @@ class TorqueLimits(NamedTuple):
     """Limits of the drives, each (n,) [N m, N]."""
 
     limits: Floats1
-    margins: Floats1  # of the command, positive where it exceeds its limit
+    excess: Floats1  # of the command over its limit; negative below it
 
 
 open_limits = view_of_effect(TorqueLimits)
@@ -35,12 +35,12 @@ open_limits = view_of_effect(TorqueLimits)
 
 @cfunc
 def limit_torques(address, size, at, _t):
-    """Limit the commands, and write their margins."""
+    """Limit the commands, and write their excess."""
     struct = struct_at(address, size)
     torque, drives = open_data(struct).torque, open_limits(struct, at)
     for j in range(torque.size):
         command, limit = abs(torque[j]), drives.limits[j]
-        drives.margins[j] = command - limit
+        drives.excess[j] = command - limit
         if command > limit:
             torque[j] = math.copysign(limit, torque[j])
     return 0
@@ -60,15 +60,15 @@ def differentiate_limits(address, size, at, _t):
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of limited drives."""
     limits = context.stacked(spec, effort_limit_of, default=math.inf)
-    margins = np.full_like(limits, -math.inf)
+    excess = np.full_like(limits, -math.inf)
     limited = map(int, np.flatnonzero(np.isfinite(limits)))
-    watched = tuple(("margins", j, ROUNDING * float(limits[j])) for j in limited)
+    watched = tuple(("excess", j, ROUNDING * float(limits[j])) for j in limited)
     return [
         EffectKernel(
             "torque_limits",
             limit_torques,
             ACTUATOR,
-            TorqueLimits(limits, margins),
+            TorqueLimits(limits, excess),
             works=False,
             watched=watched,
             local=True,

@@ -14,7 +14,7 @@ import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.contact_geometry import constraint_matrix, contact_places
+from multiarm.dynamics.contact_geometry import contact_places, of_unit_length, wrench_matrix
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.evaluation import (
     Evaluation,
@@ -131,27 +131,19 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     forces, unique = np.zeros(count), np.ones(count, dtype=bool)
     held, slides, of_held = modes.data.rows, modes.slides, modes.data.arrays.force
     forces[held] = of_held
-    columns = _columns(modes.full)
-    reactions = columns[:, held]
+    require_ok(modes.full, update_kinematics(modes.full.struct))
+    columns = wrench_matrix(modes.full)
+    reactions = columns[:, held]  # of unit forces, with the friction that goes with them
     for s, (row, first) in enumerate(zip(slides.row, slides.tangent_of_all, strict=True)):
         drag = -slides.mu[s] * slides.turning[s]
         forces[first : first + 2] = drag * of_held[row]
         reactions[:, row] += columns[:, first : first + 2] @ drag
     forces[modes.arrays.springs] = modes.arrays.spring_force
     if held.size:
-        unique[held] = null_space(reactions).untouched
+        unique[held] = null_space(of_unit_length(reactions)).untouched
     for row, first in zip(slides.row, slides.tangent_of_all, strict=True):
         unique[first : first + 2] = unique[held[row]]
     return forces, unique
-
-
-def _columns(full: Data) -> np.ndarray:
-    """``[W_o; W]`` of all rows, shape (6 + n, N), as for a rank.
-
-    Coordinates are scaled by the square root of their inertia, rows to constraint length.
-    """
-    require_ok(full, update_kinematics(full.struct))
-    return constraint_matrix(full)
 
 
 def _residuals(modes: Modes, forces: np.ndarray, constraint: float) -> Residuals:

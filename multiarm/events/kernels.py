@@ -79,7 +79,7 @@ class ModeArrays(NamedTuple):
 def mode_struct(
     arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None = None
 ) -> np.ndarray:
-    """Struct of a mode, which begins with its guards; the functions below open its of_mode."""
+    """Struct of a mode, which begins with its guards; the functions below open its parts."""
     return struct_of(guards, arrays, slides, *([] if reactions is None else [reactions]))
 
 

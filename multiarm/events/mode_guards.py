@@ -30,7 +30,7 @@ from multiarm.jit.structs import struct_of
 from multiarm.results.channels import ContactState
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
-# speeds [m/s, rad/s], and forces as a part of the largest one.
+# speeds [m/s, rad/s] and forces [N], that of dry friction as a part of its bound.
 GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
 # Largest gap or penetration of contacts that touch without force [m].
 REST = 1e-9

@@ -39,8 +39,8 @@ def reporting_guards(
     """A guard for every force that can only push, every patch, limit and drive.
 
     The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
-    are by arm and component of the joint's relative motion; ``drives`` are places of margins in the
-    system's struct, joints, and roundings of the margins.
+    are by arm and component of the joint's relative motion; ``drives`` are places of excesses in
+    the system's struct, joints, and roundings of the excess.
     """
     guards: list[Guard] = []
     for i, (arm, records) in enumerate(contacts.items()):

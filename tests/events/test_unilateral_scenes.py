@@ -112,6 +112,17 @@ def sliding_box(tmp_path, **more):
     return body_and_cart(tmp_path, body, {"floor": {"mu": 0.3}}, **more)
 
 
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_no_force_of_four_sliding_feet_is_unique(tmp_path, yaw):
+    """However the box stands: of the four feet on one plane any takes over what others leave."""
+    scene = sliding_box(tmp_path)
+    scene["object"]["pose"]["rpy"] = [0, 0, yaw]
+    evaluation = ma.evaluate(ma.compile_system(ma.Scene(**scene)))
+    down = np.array(evaluation.contact_states["floor"]) == "sliding"
+    assert down.sum() == 4 and evaluation.rank == 3
+    assert not np.any(evaluation.contact_forces_unique["floor"].reshape(8, 3)[down])
+
+
 def test_an_evaluation_of_a_sliding_box_certifies_itself(tmp_path):
     system = ma.compile_system(ma.Scene(**sliding_box(tmp_path)))
     evaluation = ma.evaluate(system)
