@@ -13,20 +13,17 @@ law together with friction would add energy, restitution is reduced until it doe
 normal force.  Each is taken for one that only pushes, or only pulls: on the side where it does not
 open.
 
-The result is a :class:`Decision`, of which :func:`decision_events` makes the text of events.
+The result is a :class:`Decision`, whose events :mod:`multiarm.events.decision_events` tells.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from multiarm.contacts.table import JointRow
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
-from multiarm.dynamics.contact_geometry import points_and_normals
+from multiarm.contacts.unilateral import DRY_JOINT, Constraint
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import (
     Bounded,
@@ -492,23 +489,6 @@ class Transition:
         return self._rows.free_accelerations(rows, self._modes.bare, self._ahead)
 
 
-def decision_events(
-    modes: Modes, t: float, decision: Decision, before: Mode
-) -> list[dict[str, Any]]:
-    """Events of one decision.
-
-    ``before`` has no states at the beginning of a run, of which only impacts are events.
-    """
-    hits, events = {hit.constraint: hit for hit in decision.hits}, []
-    for u, constraint in enumerate(modes.unilateral.constraints):
-        now = decision.mode.states[u]
-        was = before.states[u] if before.states else now
-        kind = _kind(constraint, was, now, hits.get(u), u in decision.rested)
-        if kind:
-            events.append(_event(modes, t, constraint, kind, was, now, hits.get(u)))
-    return events
-
-
 def energy_added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
     """Kinetic energy that impulses add [J]: their product with the mean rates."""
     return 0.5 * float(impulse @ (before + after))
@@ -547,75 +527,3 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
         if np.max(np.abs(motion.rates[normal] - rates), initial=0.0) > size:
             return solution.message
     return ""
-
-
-# --- event text -----------------------------------------------------------------------------------
-
-
-def _kind(
-    constraint: Constraint, was: ContactState, now: ContactState, hit: Hit | None, rested: bool
-) -> str:
-    """The kind of event of a constraint; empty for none."""
-    if constraint.kind == DRY_JOINT:
-        return "" if was.moves == now.moves else "joint slips" if now.moves else "joint sticks"
-    if hit is not None and now == ContactState.OPEN:
-        return "bounces"
-    if rested:
-        return "comes to rest"
-    if (was == ContactState.OPEN) != (now == ContactState.OPEN):
-        if constraint.kind == LIMIT:
-            return "leaves its limit" if now == ContactState.OPEN else "reaches its limit"
-        return "lets go" if now == ContactState.OPEN else "touches"
-    if hit is not None:
-        return "touches"
-    was, now = was.recorded, now.recorded
-    if {was, now} == {ContactState.SLIDING, ContactState.STICKING}:
-        return "slides" if now == ContactState.SLIDING else "sticks"
-    return ""
-
-
-def _event(
-    modes: Modes,
-    t: float,
-    constraint: Constraint,
-    kind: str,
-    was: ContactState,
-    now: ContactState,
-    hit: Hit | None,
-) -> dict[str, Any]:
-    name = (
-        constraint.name
-        if constraint.kind == CONTACT
-        else modes.full.model.joint_name(constraint.joint)
-    )
-    event: dict[str, Any] = {
-        "time": float(t),
-        "kind": kind,
-        "arm": constraint.arm,
-        "contact" if constraint.kind == CONTACT else "joint": name,
-        "before": {"state": was.word},
-        "after": {"state": now.word},
-        "text": f"{constraint.arm}: {name} {_verb(modes, constraint, kind)}",
-    }
-    if constraint.kind == CONTACT:
-        points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))
-        event["where"] = points[0].tolist()
-    if hit is not None:
-        turns = (
-            constraint.kind != CONTACT and modes.full.model.joint_units[constraint.joint] == "rad"
-        )
-        unit_of_rate = "rad_s" if turns else "m_s"
-        event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
-        event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
-        event["after"]["impulse"] = hit.impulse
-    return event
-
-
-def _verb(modes: Modes, constraint: Constraint, kind: str) -> str:
-    """The event as a verb; of a joint limit with the end of the range."""
-    if constraint.kind != LIMIT:
-        return kind.removeprefix("joint ")
-    record = modes.full.model.records[constraint.row]
-    assert isinstance(record, JointRow), "a limit is a joint's"
-    end = "its lower limit" if record.side > 0.0 else "its upper limit"
-    return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)

@@ -25,6 +25,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
+from multiarm.events.decision_events import decision_events
 from multiarm.events.event_detection import (
     closed_constraints,
     off_patch_constraints,
@@ -35,7 +36,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import Modes
-from multiarm.events.transition import Decision, Transition, decision_events
+from multiarm.events.transition import Decision, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
