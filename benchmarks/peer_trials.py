@@ -38,7 +38,7 @@ from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate
 from multiarm.plots.style import BLUE
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.comparison import state_of
+from multiarm.simulation.comparison import sample_state
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.hard_cases import choose_cases
 from multiarm.studies.peers import (
@@ -197,13 +197,13 @@ class Trial:
         if between:
             run = simulate(self.system, duration=hardest, output_step=hardest, certificate=False)
             if run.status == "completed":
-                last = state_of(self.system.model.layout, run, len(run) - 1)
+                last = sample_state(self.system.model.layout, run, len(run) - 1)
                 return float(run.time[-1]), last
         return float(times[nearest]), self.state(nearest)
 
     def state(self, sample: int) -> State:
         """The state of a sample of our run."""
-        return state_of(self.system.model.layout, self.trajectory, sample)
+        return sample_state(self.system.model.layout, self.trajectory, sample)
 
     def _torques(self, t: float, state: State) -> np.ndarray:
         """Torques of the scene's control at a time of the short run, shape (n,)."""

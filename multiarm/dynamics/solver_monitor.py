@@ -100,7 +100,7 @@ def compare_solution(address, size, _a, _b):
     for i in range(data.lost.size):
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
-            lost = lost_directions(i, data.lost[i], work, coupled)
+            lost = count_lost(i, data.lost[i], work, coupled)
         elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
             lost = data.lost[i]
         elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
@@ -116,7 +116,7 @@ def compare_solution(address, size, _a, _b):
 
 
 @kernel
-def lost_directions(i, before, work, coupled):
+def count_lost(i, before, work, coupled):
     """Number of lost directions of a deficient arm, with hysteresis."""
     fewest = most = 0
     for a in range(work.rows[i], work.rows[i + 1]):

@@ -177,7 +177,7 @@ def write_wrench(wrenches, k, t):
     if course == TABLE:
         first = wrenches.first_row[k]
         end = first + wrenches.rows[k]
-        interpolate(wrenches.times[first:end], wrenches.cubics[first:end], t, wrench)
+        interpolate_wrench(wrenches.times[first:end], wrenches.cubics[first:end], t, wrench)
         return
     if course == SINUSOID:
         factor = math.sin(2.0 * math.pi * wrenches.frequency[k] * t + wrenches.phase[k])
@@ -188,7 +188,7 @@ def write_wrench(wrenches, k, t):
 
 
 @kernel
-def interpolate(times, cubics, t, wrench):
+def interpolate_wrench(times, cubics, t, wrench):
     """The six cubics of the row that ``t`` follows; zero before the first and after the last."""
     row = row_at(times, t)
     if row < 0:
@@ -305,7 +305,7 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
 
 def _table_of(table, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times (r,) of a table, and cubics (r, 6, 4) from each row on, highest power first."""
-    from scipy.interpolate import PchipInterpolator
+    from scipy.interpolate_wrench import PchipInterpolator
 
     if table.file is not None:
         rows = np.array(read_wrench_table(table.file)[0])

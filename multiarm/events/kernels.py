@@ -280,12 +280,12 @@ def check_guards(address, size, begin, end):
     if judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted:
         return FIRED
     numbers.muted = False
-    begin_step(of_mode, open_data(struct_at(data.modes.full, 0)).contacts)
+    begin_mode_step(of_mode, open_data(struct_at(data.modes.full, 0)).contacts)
     return OK
 
 
 @kernel
-def begin_step(of_mode, contacts):
+def begin_mode_step(of_mode, contacts):
     """Make the end of a step the beginning of the next one."""
     accept_guards(open_guards(of_mode))
     follow_slip(open_slides(of_mode), open_mode(of_mode).numbers.slow, contacts)
@@ -300,5 +300,6 @@ def start_guards(struct: INTS):
         return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
     status = write_mode_guards(struct)
-    begin_step(struct_at(data.modes.mode, 0), open_data(struct_at(data.modes.full, 0)).contacts)
+    rows = open_data(struct_at(data.modes.full, 0))
+    begin_mode_step(struct_at(data.modes.mode, 0), rows.contacts)
     return status

@@ -36,7 +36,7 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.linear.coordinates import Coordinates, minimal_coordinates
-from multiarm.linear.modes import Mode, modes_of, stability_of
+from multiarm.linear.modes import Mode, natural_modes, stability_of
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.scene.faults import unknown
@@ -112,7 +112,7 @@ class LinearSystem:
     def modes(self) -> tuple[Mode, ...]:
         """The natural motions, slowest first; a pair of conjugate eigenvalues is one."""
         size = len(self.coordinates.displacement)
-        return modes_of(self.A, self.B, self.C[:size], self.output_names[:size])
+        return natural_modes(self.A, self.B, self.C[:size], self.output_names[:size])
 
     @cached_property
     def controllable(self) -> bool:

@@ -88,7 +88,7 @@ class Mode:
         return math.inf if self.kind in STEADY else 1.0 / abs(self.eigenvalue.real)
 
 
-def modes_of(
+def natural_modes(
     A: np.ndarray, B: np.ndarray, displacements: np.ndarray, names: Sequence[str]
 ) -> tuple[Mode, ...]:
     """The modes of a system, slowest first.

@@ -17,7 +17,7 @@ from mechanics import EPS
 from repository import WORKED
 
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, PART_TOLERANCE
-from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
+from multiarm.dynamics.solver.dense import SystemSolution, solve_dense
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_lu, solve_lu_transposed
 from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
@@ -36,7 +36,7 @@ def solve_with_reactions(
     c: list[np.ndarray],
     reaction_o: list[np.ndarray] | None = None,
     reaction: list[np.ndarray] | None = None,
-) -> NodeSolution:
+) -> SystemSolution:
     """Solve the constrained system by the node algorithm.
 
     Parameters and result are those of :func:`multiarm.dynamics.solver.dense.solve_dense`.
@@ -70,7 +70,7 @@ def solve_with_reactions(
             break
     status, bounds = work.status, np.cumsum(rows)[:-1]
     free = work.null_force[: status.null_forces, : len(force)]
-    return NodeSolution(
+    return SystemSolution(
         object_acceleration=a_o,
         joint_accelerations=np.split(q, np.cumsum(dofs)[:-1]),
         contact_forces=np.split(force, bounds),

@@ -16,7 +16,7 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.solution import Elimination, Solution
 from multiarm.dynamics.status import OK
-from multiarm.events.evaluation import mode_at
+from multiarm.events.evaluation import enter_mode_at
 
 # The monitor of a step writes these, not the solver.
 OF_MONITOR = {"least_margin", "residual"}
@@ -53,7 +53,7 @@ def data_at_start(scene: str, solver: str):
         state = system.state(joint_positions={"left": UR5_WRIST_SINGULAR})
     ma.evaluate(system, 0.0, state)
     data = data_of(system)
-    return mode_at(data, 0.0, state).data if scene == "sliding" else data
+    return enter_mode_at(data, 0.0, state).data if scene == "sliding" else data
 
 
 def written_after(data, solve, before: int) -> dict[str, float]:

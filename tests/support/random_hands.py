@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.dynamics.solver.dense import NodeSolution
+from multiarm.dynamics.solver.dense import SystemSolution
 
 FAR = 1000.0  # [m]
 
@@ -131,7 +131,7 @@ def _joint(arm: str, held: dict, welded: bool, size: float) -> dict:
     return {"arm": arm, "kind": "contacts", "at": held, "contacts": [contact]}
 
 
-def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolution]:
+def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, SystemSolution]:
     """The constrained system of a scene at its start as it is solved, and its solution."""
     run = scene.run.model_copy(update={"solver": solver, "arms": arms})
     compiled = ma.compile_system(scene.replace(run=run))
@@ -148,7 +148,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
         reach=[compiled.arms[n].levers(compiled.frames[n].on_tip[:3, 3]) for n in names],
     )  # fmt: skip
-    return system, NodeSolution(
+    return system, SystemSolution(
         found.object_acceleration, list(found.joint_accelerations.values()),
         list(found.contact_forces.values()), list(found.contact_forces_unique.values()), found.rank,
     )  # fmt: skip

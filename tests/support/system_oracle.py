@@ -44,7 +44,7 @@ from multiarm.dynamics.solver.bounds import (
     IMMOVABLE_BY_OBJECT,
     PART_TOLERANCE,
 )
-from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
+from multiarm.dynamics.solver.dense import SystemSolution, solve_dense
 from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
@@ -118,7 +118,7 @@ def load_arms(system: System, work, columns: dict[str, list[np.ndarray]]) -> Non
             getattr(work, name)[i, : len(M), : matrices[i].shape[1]] = matrices[i]
 
 
-def solve_by_node(system: System) -> NodeSolution:
+def solve_by_node(system: System) -> SystemSolution:
     """The node algorithm as an evaluation runs it: again where the object is not in balance.
 
     Raises
@@ -145,7 +145,7 @@ def solve_by_node(system: System) -> NodeSolution:
     return _solution(work, loads, rank, loose_rows(work, coupled) < PART_TOLERANCE)
 
 
-def solve_by_reactions(system: System) -> NodeSolution:
+def solve_by_reactions(system: System) -> SystemSolution:
     """The form with reactions, with all arms coupled where the object is not in balance.
 
     Raises
@@ -172,18 +172,18 @@ def solve_by_reactions(system: System) -> NodeSolution:
     return _solution(work, loads, rank, loose < PART_TOLERANCE)
 
 
-def _solution(work, loads: Loads, rank: int, unique: np.ndarray) -> NodeSolution:
+def _solution(work, loads: Loads, rank: int, unique: np.ndarray) -> SystemSolution:
     dofs, rows = work.dofs[1:-1], work.rows[1:-1]
     split = np.split(loads.q, dofs), np.split(loads.force, rows), np.split(unique, rows)
-    return NodeSolution(loads.a_o, *split, rank)
+    return SystemSolution(loads.a_o, *split, rank)
 
 
-def solve_by_reference(system: System) -> NodeSolution:
+def solve_by_reference(system: System) -> SystemSolution:
     names = ("M_o", "f_o", "M", "f_j", "W_o", "W", "c", "reaction_o", "reaction")
     return solve_dense(*(getattr(system, name) for name in names))
 
 
-SOLVERS: dict[str, Callable[[System], NodeSolution]] = {
+SOLVERS: dict[str, Callable[[System], SystemSolution]] = {
     "node": solve_by_node,
     "reactions": solve_by_reactions,
     "dense": solve_by_reference,
@@ -279,7 +279,7 @@ def spectrum(system: System, solver: str) -> Spectrum:
 # --- oracle --------------------------------------------------------------------------------------
 
 
-def solve_exactly(system: System, rank: int) -> NodeSolution:
+def solve_exactly(system: System, rank: int) -> SystemSolution:
     """Solution with forces of least norm, of this rank.
 
     Forces and constraints are restricted to the row space of ``W``, in which they are regular.
@@ -306,7 +306,7 @@ def solve_exactly(system: System, rank: int) -> NodeSolution:
         force = (V @ share).astype(float)
         found = [(moved[:, -1] + moved[:, :-1] @ share).astype(float) for moved in kept]
     parts = np.linalg.norm(turned[rank:], axis=0)
-    return NodeSolution(
+    return SystemSolution(
         found[0], found[1:], np.split(force, bounds[1:-1]), np.split(parts, bounds[1:-1]), rank
     )
 
@@ -336,7 +336,7 @@ def size_of(*vectors: np.ndarray) -> float:
     return max(float(np.max(np.abs(v), initial=0.0)) for v in vectors)
 
 
-def scales_of(system: System, exact: NodeSolution) -> Scales:
+def scales_of(system: System, exact: SystemSolution) -> Scales:
     unit = unit_of_object(system)
     a_o = exact.object_acceleration
     pushes = [R * f for R, f in zip(system.reaction_o, exact.contact_forces, strict=True)]
@@ -358,7 +358,7 @@ def scales_of(system: System, exact: NodeSolution) -> Scales:
     return Scales(forces, max(forces, *of_arms), of_arms, size_of(*moved), size_of(*freed))
 
 
-def balances(system: System, found: NodeSolution) -> tuple[float, list[float], float]:
+def balances(system: System, found: SystemSolution) -> tuple[float, list[float], float]:
     """Residuals of the object's equations, of every arm's, and of the constraints."""
     unit, a_o = unit_of_object(system), found.object_acceleration
     on_object = system.M_o @ a_o - system.f_o
@@ -372,7 +372,7 @@ def balances(system: System, found: NodeSolution) -> tuple[float, list[float], f
     return size_of(on_object / unit), arms, constraint
 
 
-def errors(system: System, found: NodeSolution, exact: NodeSolution) -> dict[str, float]:
+def errors(system: System, found: SystemSolution, exact: SystemSolution) -> dict[str, float]:
     """Largest differences of accelerations, forces and wrench."""
     unit = unit_of_object(system)
     pairs = zip(found.joint_accelerations, exact.joint_accelerations, system.reach, strict=True)
@@ -421,7 +421,7 @@ class Oracle:
         able = [name for name, known in self.spectra.items() if not known.deep]
         return [name for name in able if not (self.system.sliding and name == "node")]
 
-    def judge(self, solver: str, found: NodeSolution | None = None) -> dict[str, float]:
+    def judge(self, solver: str, found: SystemSolution | None = None) -> dict[str, float]:
         """Every figure of a solver relative to its bound: above 1 is a fault.
 
         ``found`` is what it found elsewhere; it solves the system here when left out.
@@ -443,7 +443,7 @@ class Oracle:
     def _accelerations(self, part: float) -> float:
         return part * self.scales.accelerations + ELIMINATION * self.scales.freed
 
-    def _balances(self, solver: str, found: NodeSolution) -> dict[str, float]:
+    def _balances(self, solver: str, found: SystemSolution) -> dict[str, float]:
         on_object, arms, constraint = balances(self.system, found)
         forces, dropped, in_band = self.scales.forces, 0.0, self.spectra[solver].in_band
         part, error = BALANCE if solver == "node" else SOLUTION, self.spectra[solver].error
@@ -462,7 +462,7 @@ class Oracle:
             "constraints": relative(constraint, self._accelerations(error) + missed),
         }
 
-    def _errors(self, found: NodeSolution, part: float) -> dict[str, float]:
+    def _errors(self, found: SystemSolution, part: float) -> dict[str, float]:
         figures = {}
         for name, error in errors(self.system, found, self.exact).items():
             allowed = part * self.scales.forces + ELIMINATION * self.scales.all_forces
@@ -474,7 +474,7 @@ class Oracle:
                 figures[name] = relative(error, allowed + sensitive)
         return figures
 
-    def _uniqueness(self, found: NodeSolution) -> float:
+    def _uniqueness(self, found: SystemSolution) -> float:
         """Forces with a clear part in the null space are not unique, those without one are."""
         parts, unique = np.concatenate(self.exact.unique), np.concatenate(found.unique)
         wrong = (unique & (parts > RANK_BAND[1])) | (~unique & (parts < BAND[0]))

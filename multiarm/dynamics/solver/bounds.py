@@ -27,7 +27,7 @@ IMBALANCE_BOUND = 1e-9
 # --- The coupled system of deficient arms (:mod:`multiarm.dynamics.solver.singular`).
 
 # Directions of an arm with a sigma below this fraction of the best are not eliminated.
-SPLIT = 1e-2
+SPLIT_BY_ARM = 1e-2
 
 # Below this fraction the arm does not move at all.
 IMMOVABLE = 1e-11

@@ -29,7 +29,7 @@ from multiarm.dynamics.solver.bounds import (
 )
 
 
-class NodeSolution(NamedTuple):
+class SystemSolution(NamedTuple):
     """Solution of the constrained system for one right-hand side."""
 
     object_acceleration: np.ndarray  # (6,) world axes, classical
@@ -52,7 +52,7 @@ def solve_dense(
     c: list[np.ndarray],
     reaction_o: list[np.ndarray] | None = None,
     reaction: list[np.ndarray] | None = None,
-) -> NodeSolution:
+) -> SystemSolution:
     """Solve the constrained system as one dense matrix.
 
     Parameters
@@ -93,7 +93,7 @@ def solve_dense(
         unique = np.linalg.norm(free[size:], axis=1) < PART_TOLERANCE
         loose = _moving(free, size)
     bounds = np.cumsum([w.shape[1] for w in W])[:-1]
-    return NodeSolution(
+    return SystemSolution(
         object_acceleration=x[:6],
         joint_accelerations=np.split(x[6:size], np.cumsum([m.shape[0] for m in M])[:-1]),
         contact_forces=np.split(x[size:], bounds),

@@ -456,7 +456,7 @@ def object_acceleration(work, Wo, Wr, f_o, a_o, force):
         x = work.six
         copy(a_o, x)
         solve_object(work, x)
-        solve_coupled_forces(work, Wo, x, force)
+        solve_coupled_reactions(work, Wo, x, force)
         for a in range(work.status.rows):
             row = work.place[a]
             for k in range(6):
@@ -465,7 +465,7 @@ def object_acceleration(work, Wo, Wr, f_o, a_o, force):
 
 
 @inlined
-def solve_coupled_forces(work, Wo, x, force):
+def solve_coupled_reactions(work, Wo, x, force):
     """``F lambda = d`` by the decompositions; ``x`` is the object's motion without these forces."""
     status, rows, place = work.status, work.status.rows, work.place
     left, right = work.left, work.right

@@ -50,7 +50,7 @@ from multiarm.dynamics.solver.bounds import (
     IMMOVABLE,
     IMMOVABLE_BY_OBJECT,
     ROUNDED_SIGMA,
-    SPLIT,
+    SPLIT_BY_ARM,
     SPLIT_BY_OBJECT,
 )
 from multiarm.dynamics.solver.factors import factor_cholesky, norm, orthogonalize
@@ -188,7 +188,7 @@ def split_arm(i, work, coupled, Wo):
     if aligned < HARDLY_ALIGNED:
         scale *= (HARDLY_ALIGNED / aligned) ** 2 if aligned > 0.0 else 1.0
     coupled.scale[i] = scale
-    coupled.split[i] = max(SPLIT * scale, SPLIT_BY_OBJECT * by_object)
+    coupled.split[i] = max(SPLIT_BY_ARM * scale, SPLIT_BY_OBJECT * by_object)
     least = max(IMMOVABLE * scale, IMMOVABLE_BY_OBJECT * by_object)
     for a in range(m):
         wrench, sigma = work.Z[i, a], coupled.sigma[first + a]

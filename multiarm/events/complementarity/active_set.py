@@ -104,7 +104,7 @@ def active_set(problem: Problem, z: np.ndarray) -> ActiveSet:
     Without any that obey the laws: all rows in contact, the forces as they are, and why.
     """
     search = _Search(problem, z)
-    modes = modes_of(problem, z)
+    modes = law_modes(problem, z)
     active = search.without_limits(modes) or search.with_limits(modes, search.x)
     if active is None:
         rows = tuple(sorted(_Unknowns(problem, modes).rows))
@@ -113,7 +113,7 @@ def active_set(problem: Problem, z: np.ndarray) -> ActiveSet:
     return replace(active, unique=not search.dependent)
 
 
-def modes_of(problem: Problem, z: np.ndarray) -> tuple[LawMode, ...]:
+def law_modes(problem: Problem, z: np.ndarray) -> tuple[LawMode, ...]:
     """Modes by the motion alone: every row in contact is active."""
     w, zero = problem.G @ z + problem.g, MARGIN * problem.size(z)
     modes = []

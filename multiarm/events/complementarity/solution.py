@@ -39,7 +39,7 @@ from math import comb, prod
 
 import numpy as np
 
-from multiarm.events.complementarity.active_set import ActiveSet, active_set, modes_of
+from multiarm.events.complementarity.active_set import ActiveSet, active_set, law_modes
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
     MARGIN,
@@ -153,7 +153,7 @@ def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) ->
     problem = build((D + D.T) / 2.0, b, laws)
     (z, *alternatives), verdict, message = _solutions(problem)
     if verdict == Verdict.NONE:
-        chosen = ActiveSet(problem.E @ z, modes_of(problem, z))
+        chosen = ActiveSet(problem.E @ z, law_modes(problem, z))
     else:
         chosen = active_set(problem, z)
     x = chosen.forces
@@ -257,7 +257,7 @@ def _all_tried(
 
 def _alternative(problem: Problem, z: np.ndarray) -> Alternative:
     x = problem.E @ z
-    modes = tuple(mode for mode, _ in modes_of(problem, z))
+    modes = tuple(mode for mode, _ in law_modes(problem, z))
     return Alternative(x, problem.D @ x + problem.b, modes)
 
 
