@@ -59,9 +59,16 @@ def joint_path(
 
 
 def _joint_path(data: Data, state: State, times: list[float], poses: list[np.ndarray]) -> JointPath:
+    constants = data.model.constants
+    heavy = data.view(  # an object that the projection does not move
+        data.model.with_constants(
+            object_mass=1e8 * constants.object_mass,
+            object_inertia=1e8 * constants.object_inertia,
+        )
+    )
     segments = []
     for k in range(len(times) - 1):
-        series, state = _segment(data, state, poses[k], poses[k + 1], k + 1)
+        series, state = _segment(data, heavy, state, poses[k], poses[k + 1], k + 1)
         segments.append(series)
     width = max(series.shape[1] for series in segments)
     padded = [np.pad(series, ((0, 0), (0, width - series.shape[1]))) for series in segments]
@@ -88,7 +95,7 @@ def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
 
 
 def _segment(
-    data: Data, start: State, begin: np.ndarray, end: np.ndarray, number: int
+    data: Data, heavy: Data, start: State, begin: np.ndarray, end: np.ndarray, number: int
 ) -> tuple[np.ndarray, State]:
     """Chebyshev series (n, width) of the joints from one waypoint to the next, and the end state.
 
@@ -98,7 +105,7 @@ def _segment(
     for intervals in (16, 32, 64, 128):  # until the series has converged
         x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
         law = quintic(0.5 * (1.0 + x))
-        angles, state = follow_object(data, start, begin, end, law, number)
+        angles, state = follow_object(data, heavy, start, begin, end, law, number)
         series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
         if np.max(np.abs(series[:, -4:])) < 1e-8:  # [rad, m]
             return series, state
@@ -112,6 +119,7 @@ def _segment(
 
 def follow_object(
     data: Data,
+    heavy: Data,
     start: State,
     begin: np.ndarray,
     end: np.ndarray,
@@ -124,6 +132,8 @@ def follow_object(
 
     Parameters
     ----------
+    heavy : Data
+        A view of the data with an object that the projection does not move.
     start : State
         A closed state near the first pose.
     begin, end : ndarray, shape (4, 4)
@@ -139,27 +149,21 @@ def follow_object(
     state : State
         Closed, with the object at the end pose.
     """
-    constants = data.model.constants
-    heavy = data.view(  # an object that the projection does not move
-        data.model.with_constants(
-            object_mass=1e8 * constants.object_mass,
-            object_inertia=1e8 * constants.object_inertia,
-        )
-    )
     tolerance = projection_tolerance(data)
     base = matrix_to_quaternion(begin[:3, :3])
     turn = difference(base, matrix_to_quaternion(end[:3, :3]))
     state, angles = start.copy(), []
     state.velocity[:] = 0.0
+    place, quaternion = state.object_position, state.object_quaternion_xyzw
     before = 0.0
     for fraction in law:
         # an arm's free motions depend little on the number of these smaller steps
         for part in np.linspace(before, fraction, 4)[1:]:
-            state.object_position[:] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
-            state.object_quaternion_xyzw[:] = retract(base, part * turn)
+            place[:] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
+            quaternion[:] = retract(base, part * turn)
             if not _arms_close(data, heavy, state, tolerance):
                 raise _cannot_follow(data, segment, part)
-            state = data.get_state()
+            state.position[:] = data.arrays.configuration
         before = fraction
         angles.append(data.model.layout.joint_positions(state.position).copy())
     return np.array(angles), state

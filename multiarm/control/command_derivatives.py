@@ -45,8 +45,8 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import Kernel, clear, inlined, kernel
-from multiarm.jit.pointers import address_of
-from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_of, view
+from multiarm.jit.pointers import address_of, call_cfunc
+from multiarm.jit.structs import Floats1, Floats2, Int, Ints1, Numbers, struct_at, struct_of, view
 
 
 class CommandDerivatives(NamedTuple):
@@ -71,16 +71,37 @@ class CommandDerivatives(NamedTuple):
     product_pivots: Ints1  # (6,)
 
 
-open_derivatives = view(CommandDerivatives)
+class PreparedDerivatives(Numbers):
+    """What derivatives of a law need, once they are to be taken."""
+
+    function: Int  # address of the kernel that takes them; 0: they are not prepared
+    work: Int  # address of the struct of :class:`CommandDerivatives`
+    size: Int  # of this struct
+
+
+_open_work = view(CommandDerivatives)
+
+
+@inlined
+def open_derivatives(prepared):
+    """The view of the results and scratch of derivatives that are prepared."""
+    return _open_work(struct_at(prepared.work, prepared.size))
+
+
+@inlined
+def call_derivatives(prepared, struct, at, t):
+    """Call derivatives that are prepared; returns a status."""
+    return call_cfunc(prepared.function, struct, at, t)
 
 
 def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> None:
-    """Write into ``work.derivatives`` the address of a derivative, and that and size of its work.
+    """Prepare ``work.derivatives`` for a derivative.
 
     So it is compiled where derivatives are taken, and not for every run: the law's own derivative
     only calls it.
     """
-    if work.derivatives[0] == 0:
+    prepared: PreparedDerivatives = work.derivatives
+    if prepared.function == 0:
         key = ("command derivatives", derivative)
         layout, states = data.model.layout, 2 * data.model.layout.nv
         d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
@@ -103,7 +124,8 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
         )
         struct = struct_of(arrays)
         data.cache[key] = arrays, struct
-        work.derivatives[:] = address_of(derivative), struct.ctypes.data, struct.size
+        prepared.work, prepared.size = struct.ctypes.data, struct.size
+        prepared.function = address_of(derivative)
 
 
 @kernel

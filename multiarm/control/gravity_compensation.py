@@ -25,8 +25,10 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.control.command_derivatives import (
+    PreparedDerivatives,
     add_inverse_dynamics,
     begin_command,
+    call_derivatives,
     differentiate_shares,
     open_derivatives,
     prepare_command_derivatives,
@@ -42,20 +44,19 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import INTS, cfunc, clear, copy, kernel
-from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import Ints1, struct_at
+from multiarm.jit.structs import struct_at
 from multiarm.scene.control import GravityCompensationControl
 
 
 class CarryingWork(NamedTuple):
     """What the law has besides its torques."""
 
-    derivatives: Ints1  # (3,) see multiarm.control.command_derivatives
+    derivatives: PreparedDerivatives
 
     @classmethod
     def of(cls, _data: Data) -> CarryingWork:
         """Allocate for some data."""
-        return cls(np.zeros(3, dtype=np.int64))
+        return cls(PreparedDerivatives())
 
 
 open_carrying = view_of_work(CarryingWork)
@@ -86,7 +87,7 @@ def add_holding_torques(model, data, work):
 def differentiate_gravity_compensation(address, size, at, t):
     """Call the derivative that has been prepared."""
     struct = struct_at(address, size)
-    return call_cfunc(open_carrying(struct, at).derivatives[0], struct, at, t)
+    return call_derivatives(open_carrying(struct, at).derivatives, struct, at, t)
 
 
 @cfunc
@@ -94,8 +95,7 @@ def write_gravity_compensation_derivatives(address, size, at, _t):
     """Add the derivatives of the torques; returns a status."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    derivatives = open_carrying(struct, at).derivatives
-    by = open_derivatives(struct_at(derivatives[1], derivatives[2]))
+    by = open_derivatives(open_carrying(struct, at).derivatives)
     motion = open_equations(by.motion)
     copy(data.weight, by.twist)
     if not begin_command(data, by):

@@ -21,6 +21,7 @@ from multiarm.control.command_derivatives import (
     add_inverse_dynamics,
     add_motion_derivatives,
     begin_command,
+    call_derivatives,
     differentiate_shares,
     open_derivatives,
     subtract_passive_slopes,
@@ -39,7 +40,6 @@ from multiarm.dynamics.equation_derivatives import (
 )
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
-from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import scale
 from multiarm.spatial import rotation_between, write_chart_rate, write_chart_rate_slopes
@@ -49,7 +49,7 @@ from multiarm.spatial import rotation_between, write_chart_rate, write_chart_rat
 def differentiate_command(address, size, at, t):
     """Call the derivative that has been prepared."""
     struct = struct_at(address, size)
-    return call_cfunc(open_command(struct, at).derivatives[0], struct, at, t)
+    return call_derivatives(open_command(struct, at).derivatives, struct, at, t)
 
 
 @cfunc
@@ -58,7 +58,7 @@ def write_computed_torque_derivatives(address, size, at, t):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
-    by = open_derivatives(struct_at(command.derivatives[1], command.derivatives[2]))
+    by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
     if not has_closed_form(law, command) or not begin(law, data, by):
         return SINGULAR
@@ -85,7 +85,7 @@ def write_object_impedance_derivatives(address, size, at, t):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
-    by = open_derivatives(struct_at(command.derivatives[1], command.derivatives[2]))
+    by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
     if not has_closed_form(law, command) or not begin(law, data, by):
         return SINGULAR

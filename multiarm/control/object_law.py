@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.control.command_derivatives import PreparedDerivatives
 from multiarm.dynamics.control_laws import view_of_law, view_of_work
 from multiarm.dynamics.model import Data
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Ints1
@@ -43,7 +44,7 @@ class ObjectCommand(NamedTuple):
     target: Floats1  # (N,) of these: W^T q''
     multipliers: Floats1  # (N,) M (q'' - preferred) = W multipliers
     independent: Ints1  # (1,) whether every arm's targets are
-    derivatives: Ints1  # (3,) see multiarm.control.command_derivatives
+    derivatives: PreparedDerivatives
 
     @classmethod
     def of(cls, data: Data) -> ObjectCommand:
@@ -56,7 +57,7 @@ class ObjectCommand(NamedTuple):
             target=np.zeros(contacts),
             multipliers=np.zeros(contacts),
             independent=np.zeros(1, dtype=np.int64),
-            derivatives=np.zeros(3, dtype=np.int64),
+            derivatives=PreparedDerivatives(),
         )
 
 
