@@ -102,7 +102,8 @@ def sweep(
     Raises
     ------
     SceneError
-        When the scene cannot be read.
+        When the scene cannot be read; when it was read with ``code=False``, and it or the sweep
+        names code.
     SweepError
         When the sweep is wrong, naming all faults; the folder belongs to another sweep or cannot be
         written; the cluster does not answer or cannot run the jobs.
