@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from enum import Enum
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -106,7 +107,7 @@ def accuracy(
 
     settings = chosen(duration=duration, output_step=output_step, arms=arms)
     loaded = scene_to_run(scene, no_code)
-    loaded = loaded.replace(run=run_spec(loaded.run, settings, {}, None))
+    loaded = loaded.replace(run=run_spec(loaded.run, settings))
     from multiarm.studies import work_precision_page as page
     from multiarm.studies.work_precision import run_study
 
@@ -119,7 +120,8 @@ def accuracy(
                 if study.finished or begin < due:
                     continue
                 if due == -math.inf:
-                    progress.print("First results", *_shown(study, error.value))
+                    first = _shown(study, error.value), _verdicts(study, error.value)
+                    progress.print("First results", *chain(*first))
                 progress.note(page.recommendation(study, error.value))
                 draw_files(page, study, error.value, plot=plot, html=html)
                 now = time.monotonic()
@@ -131,7 +133,9 @@ def accuracy(
     console = output()
     console.print(Text(study.scene["name"], "bold"))
     for item in _shown(study, error.value, every):
-        console.print(item, soft_wrap=getattr(item, "style", "") == VERDICT)
+        console.print(item)
+    for verdict in _verdicts(study, error.value):
+        console.print(verdict, soft_wrap=True)
     write_files(page, study, error.value, plot=plot, html=html, json=json)
     if not study.finished:
         print_error(f"interrupted; {page.state_text(study)}")
@@ -139,7 +143,7 @@ def accuracy(
 
 
 def _shown(study: Study, quantity: str, every: bool | None = None) -> Iterator[RenderableType]:
-    """Reference, tables, and what follows from them; without ``every``, the decades only."""
+    """Reference and tables, of which the decades only without ``every``; and what is missing."""
     from multiarm.studies import work_precision_page as page
 
     yield Text(page.reference_text(study), "dim")
@@ -152,5 +156,10 @@ def _shown(study: Study, quantity: str, every: bool | None = None) -> Iterator[R
         yield Text(f"{solver}: {reason}", "dim")
     if not study.finished:
         yield Text(page.state_text(study), "dim")
-    for sentence in filter(None, page.sentences(study, quantity)):
-        yield Text(sentence, VERDICT)
+
+
+def _verdicts(study: Study, quantity: str) -> Iterator[Text]:
+    """What follows from the tables, a sentence each."""
+    from multiarm.studies import work_precision_page as page
+
+    return (Text(sentence, VERDICT) for sentence in page.sentences(study, quantity) if sentence)

@@ -110,7 +110,7 @@ def effects(
 def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledger:
     from multiarm.simulation.setup import run_spec
 
-    scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
+    scene = scene.replace(run=run_spec(scene.run, changes))
     with Progress() as progress:
         from multiarm.studies.effect_costs import ledger
 

@@ -198,13 +198,11 @@ def _simulate(
     compiled_before = compile_time()
     with RunProgress(duration, quiet) as progress:
         from multiarm.assembly.compilation import compile_system
-        from multiarm.scene import STEPS_CHOSEN_BY
         from multiarm.simulation.setup import run_spec
         from multiarm.simulation.simulate import simulate
 
-        steps = {name: settings.get(name) for name in STEPS_CHOSEN_BY}
         try:
-            scene = scene.replace(run=run_spec(scene.run, settings, steps, None))
+            scene = scene.replace(run=run_spec(scene.run, settings))
             system = compile_system(scene)
             trajectory = simulate(system, certificate=certificate, out=target, progress=progress)
         except SceneError as error:

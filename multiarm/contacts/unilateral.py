@@ -22,7 +22,7 @@ import numpy as np
 
 from multiarm.contacts.table import JointRow
 from multiarm.errors import SceneError
-from multiarm.geometry.records import Contact, Patch, plane, sphere
+from multiarm.geometry.records import Contact, Patch, plane, sphere, tangent_rows
 from multiarm.scene import Mesh, Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
@@ -353,6 +353,7 @@ def _contact_parameters(
             faults += _name_faults(name, spec, contacts, pushing)
     found: dict[str, dict[int, _Parameters]] = {arm: {} for arm in contacts}
     for arm, own in contacts.items():
+        rolling = tangent_rows(own)
         for k, contact in enumerate(own):
             if contact.tangent:
                 continue
@@ -378,7 +379,7 @@ def _contact_parameters(
             if one is None:
                 continue
             found[arm][k] = one
-            if k + 1 < len(own) and own[k + 1].tangent:
+            if k in rolling:
                 faults.append(
                     f"$.effects: contact '{arm}/{contact.name}' rolls ('rolling: true'): it cannot "
                     f"let go, slide or give way; leave it out of 'contacts' of the effect, or give "

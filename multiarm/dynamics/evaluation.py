@@ -43,7 +43,7 @@ from multiarm.dynamics.solver.singular import loose_rows
 from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
-from multiarm.geometry.records import Contact
+from multiarm.geometry.records import Contact, tangent_rows
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
 from multiarm.scene.values import SURROUNDINGS
@@ -293,15 +293,15 @@ class Evaluation:
     def tangential_forces(self) -> Mapping[str, np.ndarray]:
         """Friction forces of the contacts in ``normal_forces`` [N], arm -> ndarray, shape (k, 2).
 
-        Along the two tangents that follow the contact's normal in ``contact_normals``; zero where a
-        contact has no friction.
+        Along the contact's two tangents in ``contact_normals``; zero where it has no friction.
         """
         model, forces = self._all.model, {}
         for owner, records in rows_by_owner(model.layout, model.records).items():
             forces[owner] = np.zeros((len(self._normal_rows[owner]), 2))
+            tangents = tangent_rows(records)
             for pair, row in zip(forces[owner], self._normal_rows[owner], strict=True):
-                if any(record.tangent for record in records[row + 1 : row + 2]):
-                    pair[:] = self.contact_forces[owner][row + 1 : row + 3]
+                for tangent in tangents.get(row, ()):
+                    pair[records[tangent].tangent - 1] = self.contact_forces[owner][tangent]
         return forces
 
     @cached_property

@@ -17,9 +17,9 @@ Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -178,8 +178,8 @@ class Contact:
     arm, object : Surface
         The two surfaces that touch; at most one of them is not convex or flat there.
     tangent : int
-        0: the row is the normal force.  1 or 2: no slip along the first or second tangent; the row
-        just before it (for 2: the one before that) is the normal force of the same contact.
+        0: the row is the normal force.  1 or 2: no slip along the first or second tangent; an
+        earlier row of the joint is the normal force of the same contact.
     weight : float
         Factor of the row.
     minus : Contact, optional
@@ -189,7 +189,7 @@ class Contact:
     mu : float, optional
         Its own coefficient of friction; absent: that of its joint or of the scene.
     parent : str
-        Of a tangent: the name of the contact whose tangent it is.
+        Of a tangent: the name of the contact whose tangent it is; empty: the one before it.
     """
 
     name: str
@@ -253,6 +253,22 @@ class Contact:
     def follower(self) -> Surface:
         """The other one: a tip, or the arm's surface in a contact of two surfaces."""
         return self.arm if self.surface_body == SURFACE_ON_OBJECT else self.object
+
+
+def tangent_rows(records: Sequence[Contact | Any]) -> dict[int, list[int]]:
+    """The tangents of contacts: number of a contact's normal row -> numbers of its tangents' rows.
+
+    A contact without tangents is missing; rows that are no contacts have none.  Raises KeyError for
+    a tangent whose ``parent`` names none of the rows before it.
+    """
+    latest: dict[str, int] = {}
+    tangents: dict[int, list[int]] = {}
+    for k, record in enumerate(records):
+        if isinstance(record, Contact) and record.tangent:
+            tangents.setdefault(latest[record.parent], []).append(k)
+        else:
+            latest[record.name] = latest[""] = k
+    return tangents
 
 
 def basis(axis: Vector) -> np.ndarray:

@@ -1,8 +1,7 @@
 """The scene file: its schema, loading and checks, and the robots that it may name.
 
-The names of :mod:`multiarm.scene.names` are imported when one of them is first used, so that the
-settings of a run, from which the options of the commands derive, are known without what reads
-geometry.
+The names of :mod:`multiarm.scene.names` are imported when one of them is first used, so that a
+module of this package, such as :mod:`multiarm.scene.faults`, is read without what reads geometry.
 """
 
 from __future__ import annotations

@@ -270,9 +270,9 @@ control:
     """Before the first row and after the last one: a run that comes there is refused; the nearest
     row holds, at rest; there is no torque. Absent: 'error' for torques, 'hold' for positions."""
     stiffness: Gain | None = None
-    """Of positions only: [N m/rad], [N m s/rad], as with joint_pd."""
+    """Of the springs that pull to positions [N m/rad], as with joint_pd."""
     damping: Gain | None = None
-    """Of positions only: [N m/rad], [N m s/rad], as with joint_pd."""
+    """Of the dampers beside the springs [N m s/rad], as with joint_pd."""
     gravity_compensation: bool | None = None
     """Of positions only: add the torques that hold the whole system, arms and object, still."""
 
@@ -351,9 +351,9 @@ class ObjectGain(Spec):
     """Gains for the shift and for the turn of the object, along and about the world's axes."""
 
     translation: WorldAxes
-    """A number for all axes, or one each for x, y, z of the world."""
+    """Of the shift: a number for all axes, or one each for x, y, z of the world."""
     rotation: WorldAxes
-    """A number for all axes, or one each for x, y, z of the world."""
+    """Of the turn: a number for all axes, or one each for x, y, z of the world."""
 
     def vector(self) -> np.ndarray:
         """Gains of shift and turn, shape (6,)."""

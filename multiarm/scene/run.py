@@ -111,9 +111,9 @@ class StabilizationSpec(Spec):
     kind: Stabilization = "projection"
     """One of :data:`STABILIZATIONS`."""
     alpha: NonNegative | None = None
-    """Gains of the feedback [1/s]; absent: chosen from the step."""
+    """Gain of the rates of the gaps, -2 alpha W^T v [1/s]; absent: chosen from the step."""
     beta: NonNegative | None = None
-    """Gains of the feedback [1/s]; absent: chosen from the step."""
+    """Gain of the gaps, -beta^2 phi [1/s]; absent: chosen from the step."""
 
     @model_validator(mode="after")
     def _gains_belong_to_feedback(self) -> Self:

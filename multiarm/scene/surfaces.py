@@ -49,9 +49,9 @@ class PatchSpec(Spec):
     """The part of a surface that exists: a box [m] in the frame in which the surface is given."""
 
     min: Bounds = (None, None, None)
-    """Corners of the box; null where there is no bound."""
+    """Lower corner of the box [m]; null where there is no bound."""
     max: Bounds = (None, None, None)
-    """Corners of the box; null where there is no bound."""
+    """Upper corner of the box [m]; null where there is no bound."""
 
     @model_validator(mode="after")
     def _is_a_box(self) -> Self:
@@ -336,17 +336,17 @@ class SurfaceGeometry(_Turned):
     distance: UserFunction | None = None
     """Signed distance of a point p (3,) from the surface, positive outside of the body."""
     gradient: UserFunction | None = None
-    """Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent."""
+    """First derivatives of the distance, g(p) -> (3,); by differences where absent."""
     hessian: UserFunction | None = None
-    """Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent."""
+    """Second derivatives of the distance [1/m], h(p) -> (3, 3); by differences where absent."""
     parametrisation: UserFunction | None = None
     """The alternative: points of the surface [m]. dx/du x dx/dv points out of the body."""
     derivatives: UserFunction | None = None
     """d(u, v) -> (5, 3): rows x_u, x_v, x_uu, x_uv, x_vv; by differences where absent."""
     u: Range | None = None
-    """Ranges of the parameters. One that closes (a full turn) is recognised."""
+    """Range of the first parameter. One that closes (a full turn) is recognised."""
     v: Range | None = None
-    """Ranges of the parameters. One that closes (a full turn) is recognised."""
+    """Range of the second parameter. One that closes (a full turn) is recognised."""
     flip: bool = False
     """dx/du x dx/dv points into the body."""
     length: Positive = 0.1

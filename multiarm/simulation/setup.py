@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,7 +38,7 @@ from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
 from multiarm.scene.faults import place, shown
-from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
+from multiarm.scene.run import DEFAULT_ACCURACY, STEPS_CHOSEN_BY, AccuracySpec
 from multiarm.scene.schema import carries_all_effects, causes_of_events, method_fault
 from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
@@ -119,20 +121,19 @@ class Run:
         new.z[:], new.base[:], new.slope[:] = before.z, before.base, before.slope
 
 
-def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
+def run_spec(written: RunSpec, settings: Mapping[str, Any]) -> RunSpec:
     """The scene's run settings with the caller's in their place, validated together.
+
+    Settings that are None are the scene's; one of :data:`STEPS_CHOSEN_BY` replaces all of these.
 
     Raises
     ------
     SceneError
         Every fault with its setting, or ``run`` where it is of several settings.
     """
-    data = dict(written)
-    data.update({key: value for key, value in changes.items() if value is not None})
-    if any(value is not None for value in choice.values()):
-        data.update(choice)
-    if solver is not None:
-        data["solver"] = solver
+    changes = {key: value for key, value in settings.items() if value is not None}
+    replaced = STEPS_CHOSEN_BY if changes.keys() & set(STEPS_CHOSEN_BY) else ()
+    data = {**dict(written), **dict.fromkeys(replaced), **changes}
     try:
         return RunSpec(**data)
     except SceneError as error:

@@ -133,9 +133,16 @@ def simulate(
         duration = times[-1] - start_time if duration is None else duration
     spec = run_spec(
         system.scene.run,
-        {"duration": duration, "stabilization": stabilization, "output_step": output_step},
-        {"accuracy": accuracy, "integrator": integrator, "step": step, "tolerance": tolerance},
-        solver,
+        {
+            "duration": duration,
+            "accuracy": accuracy,
+            "integrator": integrator,
+            "step": step,
+            "tolerance": tolerance,
+            "stabilization": stabilization,
+            "output_step": output_step,
+            "solver": solver,
+        },
     )
     system = system.with_solver(spec.solver)
     require_control(control, sample_time, sample_delay)

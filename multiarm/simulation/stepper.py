@@ -82,9 +82,15 @@ class Stepper:
         state = None if state is None else system.checked(state)
         spec = run_spec(
             system.scene.run,
-            {"stabilization": stabilization, "output_step": output_step},
-            {"accuracy": accuracy, "integrator": integrator, "step": step, "tolerance": tolerance},
-            solver,
+            {
+                "accuracy": accuracy,
+                "integrator": integrator,
+                "step": step,
+                "tolerance": tolerance,
+                "stabilization": stabilization,
+                "output_step": output_step,
+                "solver": solver,
+            },
         )
         system = system.with_solver(spec.solver)
         if max_step is None:

@@ -3,7 +3,7 @@
 A worker that dies takes the runs with it that were under way.  On this computer all processes end
 then; half of the runs that were under way are tried again at a time, which leaves in few steps the
 one that kills its worker alone.  Dask repeats runs by itself, and names those that workers died of,
-which are tried once more.
+which are tried once more.  Either way a run is tried twice at least.
 A run whose worker dies every time gets a row with status "failed".
 """
 
@@ -51,12 +51,19 @@ def run_in_processes(context: Context, jobs: Sequence[Job], workers: int) -> Ite
         prepare(context)  # else every worker would compile the kernels for itself
     waiting = iter(jobs)
     while suspects := (yield from _until_a_worker_dies(context, waiting, workers)):
-        if len(jobs) == 1:
-            yield lost_run(jobs[0][0])
-        else:
-            middle = len(suspects) // 2
-            for half in filter(None, (suspects[:middle], suspects[middle:])):
-                yield from run_in_processes(context, half, workers)
+        yield from _tried_again(context, suspects, workers)
+
+
+def _tried_again(context: Context, suspects: Sequence[Job], workers: int) -> Iterator[Row]:
+    """Rows of runs that were under way when a worker died, of which half are tried at a time."""
+    middle = len(suspects) // 2
+    for half in filter(None, (suspects[:middle], suspects[middle:])):
+        waiting = iter(half)
+        while fewer := (yield from _until_a_worker_dies(context, waiting, workers)):
+            if len(half) == 1:
+                yield lost_run(half[0][0])
+            else:
+                yield from _tried_again(context, fewer, workers)
 
 
 def _until_a_worker_dies(

@@ -242,10 +242,10 @@ def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
 
 
 def _check_settings(scenes: list[Scene], options: Mapping[str, Any]) -> None:
-    changes = {name: options.get(name) for name in ("duration", "stabilization", "output_step")}
-    choice = {name: options.get(name) for name in STEPS_CHOSEN_BY}
+    names = ("duration", "stabilization", "output_step", "solver", *STEPS_CHOSEN_BY)
+    settings = {name: options.get(name) for name in names}
     for run in {id(scene.run): scene.run for scene in scenes}.values():
-        run_spec(run, changes, choice, options.get("solver"))
+        run_spec(run, settings)
     if options.get("max_step") is not None:
         positive("max_step", options["max_step"])
 

@@ -29,10 +29,16 @@ import pandas
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.results.sinks import provenance
-from multiarm.scene import Scene, load_scene
+from multiarm.scene import Scene, load_scene, named_code, refuse_code
 from multiarm.scene.code import CodeReference
 from multiarm.sweeps.axes import is_integer
-from multiarm.sweeps.checking import plan_faults, quantity_faults, value_faults, words
+from multiarm.sweeps.checking import (
+    plan_faults,
+    quantity_faults,
+    sweep_code,
+    value_faults,
+    words,
+)
 from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 
@@ -169,7 +175,8 @@ def make_plan(
     Raises
     ------
     SceneError
-        When the scene cannot be read.
+        When the scene cannot be read; when it was read without permission to load code, and it or
+        the sweep names some.
     SweepError
         Naming every fault.  Some values of every axis are tried, among them the first and the last
         of enumerated ones, and the median and both tails of drawn ones.  A run whose scene turns
@@ -186,6 +193,8 @@ def make_plan(
     data, folder = read_sweep(over, changes)
     spec, faults = examined(data, folder)
     if spec is not None:
+        if not scene.may_load_code:
+            refuse_code([*named_code(scene), *sweep_code(scene, spec)])
         # a function that is named in Python may lie in any folder
         within = None if source is None or "keep" in changes else folder
         faults += [*plan_faults(spec), *quantity_faults(spec, within)]

@@ -39,6 +39,7 @@ class Context:
 
     scene: str  # as YAML text
     folder: str  # where relative paths of the scene, and of values in it, start
+    code: bool  # whether workers may load code that the scene, and values in it, name
     keep: tuple[str | UserQuantity, ...]
     certificate: bool  # check runs of some accuracy
     version: str  # of multiarm: another one may give other numbers
@@ -53,6 +54,7 @@ class Context:
         return cls(
             scene=dump_scene(plan.scene),
             folder=str(plan.scene.folder),
+            code=plan.scene.may_load_code,
             keep=plan.spec.keep,
             certificate=plan.spec.certificate,
             version=program_version(),
@@ -163,7 +165,7 @@ def prepare(context: Context) -> Base:
     registries = {registry.group: registry for registry in REGISTRIES}
     for group, kind in context.classes:
         registries[group].add(kind)
-    scene = parse_scene(context.scene, context.folder)
+    scene = parse_scene(context.scene, context.folder, context.code)
     system: System | None = None
     try:
         scene = with_code(scene)  # once, not for every run

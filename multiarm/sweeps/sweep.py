@@ -18,17 +18,17 @@ from multiarm.sweeps.folder import PartWriter, Stored, create, is_sweep, read, r
 from multiarm.sweeps.plan import SweepPlan, make_plan
 from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.result import Sweep, load_sweep
-from multiarm.terminal.progress import SweepProgress as SweepBar
-from multiarm.terminal.progress import displayed
+from multiarm.terminal.progress import SweepProgress, displayed
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from multiarm.sweeps.run import Row
 
-__all__ = ["SweepProgress", "sweep"]
+__all__ = ["SweepReport", "sweep"]
 
-SweepProgress = Callable[[int, int, int], None]
+SweepReport = Callable[[int, int, int], None]
+"""Called with the runs that are done, all of them, and those that failed."""
 
 
 def sweep(
@@ -44,7 +44,7 @@ def sweep(
     sampling: str | None = None,
     seed: int | None = None,
     certificate: bool | None = None,
-    progress: bool | SweepProgress | None = None,
+    progress: bool | SweepReport | None = None,
     resume: bool = True,
     **run: Any,
 ) -> Sweep:
@@ -102,7 +102,8 @@ def sweep(
     Raises
     ------
     SceneError
-        When the scene cannot be read.
+        When the scene cannot be read; when it was read with ``code=False``, and it or the sweep
+        names code.
     SweepError
         When the sweep is wrong, naming all faults; the folder belongs to another sweep or cannot be
         written; the cluster does not answer or cannot run the jobs.
@@ -121,7 +122,7 @@ def sweep(
     }
     plan = make_plan(scene, over, **{key: v for key, v in keys.items() if v is not None})
     with (
-        displayed(progress, SweepBar) as show,
+        displayed(progress, SweepProgress) as show,
         # before the folder: if the cluster does not answer, earlier rows must not be lost
         connected(dask) if dask else nullcontext() as client,
     ):
@@ -184,7 +185,7 @@ def _rows(
 
 
 def _fill(
-    writer: PartWriter, rows: Iterator[Row], done: int, count: int, show: SweepProgress
+    writer: PartWriter, rows: Iterator[Row], done: int, count: int, show: SweepReport
 ) -> None:
     """Append rows to the folder until all are there or Ctrl-C is pressed.
 

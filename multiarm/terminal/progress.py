@@ -44,7 +44,6 @@ LINES, SLOWEST, SHARE = 5.0, 30.0, 0.1
 after such a share of the time so far."""
 CLOCK_TIMES = 90.0
 """Where more time is left [s], the end is given as a time of day too."""
-PREPARING, SIMULATING = "preparing", "simulating"
 COMPILING = "compiling kernels (only the first time on this machine)"
 
 
@@ -83,7 +82,7 @@ class _Display:
         from multiarm.terminal.console import messages
 
         self._console = messages()
-        self._work, self._amount, self._began = PREPARING, "", time.monotonic()
+        self._work, self._amount, self._began = "preparing", "", time.monotonic()
         columns = (self._words, self._amount_and_left, self._elapsed_on_the_bar)
         self._bar = Bar(self._console, *columns, hidden=quiet)
         self._lines = not (quiet or self._console.is_terminal)
@@ -186,21 +185,24 @@ class RunProgress(_Display):
 
     def __init__(self, duration: float, quiet: bool = False, begin: float = 0.0) -> None:
         super().__init__(quiet)
-        self._duration, self._begin, self.checked = duration, begin, False
+        self._duration, self._begin = duration, begin
+        self.checked = self._is_checking = False
 
     def __call__(self, t: float) -> None:
         """Show that the run has come to time ``t`` [s]; what ``simulate`` calls."""
-        self._show_simulated(SIMULATING, t - self._begin, self._duration)
+        self._is_checking = False
+        self._show_simulated("simulating", t - self._begin, self._duration)
 
     def checking(self, t: float, number: int) -> None:
         """Show that a rerun has come to time ``t`` [s]: the second, third, ... run."""
+        self._is_checking = True
         repeated = "" if number < 2 else f" (run {number + 1})"
         words = f"checking the accuracy{repeated}"
         self._show_simulated(words, t - self._begin, self._duration)
 
     def _left(self) -> str:
         seconds = self._bar.left
-        if seconds is None or not self.checked or self._work != SIMULATING:
+        if seconds is None or self._is_checking or not self.checked:
             return super()._left()
         return f"about {span(seconds)} until its accuracy is checked"
 

@@ -22,9 +22,12 @@ from multiarm.errors import SceneError, SweepError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import plane, sphere
 from multiarm.scene import EFFECTS, JOINTS, SURFACES, parse_scene
+from multiarm.scene.control import RecordedControl
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.loading import parse_yaml
-from multiarm.scene.parameters import example_of
+from multiarm.scene.parameters import example_of, parameters_of
+from multiarm.scene.run import StabilizationSpec
+from multiarm.scene.surfaces import SurfaceGeometry
 from multiarm.sweeps.spec import parse_sweep
 
 FILES = {
@@ -178,6 +181,25 @@ def test_sweeps_that_load_fit_and_others_do_not(data, fits):
     else:
         with pytest.raises(SweepError):
             parse_sweep(data)
+
+
+def test_no_text_explains_two_keys_of_a_part():
+    for name, part in stored("scene")["$defs"].items():
+        texts = [key["description"] for key in part.get("properties", {}).values()
+                 if "description" in key]  # fmt: skip
+        assert len(set(texts)) == len(texts), name
+
+
+def test_keys_of_one_dimension_have_one_unit():
+    units = {
+        (part, key.name): key.unit
+        for part in (RecordedControl, StabilizationSpec, SurfaceGeometry)
+        for key in parameters_of(part)
+    }
+    assert units[RecordedControl, "stiffness"] == "N m/rad"
+    assert units[RecordedControl, "damping"] == "N m s/rad"
+    assert units[StabilizationSpec, "alpha"] == units[StabilizationSpec, "beta"] == "1/s"
+    assert units[SurfaceGeometry, "hessian"] == "1/m"
 
 
 def test_tables_explain_their_keys_with_units():

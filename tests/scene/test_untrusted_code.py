@@ -19,6 +19,9 @@ from refusals import refused
 import multiarm as ma
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import CONTROLS, EFFECTS, parse_scene
+from multiarm.sweeps.plan import SweepPlan, make_plan
+from multiarm.sweeps.run import Context, run
+from multiarm.sweeps.spec import parse_sweep
 
 MARKING = """
 from pathlib import Path
@@ -338,6 +341,30 @@ def test_code_that_the_values_of_a_sweep_name_is_told_and_refused_too(folder, ov
     assert result.exit_code == 0, result.output
     assert f"loading {what.format(folder=folder)}" in told(result)
     assert "called" in plain.marks()
+
+
+def test_a_sweep_of_a_scene_without_its_code_runs_none(stranger):
+    (stranger.folder / "s.yaml").write_text(SWEEP)
+    scene, out = ma.load_scene(stranger.scene, code=False), stranger.folder / "s.sweep"
+    for over in (stranger.folder / "s.yaml", {"object.mass": [1.0]}):
+        with refused(SceneError, stranger.place):
+            ma.sweep(scene, over, out=out, workers=1)
+    plan = SweepPlan(scene, parse_sweep({"over": {"object.mass": [1.0]}}))
+    row = run(Context.of(plan), 1, {"object.mass": 1.0})  # as any worker would carry it out
+    assert row.status == "failed" and stranger.place in row.message
+    assert not out.exists() and stranger.marks() == set()
+
+
+def test_functions_that_only_a_sweep_names_are_refused_with_the_scenes_code(folder):
+    plain = written(folder, "wrench")
+    plain.scene.write_text(SCENE.format(surface=PLANE, effects="{}"))
+    (folder / "s.yaml").write_text(SWEEP)
+    scene = ma.load_scene(plain.scene, code=False)
+    with refused(SceneError, "$.keep[1]", "shapes.py"):
+        make_plan(scene, folder / "s.yaml")
+    assert plain.marks() == set()
+    functions_in_hand = ["final_z", lambda trajectory: 1.0]
+    make_plan(scene, folder / "s.yaml", keep=functions_in_hand)
 
 
 # --- running ------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
+from multiarm.errors import SceneError
 from multiarm.geometry import (
     Contact,
     ParametricSurface,
@@ -136,6 +137,12 @@ def touching(geometry: dict, **more) -> dict:
     """A joint of a fingertip on a surface about the joint frame."""
     contact = {"arm": {"sphere": {"radius": 0.01, "center": [0, 0, 0.06]}}, "object": geometry}
     return {"kind": "contacts", "at": {"xyz": [-0.6, 0, 0]}, "contacts": [{**contact, **more}]}
+
+
+def joint_of(records, kind: str = "odd", **body):
+    """A registered kind with these records."""
+    body = {"kind": kind, "__annotations__": {"kind": Literal[kind]}, "records": records, **body}
+    return ma.register_joint(type(f"Own{kind}", (ma.Joint,), {"__module__": __name__, **body}))
 
 
 class Rail(ma.Joint):
@@ -392,13 +399,59 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
     assert repeatable(run_in_processes(context, jobs, 2)) == here
 
 
+# --- rolling in any order of the rows -------------------------------------------------------------
+
+
+def two_contacts(*order: str, parent: str = "a") -> list[Contact]:
+    """Rows of two contacts, of which the first one rolls along both tangents."""
+    a, b = (
+        Contact(name, point([x, 0, 0]), plane([x, 0, 0], [0, 0, 1]), pushes_only=True)
+        for name, x in (("a", 0.0), ("b", 0.1))
+    )
+    tangents = {
+        f"a{k}": replace(a, name=f"a{k}", tangent=k, parent=parent, pushes_only=False)
+        for k in (1, 2)
+    }
+    rows = {"a": a, "b": b, **tangents}
+    return [rows[name] for name in order]
+
+
+ORDERS = [("a", "a1", "a2", "b"), ("a", "b", "a1", "a2"), ("b", "a", "a2", "a1")]
+
+
+@pytest.mark.parametrize("order", ORDERS, ids=" ".join)
+def test_the_contact_that_a_tangent_names_rolls_and_the_one_before_it_slides(order):
+    joint_of(lambda self: two_contacts(*order))
+    scene = scene_of({"kind": "odd", "mu": 0.3})
+    mu = {contact.name: contact.mu for contact in scene.joints[0].placed(np.eye(4))}
+    assert mu == {"a": None, "b": 0.3, "a1": None, "a2": None}
+    opening = {"unilateral_contacts": {"contacts": ["left/a"]}}
+    with pytest.raises(SceneError, match="contact 'left/a' rolls"):
+        ma.compile_system(scene_of({"kind": "odd"}, effects=opening))
+
+
+def test_forces_of_contacts_do_not_depend_on_the_order_of_the_rows():
+    forces = []
+    for number, order in enumerate(ORDERS):
+        joint_of(lambda self, order=order: two_contacts(*order), kind=f"odd{number}")
+        ev = ma.evaluate(ma.compile_system(scene_of({"kind": f"odd{number}"})))
+        names = [name for name in order if name in ("a", "b")]
+        normal = dict(zip(names, ev.normal_forces["left"], strict=True))
+        tangential = dict(zip(names, ev.tangential_forces["left"], strict=True))
+        forces.append([normal["a"], normal["b"], *tangential["a"], *tangential["b"]])
+    assert np.abs(forces[0][2:4]).max() > 1e-3
+    assert forces[0][4:] == [0.0, 0.0]
+    for others in forces[1:]:
+        np.testing.assert_allclose(others, forces[0], atol=1e-9 * np.abs(forces[0]).max())
+
+
+def test_a_tangent_without_a_name_of_its_contact_belongs_to_the_one_before_it():
+    joint_of(lambda self: two_contacts("b", "a", "a1", "a2", parent=""))
+    placed = scene_of({"kind": "odd", "mu": 0.3}).joints[0].placed(np.eye(4))
+    assert [contact.mu for contact in placed] == [0.3, None, None, None]
+
+
 # --- what is refused ------------------------------------------------------------------------------
-
-
-def joint_of(records, kind: str = "odd", **body):
-    """A registered kind with these records."""
-    body = {"kind": kind, "__annotations__": {"kind": Literal[kind]}, "records": records, **body}
-    return ma.register_joint(type(f"Own{kind}", (ma.Joint,), {"__module__": __name__, **body}))
 
 
 GOOD = [Contact("a", point(np.zeros(3)), plane(np.zeros(3), [0, 0, 1]))]
@@ -417,6 +470,9 @@ GOOD = [Contact("a", point(np.zeros(3)), plane(np.zeros(3), [0, 0, 1]))]
         lambda self: [replace(GOOD[0], name=None)],
         lambda self: [replace(GOOD[0], arm=sphere([0, 0, 0], -0.01))],
         lambda self: [replace(GOOD[0], minus=Contact("b", 3, 4))],
+        lambda self: two_contacts("a", "b", "a1", parent="c"),
+        lambda self: two_contacts("a1", "a"),
+        lambda self: two_contacts("a1", "a", parent=""),
     ],
 )
 def test_records_that_cannot_be_are_one_clear_error(records):

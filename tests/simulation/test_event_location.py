@@ -40,9 +40,8 @@ def test_guards_are_located_with_the_gains_of_the_step_in_which_they_fired(dry, 
 def test_only_the_stages_of_a_step_count_between_its_ends(dry):
     """Not what was evaluated before it: samples, rejected steps, displaced states."""
     with dry.borrow() as data:
-        changes = {"duration": 1e-3, "output_step": 1e-3}
-        fixed = {"integrator": "rk4", "step": 1e-3, "accuracy": None}
-        spec = run_spec(dry.scene.run, changes, fixed, None)
+        times = {"duration": 1e-3, "step": 1e-3, "output_step": 1e-3}
+        spec = run_spec(dry.scene.run, {"integrator": "rk4", **times})
         driver = begin(Task(dry, data, spec, None, np.inf), None)
         guards = driver.events.modes.guards
         forces = guards.kind == STATIC_FRICTION

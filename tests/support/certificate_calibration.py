@@ -226,9 +226,9 @@ def _reference(system: System, method: str, run: Trajectory) -> Trajectory:
     for tolerance in TOLERANCES:
         if _expected(method, run, tolerance) > MOST_EVALUATIONS:
             continue
-        choice = {"integrator": method, "tolerance": tolerance, "accuracy": None, "step": None}
+        settings = {"integrator": method, "tolerance": tolerance}
         with system.borrow() as data:
-            task = Task(system, data, run_spec(scene, {}, choice, None), None, np.inf)
+            task = Task(system, data, run_spec(scene, settings), None, np.inf)
             reference, _ = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS)
         if reference.status == "completed":
             return reference

@@ -39,9 +39,8 @@ def without_derivatives(system):
 
 def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
     """The arrays of one step of length ``h`` from time 0; with gains of the drift feedback."""
-    choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
-    changes = {"duration": h, "stabilization": "none", "output_step": h}
-    spec = run_spec(system.scene.run, changes, choice, None)
+    method = {"integrator": "rodas5p", "tolerance": 1.0, "stabilization": "none"}
+    spec = run_spec(system.scene.run, {**method, "duration": h, "output_step": h})
     data = data_at(system, state)
     run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
     stepping = run.stepping

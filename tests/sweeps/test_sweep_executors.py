@@ -212,6 +212,15 @@ def test_runs_of_a_dead_worker_are_done_again_and_one_that_kills_every_worker_is
     assert ended[2][1].startswith("its worker died every time")
 
 
+@pytest.mark.slow
+def test_a_single_run_whose_worker_died_is_tried_once_more(scene, tmp_path):
+    (tmp_path / "own.py").write_text(FUNCTIONS)
+    plan = make_plan(scene, {MASS: [20.0]}, keep=[f"{tmp_path}/own.py:once"], run=RUN)
+    ended = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 1))
+    assert (tmp_path / "died").exists()
+    assert ended[1][0] == "completed"
+
+
 def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
     def leaving(trajectory):
         raise SystemExit(3)

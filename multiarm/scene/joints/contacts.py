@@ -89,9 +89,10 @@ class ContactsJoint(Joint):
 
     Attributes
     ----------
-    at, at_tip : Pose
-        Frames in which the object's and the arm's geometry are given; by default the object
-        frame and the tip's frame themselves.
+    at : Pose
+        Frame in which the object's geometry is given; by default the object frame itself.
+    at_tip : Pose
+        Frame in which the arm's geometry is given; by default the tip's frame itself.
     """
 
     picture = "a hand of your own: any list of fingertips and surfaces, each touching in one point"

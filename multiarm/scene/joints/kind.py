@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from multiarm.errors import ModelError
 from multiarm.geometry import Contact
-from multiarm.geometry.records import Vector, basis
+from multiarm.geometry.records import Vector, basis, tangent_rows
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
@@ -172,12 +172,16 @@ class Joint(UserKind):
             )
         if not contacts:
             raise ModelError(f"{who} returned no contact; a joint has at least one")
-        for contact in contacts:
+        normals = {""}  # a tangent without a parent belongs to the contact before it
+        for k, contact in enumerate(contacts):
             wrong = contact.fault()
+            if not wrong and contact.tangent and (k == 0 or contact.parent not in normals):
+                wrong = f"parent {shown(contact.parent)}, which is no contact before it"
             if wrong:
                 raise ModelError(
                     f"{who} returned contact {shown(contact.name)} with {wrong}; correct it"
                 )
+            normals |= set() if contact.tangent else {contact.name}
         on_tip = self.at_tip.matrix()
         placed = [moved(contact, on_tip, object_pose) for contact in contacts]
         return placed if self.mu is None else _with_friction(placed, self.mu)
@@ -242,12 +246,12 @@ class UnloadedJoint(Joint):
 
 def _with_friction(contacts: list[Contact], mu: float) -> list[Contact]:
     """The contacts with a coefficient of friction, where they slide and have none of their own."""
-    followers = [*contacts[1:], None]
+    rolling = tangent_rows(contacts)
     return [
         contact
-        if contact.tangent or contact.mu is not None or (after is not None and after.tangent)
+        if contact.tangent or contact.mu is not None or k in rolling
         else replace(contact, mu=mu)
-        for contact, after in zip(contacts, followers, strict=True)
+        for k, contact in enumerate(contacts)
     ]
 
 
