@@ -28,16 +28,18 @@ CLOSE = 8
 
 def rendered(table: TextTable) -> Iterator[RenderableType]:
     """A table for the terminal, and below it the remarks on its rows."""
-    shown = [k for k, kind in enumerate(table.kinds) if kind != "e"]
+    from multiarm.studies.tables import NUMBER, REMARK
+
+    shown = [k for k, kind in enumerate(table.kinds) if kind != REMARK]
     rows = [[row[k] for k in shown] for row in table.rows]
-    numbers = [place for place, k in enumerate(shown) if table.kinds[k] == "n"]
+    numbers = [place for place, k in enumerate(shown) if table.kinds[k] == NUMBER]
     grid = columns(table.title, [table.heads[k] for k in shown], rows, numbers)
     # many columns stand close together
     grid.padding, grid.pad_edge = (0, int(len(shown) <= CLOSE), 0, 0), False
     yield grid
     for name, *cells in table.rows:
         for kind, cell in zip(table.kinds[1:], cells, strict=True):
-            if kind == "e" and cell:
+            if kind == REMARK and cell:
                 yield Text(f"{name}: {cell}", "dim")
 
 

@@ -72,7 +72,7 @@ def joint_positions(trajectory: Trajectory) -> Figure:
 
 
 def joint_torques(trajectory: Trajectory) -> Figure:
-    """Torques (N m) and forces (N) of the controller, a panel per arm."""
+    """Torques (N m) and forces (N) of the drives, a panel per arm."""
     return draw(_arm_panels(trajectory, "joint_torque"), events=trajectory.events)
 
 

@@ -38,7 +38,7 @@ PARTS = 12
 PART_RUNS = 8
 BAND = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles that are drawn."""
-DECADES = 30.0
+WIDE_RATIO = 30.0
 """Ratio of largest and smallest from which an axis is logarithmic."""
 
 
@@ -104,7 +104,7 @@ def _finite(values: np.ndarray) -> np.ndarray:
 def is_wide(values: np.ndarray) -> bool:
     """Whether positive values spread over so much that an axis must be logarithmic."""
     finite = values[np.isfinite(values)]
-    return bool(len(finite) and finite.min() > 0.0 and finite.max() > DECADES * finite.min())
+    return bool(len(finite) and finite.min() > 0.0 and finite.max() > WIDE_RATIO * finite.min())
 
 
 def _text(value: Any) -> str:

@@ -46,12 +46,15 @@ class Criterion:
         "m", "J", ...; "1" for pure numbers.
     measure : callable
         ``(trajectory, system) -> float``.
+    channel : str
+        The recorded quantity that stays below the bound; empty where it is not recorded as such.
     """
 
     quantity: str
     bound: float
     unit: str
     measure: Measure
+    channel: str = ""
 
 
 @dataclass(frozen=True)
@@ -92,13 +95,23 @@ def completed() -> Criterion:
 
 def position_drift(bound: float = CLOSED) -> Criterion:
     """Largest gap of a contact over the run [m]."""
-    return Criterion("position drift", bound, "m", lambda run, system: largest(run.position_drift))
+    return Criterion(
+        "position drift",
+        bound,
+        "m",
+        lambda run, system: largest(run.position_drift),
+        channel="drift/position",
+    )
 
 
 def velocity_drift(bound: float = CLOSED_RATE) -> Criterion:
     """Largest rate of a gap over the run [m/s]."""
     return Criterion(
-        "velocity drift", bound, "m/s", lambda run, system: largest(run.velocity_drift)
+        "velocity drift",
+        bound,
+        "m/s",
+        lambda run, system: largest(run.velocity_drift),
+        channel="drift/velocity",
     )
 
 

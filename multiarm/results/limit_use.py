@@ -199,7 +199,9 @@ def _bounds(limits: Any, arm: str, quantity: str, joints: int) -> np.ndarray:
 
 
 def _interval(entry: Any) -> tuple[float, float]:
-    lower, upper = entry if isinstance(entry, list) else (entry and -entry, entry)
+    if entry is None:
+        return -math.inf, math.inf
+    lower, upper = entry if isinstance(entry, list) else (-entry, entry)
     if lower is None or upper is None:  # one end gives no share
         return -math.inf, math.inf
     return float(lower), float(upper)

@@ -25,7 +25,7 @@ from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.event_log import CLAUSE_SEPARATOR
-from multiarm.results.files import STATUSES, temporary_name
+from multiarm.results.files import STATUSES, atomic_file
 from multiarm.results.limit_use import (
     JointUse,
     joint_uses,
@@ -272,7 +272,10 @@ class Trajectory:
 
     @property
     def joint_torques(self) -> Mapping[str, np.ndarray]:
-        """Arm -> torques of the controller, shape (K, nv) [N m], sliding joints [N]."""
+        """Arm -> torques of its drives, shape (K, nv) [N m], sliding joints [N].
+
+        They are the controller's, within the limits and the lag of the drives if the scene has any.
+        """
         return self._by_arm("joint_torque")
 
     @property
@@ -544,17 +547,13 @@ class Trajectory:
         """
         from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
 
-        target = TrajectoryReader.writable_target(path)
-        partial, names = temporary_name(target), tuple(self._store.channels)
-        try:
+        target, names = TrajectoryReader.writable_target(path), tuple(self._store.channels)
+        with atomic_file(target) as partial:
             channels = tuple(self._store.channels.values())
             writer = TrajectoryWriter(partial, channels, self.provenance)
             for values in self.blocks(*names):
                 writer.append(dict(zip(names, values, strict=True)))
             writer.finish(asdict(self._outcome))
-            os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
         return Path(path)
 
     def with_outcome(self, **changes: Any) -> Trajectory:

@@ -39,13 +39,14 @@ from multiarm.simulation.inspection import active_effects
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
 from multiarm.studies.timing import clocked_run
+from multiarm.tableaus import METHODS, VARIATIONAL
 from multiarm.terminal.progress import Progress, Report, displayed
 from multiarm.threads import one_thread
 
 PRESENT, CANDIDATE, SETTING = "present", "candidate", "setting"
 """Kinds of entry: an effect of the scene, one that might be added, a setting of the run."""
 STABILIZATION, RECORDING, CERTIFICATE = "stabilization", "recording", "certificate"
-"""The settings; of ``RECORDING`` only the end of the motion is compared."""
+"""The settings."""
 QUARTILES = 1.349
 """Distance of the quartiles of a normal distribution, in standard deviations."""
 REPEATS = 9
@@ -191,6 +192,7 @@ class Variant(NamedTuple):
     kind: str
     about: str  # what was done, in words
     scene: Callable[[], Scene]  # raises SceneError where there is none
+    ends_only: bool = False  # its run has no samples in common with the scene's but the ends
 
 
 def without(scene: Scene, name: str) -> Scene:
@@ -215,14 +217,15 @@ def variants_of(scene: Scene, candidates: Mapping[str, Any]) -> list[Variant]:
         Variant(name, PRESENT, "left out", partial(without, scene, name))
         for name in active_effects(scene)
     ]
-    if run.stabilization.kind != "none" and run.integrator != "variational":
+    keeps_closed = run.integrator is not None and METHODS[run.integrator].kind == VARIATIONAL
+    if run.stabilization.kind != "none" and not keeps_closed:
         about = f"none instead of {run.stabilization.kind}"
         bare = partial(_with_run, scene, stabilization="none")
         variants.append(Variant(STABILIZATION, SETTING, about, bare))
     if run.output_step < run.duration:
         about = f"two samples instead of one every {run.output_step:g} s"
         unrecorded = partial(_with_run, scene, output_step=run.duration)
-        variants.append(Variant(RECORDING, SETTING, about, unrecorded))
+        variants.append(Variant(RECORDING, SETTING, about, unrecorded, ends_only=True))
     for name, spec in candidates.items():
         if name not in present:
             extended = partial(scene.replace, effects={**present, name: spec})
@@ -356,7 +359,7 @@ def _entry(
     entry = Entry(variant.name, variant.kind, variant.about)
     if isinstance(bench, str):
         return replace(entry, trouble=bench, certified=False)
-    compared = last_changes if variant.name == RECORDING else changes
+    compared = last_changes if variant.ends_only else changes
     entry = replace(
         entry,
         changes=compared(base.system, base.run, bench.run),

@@ -11,7 +11,6 @@ effect left of the line at 1 can be left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -39,7 +38,7 @@ from multiarm.studies.effect_costs import (
     Estimate,
     Ledger,
 )
-from multiarm.studies.tables import TextTable, text_table, written
+from multiarm.studies.tables import NUMBER, REMARK, TEXT, Column, TextTable, attribute, text_table
 
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 NOISE = "noise"
@@ -183,21 +182,25 @@ def table(ledger: Ledger) -> TextTable:
         for name in QUANTITIES
         if name not in (JOINTS, SLIDES) or any(name in e.changes for e in ledger.entries)
     ]
-    sizes = {
-        f"{QUANTITIES[name].head} {QUANTITIES[name].shown}": partial(size, ledger, name=name)
+    sizes = [
+        Column(
+            f"{QUANTITIES[name].head} {QUANTITIES[name].shown}",
+            NUMBER,
+            partial(size, ledger, name=name),
+        )
         for name in shown
-    }
-    columns: dict[str, Callable[[Entry], str]] = {
-        "effect or setting": _label,
-        "ms/s": _milliseconds,
-        "% time": lambda entry: written(entry.share, percent),
-        "evals": lambda entry: written(entry.evaluations, "{:,}".format),
-        **sizes,
-        "at s": at,
-        "": _remark,
-    }
+    ]
+    columns = [
+        Column("effect or setting", TEXT, _label),
+        Column("ms/s", NUMBER, _milliseconds),
+        Column("% time", NUMBER, attribute("share", percent)),
+        Column("evals", NUMBER, attribute("evaluations", "{:,}".format)),
+        *sizes,
+        Column("at s", NUMBER, at),
+        Column("", REMARK, _remark),
+    ]
     title = "What each costs, and what it changes"
-    return text_table(title, ledger.entries, "tnnn" + "n" * len(shown) + "ne", columns)
+    return text_table(title, ledger.entries, columns)
 
 
 def _label(entry: Any) -> str:

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ class CriterionResult:
     measured: float | None  # None when not finite, or not measurable
     passed: bool
     message: str = ""  # why there is no number
+    channel: str = ""  # the recorded quantity that the bound is of, if it is recorded
 
 
 @dataclass(frozen=True)
@@ -218,13 +220,14 @@ def run_case(case: HardCase, *, progress: Callable[[str, float], None] | None = 
 
 def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> CriterionResult:
     about = (criterion.quantity, float(criterion.bound), criterion.unit)
+    result = partial(CriterionResult, *about, channel=criterion.channel)
     try:
         value = float(criterion.measure(trajectory, system))
     except Exception as error:  # a run that broke off may lack what is measured
-        return CriterionResult(*about, None, False, error_text(error))
+        return result(None, False, error_text(error))
     if not math.isfinite(value):
-        return CriterionResult(*about, None, False, f"measured {value}")
-    return CriterionResult(*about, value, value <= criterion.bound)
+        return result(None, False, f"measured {value}")
+    return result(value, value <= criterion.bound)
 
 
 def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:

@@ -18,8 +18,17 @@ from multiarm.notation import NOTHING, count_of, number
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
-from multiarm.studies.hard_cases import CaseResult, SuiteResult
-from multiarm.studies.tables import TextTable, column, text_table, written
+from multiarm.studies.hard_cases import HISTORY, CaseResult, SuiteResult
+from multiarm.studies.tables import (
+    NUMBER,
+    REMARK,
+    TEXT,
+    Column,
+    TextTable,
+    attribute,
+    text_table,
+    written,
+)
 
 SMALLEST = 1e-18
 """The least that is drawn on a logarithmic axis."""
@@ -37,30 +46,41 @@ def figures(suite: SuiteResult) -> dict[str, Any]:
 
 def case_table(suite: SuiteResult) -> TextTable:
     """One line a case: the criterion nearest to its bound, and how the run went."""
-    columns = {
-        "case": column("name"),
-        "verdict": lambda case: "pass" if case.passed else "FAIL",
-        "least bound / measured": nearest,
-        "rank": rank_text,
-        "path": path_text,
-        "steps": lambda case: written(case.statistics.get("steps"), "{:,}".format),
-        "wall time": lambda case: number(case.wall_time_s or None, "s"),
-        "": lambda case: shorten(case.message, 90, placeholder=" …") if not case.criteria else "",
-    }
-    return text_table("Hard cases", suite.cases, "tttttnne", columns)
+
+    def steps(case: CaseResult) -> str:
+        return written(case.statistics.get("steps"), "{:,}".format)
+
+    def remark(case: CaseResult) -> str:
+        return "" if case.criteria else shorten(case.message, 90, placeholder=" …")
+
+    columns = [
+        Column("case", TEXT, attribute("name")),
+        Column("verdict", TEXT, lambda case: "pass" if case.passed else "FAIL"),
+        Column("least bound / measured", TEXT, nearest),
+        Column("rank", TEXT, rank_text),
+        Column("path", TEXT, path_text),
+        Column("steps", NUMBER, steps),
+        Column("wall time", NUMBER, lambda case: number(case.wall_time_s or None, "s")),
+        Column("", REMARK, remark),
+    ]
+    return text_table("Hard cases", suite.cases, columns)
 
 
 def criterion_table(case: CaseResult) -> TextTable:
     """One line a criterion."""
-    columns = {
-        "criterion": column("quantity"),
-        "measured": column("measured", "{:.2g}".format),
-        "bound": lambda row: f"{row.bound:.2g} {'' if row.unit == '1' else row.unit}".rstrip(),
-        "bound / measured": column("margin", _margin),
-        "verdict": lambda row: "within" if row.passed else "BEYOND",
-        "": column("message"),
-    }
-    return text_table(case.name, case.table.itertuples(), "tnnnte", columns)
+
+    def bound(row: Any) -> str:
+        return f"{row.bound:.2g} {'' if row.unit == '1' else row.unit}".rstrip()
+
+    columns = [
+        Column("criterion", TEXT, attribute("quantity")),
+        Column("measured", NUMBER, attribute("measured", "{:.2g}".format)),
+        Column("bound", NUMBER, bound),
+        Column("bound / measured", NUMBER, attribute("margin", _margin)),
+        Column("verdict", TEXT, lambda row: "within" if row.passed else "BEYOND"),
+        Column("", REMARK, attribute("message")),
+    ]
+    return text_table(case.name, case.table.itertuples(), columns)
 
 
 def nearest(case: CaseResult) -> str:
@@ -96,14 +116,14 @@ def figure(case: CaseResult) -> Figure | None:
     """Panels over time with the events; None when nothing was recorded."""
     if not case.history:
         return None
-    bounds = {item.quantity: item.bound for item in case.criteria if item.bound > 0}
+    bounds = {item.channel: item.bound for item in case.criteria if item.bound > 0}
     panel = partial(_panel, case)
     loops, energy = {"gap": BLUE, "gap_rate": GREEN}, {"energy_balance": PINK}
     residual, rank = {"residual": BLUE}, {"rank": ORANGE, "coupled_arms": BLUE}
     panels = [
-        panel("Loops", "gap [m], rate [m/s]", loops, True, bounds.get("position drift")),
+        panel("Loops", "gap [m], rate [m/s]", loops, True, bounds.get(HISTORY["gap"])),
         panel("Energy", "balance [J]", energy, True),
-        panel("Constraints", "relative residual", residual, True, bounds.get("residual")),
+        panel("Constraints", "relative residual", residual, True, bounds.get(HISTORY["residual"])),
         panel("Rank, and arms in the coupled system", "number", rank),
     ]
     return draw(panels, events=case.events)

@@ -38,6 +38,8 @@ PEERS = {
 EXPRESSIBLE = ("weld", "ball", "revolute")
 """Kinds of joint that the peers have constraints for."""
 NOT_INSTALLED = "not installed: pip install mujoco"
+INSTALLED_BY = {"mujoco": NOT_INSTALLED}
+"""Missing package -> why its peers cannot run."""
 
 
 @dataclass(frozen=True)
@@ -203,8 +205,8 @@ def make_peers(
                 able[name] = getattr(import_module(module), kind)(system)
         except ModelError as error:
             refusals[name] = f"cannot express it: {error}"
-        except ImportError:
-            refusals[name] = NOT_INSTALLED
+        except ImportError as error:
+            refusals[name] = INSTALLED_BY.get(error.name or "", f"cannot be loaded: {error}")
     return able, refusals
 
 

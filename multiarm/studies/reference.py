@@ -3,7 +3,8 @@
 The reference is a run of the node algorithm with a method of high order.  Its check shares nothing
 with it but the model: the dense solution of all equations at once
 (:mod:`multiarm.dynamics.solver.dense`), and another method.  The differences of the two are the
-digits of the reference: errors below them are not significant.
+digits of the reference: errors below them are not significant.  Forces that dependent constraints
+leave open are neither in the digits nor in errors: they depend on roundings.
 
 Both take long.  Until they are there, the most accurate of a study's first runs stands in for the
 reference, and its difference from the next one for the digits.
@@ -21,87 +22,116 @@ import numpy as np
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.comparison import rotation_apart
+from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.studies.timing import OutOfTime, clocked_run
 
+
+class Quantity(NamedTuple):
+    """What runs are compared by; an error is the largest difference at an output time."""
+
+    what: str
+    unit: str
+    nouns: tuple[str, ...] = ()  # of the compared outputs (multiarm.simulation.comparison)
+
+
 QUANTITIES = {
-    "motion": ("worst of pose and joints", "m, rad"),
-    "position": ("object's position", "m"),
-    "rotation": ("object's rotation", "rad"),
-    "joints": ("joint angles", "rad, m"),
-    "force": ("contact forces", "N"),
+    "motion": Quantity("worst of pose and joints", "m or rad"),
+    "position": Quantity("object's position", "m", ("object position",)),
+    "rotation": Quantity("object's rotation", "rad", ("object rotation",)),
+    "joints": Quantity("joint positions", "rad or m", ("joints", "sliding joints")),
+    "force": Quantity("contact forces", "N", ("contact forces",)),
 }
-"""Quantity -> what it is, and its unit; an error is the worst one at an output time."""
 OF_MOTION = ("position", "rotation", "joints")
 TOLERANCES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
 """Tolerances of the reference; the first with which the run comes to its end is taken."""
 METHODS = ("dop853", "rodas5p")
 CHECKS = ("dopri5", "rodas5p")
-"""Methods of the reference and of its check: what the second of each is for are stiff scenes."""
+"""Methods of the reference and of its check; the second of each is for stiff scenes."""
 CHECK_TOLERANCES = (1e-9, 1e-11, 1e-13)
 PATIENCE = 20.0
 """Wall time for the reference, and for its check [s]."""
 
 
 class Motion(NamedTuple):
-    """What runs are compared by."""
+    """The motion of a peer, which tells no forces."""
 
     positions: np.ndarray  # (K, 7 + n): object's position, quaternion xyzw, joint positions
-    forces: np.ndarray | None = None  # (K, N): contact forces
 
-    @classmethod
-    def of(cls, run: Trajectory) -> Motion:
-        """The motion of a run."""
-        arms = run.arm_names
-        joints = [run.joint_positions[arm] for arm in arms]
-        pose = [run.object_position, run.object_quaternion_xyzw]
-        forces = np.column_stack([run.contact_forces[arm] for arm in arms])
-        return cls(np.column_stack([*pose, *joints]), forces)
-
-    def errors(self, exact: Motion) -> dict[str, float | None]:
-        """Largest differences from another motion at the times that both have.
-
-        Returns
-        -------
-        dict
-            position [m], rotation [rad], joints [rad or m], force [N] or None.
-        """
-        count = min(len(self.positions), len(exact.positions))
-        q, q_exact = self.positions[:count], exact.positions[:count]
-        apart, force = np.abs(q - q_exact), None
-        if self.forces is not None and exact.forces is not None:
-            force = float(np.max(np.abs(self.forces[:count] - exact.forces[:count]), initial=0.0))
+    def errors(self, exact: Trajectory) -> dict[str, float | None]:
+        """As :func:`run_errors`; the force is None."""
+        joints = [exact.joint_positions[arm] for arm in exact.arm_names]
+        count = min(len(self.positions), len(exact))
+        position, quaternion, angles = np.split(self.positions[:count], (3, 7), axis=1)
+        off = position - exact.object_position[:count]
+        turned = rotation_apart(quaternion, exact.object_quaternion_xyzw[:count])
+        apart = np.abs(angles - np.column_stack(joints)[:count])
         return {
-            "position": float(np.max(np.linalg.norm(apart[:, :3], axis=1))),
-            "rotation": float(np.max(rotation_apart(q[:, 3:7], q_exact[:, 3:7]))),
-            "joints": float(np.max(apart[:, 7:], initial=0.0)),
-            "force": force,
+            "position": float(np.max(np.linalg.norm(off, axis=1))),
+            "rotation": float(np.max(turned)),
+            "joints": float(np.max(apart, initial=0.0)),
+            "force": None,
         }
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A motion with known digits."""
+    """A run with known digits."""
 
-    motion: Motion
+    run: Trajectory
+    # by arm: forces that the equations leave open where the constraints are dependent
+    undetermined: Mapping[str, np.ndarray]
     digits: Mapping[str, float]  # quantity -> what the check differs by
     average_step_s: float
     wall_time_s: float
-    # how it was made and checked: method, tolerance, evaluations, check
+    # how it was made and checked: integrator, tolerance, stabilization, evaluations, check
     about: Mapping[str, Any] = field(default_factory=dict)
     first: bool = False  # it is a first one, which the one of :func:`make_reference` is to replace
 
+    def errors(self, course: Trajectory | Motion) -> dict[str, float | None]:
+        """Largest differences of a run of ours, or of a peer, from the reference."""
+        if isinstance(course, Motion):
+            return course.errors(self.run)
+        return run_errors(course, self.run, self.undetermined)
+
+
+def run_errors(
+    run: Trajectory, exact: Trajectory, undetermined: Mapping[str, np.ndarray]
+) -> dict[str, float | None]:
+    """Largest differences of a run from another one at the output times that both have.
+
+    Returns
+    -------
+    dict
+        position [m], rotation [rad], joints [rad or m], force [N]; None where there is nothing to
+        compare, such as forces of which the equations determine none.
+    """
+    differences = [d for d in compare(run, exact, undetermined).outputs.values() if d.compared]
+    return {
+        name: max((d.worst for d in differences if d.noun in about.nouns), default=None)
+        for name, about in QUANTITIES.items()
+        if about.nouns
+    }
+
 
 def motion_error(errors: Mapping[str, float | None]) -> float | None:
-    """The worst of position, rotation and joints."""
-    known = [error for name in OF_MOTION if (error := errors.get(name)) is not None]
-    return max(known) if len(known) == len(OF_MOTION) else None
+    """The worst of position, rotation and joints; None where none is known."""
+    known = (errors.get(name) for name in OF_MOTION)
+    return max((error for error in known if error is not None), default=None)
 
 
-def difference(check: Motion, motion: Motion) -> dict[str, float]:
-    """Quantity -> what two motions differ by: the digits of the second."""
-    errors = {name: error for name, error in check.errors(motion).items() if error is not None}
-    return {"motion": motion_error(errors) or 0.0, **errors}
+def digits_of(
+    check: Trajectory, run: Trajectory, undetermined: Mapping[str, np.ndarray]
+) -> dict[str, float]:
+    """Quantity -> what a run differs from its check by."""
+    errors = run_errors(check, run, undetermined)
+    known = {name: error for name, error in errors.items() if error is not None}
+    return {"motion": motion_error(errors) or 0.0, **known}
+
+
+def open_forces(system: System, run: Trajectory) -> dict[str, np.ndarray]:
+    """By arm: contact forces that the equations of a system leave open in a run."""
+    with system.borrow() as data:
+        return undetermined_forces(data, run)
 
 
 def make_reference(
@@ -122,10 +152,10 @@ def make_reference(
     """
     report("reference")
     run, method, tolerance = _tight_run(system)
-    motion, statistics = Motion.of(run), run.statistics
+    undetermined, statistics = open_forces(system, run), run.statistics
     methods = CHECKS if method == METHODS[0] else CHECKS[::-1]
     for solver, check in [(solver, check) for solver in ("dense", "node") for check in methods]:
-        digits, about = _check(system, motion, solver, check, report)
+        digits, about = _check(system, run, undetermined, solver, check, report)
         if about:
             break
     else:
@@ -134,7 +164,8 @@ def make_reference(
             "take a shorter duration"
         )
     return Reference(
-        motion,
+        run,
+        undetermined,
         digits,
         statistics["simulated_s"] / max(1, statistics["steps"]),
         statistics["wall_time_s"],
@@ -164,10 +195,15 @@ def _tight_run(system: System) -> tuple[Trajectory, str, float]:
 
 
 def _check(
-    system: System, motion: Motion, solver: str, method: str, report: Callable[[str], None]
+    system: System,
+    exact: Trajectory,
+    undetermined: Mapping[str, np.ndarray],
+    solver: str,
+    method: str,
+    report: Callable[[str], None],
 ) -> tuple[dict[str, float], dict[str, Any]]:
-    """Digits of the motion, and how they were found, tighter and tighter as long as time and gain
-    allow; both empty where no run ends."""
+    """Digits of the reference, and how they were found, tighter and tighter as long as time and
+    gain allow; both empty where no run ends."""
     digits: dict[str, float] = {}
     about: dict[str, Any] = {}
     left = PATIENCE
@@ -182,7 +218,7 @@ def _check(
         left -= took
         if run.status != "completed":
             break
-        apart = difference(Motion.of(run), motion)
+        apart = digits_of(run, exact, undetermined)
         if not digits or apart["motion"] < digits["motion"]:
             evaluations = run.statistics["evaluations"]
             digits, about = apart, {

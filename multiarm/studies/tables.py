@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import pandas
 
 from multiarm.notation import NOTHING
+
+TEXT, NUMBER, REMARK = "t", "n", "e"
+"""Kinds of columns, as the pages' style sheet names them; terminals print remarks below a table."""
+
+
+class Column(NamedTuple):
+    """A column of a table."""
+
+    head: str
+    kind: str  # TEXT, NUMBER, REMARK
+    write: Callable[[Any], str]  # its text, of a row
 
 
 class TextTable(NamedTuple):
@@ -16,27 +27,23 @@ class TextTable(NamedTuple):
     Attributes
     ----------
     title : str
-    kinds : str
-        A letter for each column, as the pages' style sheet names them: n number, t text, e remark;
-        terminals print remarks below a table.
+    kinds : tuple of str
+        Of each column: TEXT, NUMBER, REMARK.
     heads : tuple of str
         The first column names the rows.
     rows : tuple of tuple of str
     """
 
     title: str
-    kinds: str
+    kinds: tuple[str, ...]
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
 
-def text_table(
-    title: str, rows: Iterable[Any], kinds: str, columns: Mapping[str, Callable[[Any], str]]
-) -> TextTable:
-    """The texts of rows; ``columns`` are heads, and what each writes of a row."""
-    assert len(kinds) == len(columns), "a kind for each column"
-    texts = tuple(tuple(write(row) for write in columns.values()) for row in rows)
-    return TextTable(title, kinds, tuple(columns), texts)
+def text_table(title: str, rows: Iterable[Any], columns: Sequence[Column]) -> TextTable:
+    """The texts of rows."""
+    heads, kinds, writers = zip(*columns, strict=True)
+    return TextTable(title, kinds, heads, tuple(tuple(w(row) for w in writers) for row in rows))
 
 
 def written(value: Any, write: Callable[[Any], str]) -> str:
@@ -44,6 +51,6 @@ def written(value: Any, write: Callable[[Any], str]) -> str:
     return NOTHING if pandas.isna(value) else write(value)
 
 
-def column(name: str, write: Callable[[Any], str] = str) -> Callable[[Any], str]:
+def attribute(name: str, write: Callable[[Any], str] = str) -> Callable[[Any], str]:
     """What writes an attribute of a row."""
     return lambda row: written(getattr(row, name), write)

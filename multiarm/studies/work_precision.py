@@ -32,7 +32,7 @@ import pandas
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
-from multiarm.results.trajectory import plain
+from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import Scene
 from multiarm.studies.peers import (
     PEERS,
@@ -49,9 +49,10 @@ from multiarm.studies.reference import (
     QUANTITIES,
     Motion,
     Reference,
-    difference,
+    digits_of,
     make_reference,
     motion_error,
+    open_forces,
 )
 from multiarm.studies.settings import (
     BY_ACCURACY,
@@ -120,7 +121,8 @@ class Point:
     gap_rate_m_per_s: float | None = None
     energy_J: float | None = None  # largest error of the energy balance
     used: str = ""  # the integrator, where the program chose it
-    course: Motion | None = None  # until the errors are those from the checked reference
+    # our run or a peer's motion, until the errors are those from the checked reference
+    course: Trajectory | Motion | None = None
 
     def error(self, quantity: str) -> float | None:
         """The error of a quantity (``reference.QUANTITIES``); None where there is no result."""
@@ -132,7 +134,7 @@ class Point:
         """The point with its errors, which a first reference tells for the time being."""
         if self.course is None:
             return self
-        errors = self.course.errors(reference.motion)
+        errors = reference.errors(self.course)
         return replace(self, errors=errors, course=self.course if reference.first else None)
 
     def again(self, wall_time_s: float | None) -> Point:
@@ -162,7 +164,7 @@ def run_ours(system: System, setting: Setting, limit_s: float) -> Point:
         gap_rate_m_per_s=float(np.max(run.velocity_drift)),
         energy_J=float(np.max(np.abs(run.energy_balance))),
         used=statistics["integrator"],
-        course=Motion.of(run),
+        course=run,
     )
 
 
@@ -171,12 +173,12 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Po
 
     A feedback controller, which is ours and is called back, costs the peer nothing.
     """
-    clock, grid, start = Clock(limit_s), Grid.of(system.scene.run), system.initial_state()
-    control = clock.off_the_clock(lambda t, state: control_torque(system, t, state()))
+    timer, grid, start = Clock(limit_s), Grid.of(system.scene.run), system.initial_state()
+    control = timer.off_the_clock(lambda t, state: control_torque(system, t, state()))
     drive = sinusoid(system) or control
     try:
         with np.errstate(all="ignore"):
-            course = peer.follow(clock, grid, start, setting.method, setting.value, drive)
+            course = peer.follow(timer, grid, start, setting.method, setting.value, drive)
             samples = list(itertools.takewhile(lambda sample: sample.is_finite, course))
     except OutOfTime:
         return too_slow(setting, limit_s)
@@ -188,9 +190,9 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Po
     return Point(
         setting,
         COMPLETED,
-        wall_time_s=clock.wall_time_s,
-        steps=clock.steps,
-        evaluations=clock.evaluations,
+        wall_time_s=timer.wall_time_s,
+        steps=timer.steps,
+        evaluations=timer.evaluations,
         gap_m=max(largest_gap(system, sample.state) for sample in samples),
         course=Motion(np.array([sample.state.position for sample in samples])),
     )
@@ -263,7 +265,8 @@ class Study:
     def as_dict(self) -> dict[str, Any]:
         """The study in what JSON knows, without motions."""
         known = {} if self.reference is None else dict(vars(self.reference))
-        known.pop("motion", None)
+        for key in ("run", "undetermined"):
+            known.pop(key, None)
         points = [
             {**vars(point), "setting": point.setting._asdict()} for point in self.points.values()
         ]
@@ -380,7 +383,7 @@ class _Measurement:
 
     def _first_reference(self) -> Reference | None:
         """The tightest of the first accuracies, which the next one checks; None without two."""
-        points: list[Point] = []
+        points: list[tuple[Point, Trajectory]] = []
         settings = [Setting(OURS, BY_ACCURACY, "", "accuracy", x) for x in FIRST_ACCURACIES]
         self.report(0.0, 0.0, "first reference")
         run_ours(self.system, settings[0], FIRST_PATIENCE)  # loads what is compiled
@@ -389,17 +392,16 @@ class _Measurement:
             self.report(0.0, 0.0, f"first reference: {setting.text}")
             before = clock()
             point = run_ours(self.system, setting, FIRST_PATIENCE)
-            if point.course is None:
+            if not isinstance(point.course, Trajectory):
                 break
-            points.append(point)
+            points.append((point, point.course))
             ends = clock() + TIGHTER_TAKES * (clock() - before)
             if len(points) >= 2 and ends > begin + FIRST_REFERENCE:
                 break
         if len(points) < 2:
             return None
-        coarse, fine = points[-2:]
-        assert coarse.course is not None and fine.course is not None, "both have a result"
-        assert fine.wall_time_s is not None and fine.steps is not None
+        (coarse, coarse_run), (fine, run) = points[-2:]
+        assert fine.wall_time_s is not None and fine.steps is not None, "it has a result"
         check, about = (
             {
                 "integrator": point.used,
@@ -408,15 +410,17 @@ class _Measurement:
             }
             for point in (coarse, fine)
         )
+        undetermined = open_forces(self.system, run)
         self.study.reference = Reference(
-            fine.course,
-            difference(coarse.course, fine.course),
+            run,
+            undetermined,
+            digits_of(coarse_run, run, undetermined),
             self.system.scene.run.duration / max(1, fine.steps),
             fine.wall_time_s,
             {**about, "check": check},
             first=True,
         )
-        for point in points:
+        for point, _ in points:
             self._add(point)
         return self.study.reference
 

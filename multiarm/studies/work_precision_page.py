@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import pandas
@@ -17,13 +18,24 @@ from multiarm.reports import pages
 from multiarm.results.trajectory import plain
 from multiarm.studies.reference import QUANTITIES
 from multiarm.studies.settings import BY_ACCURACY, OURS, short
-from multiarm.studies.tables import TextTable, column, text_table, written
+from multiarm.studies.tables import (
+    NUMBER,
+    REMARK,
+    TEXT,
+    Column,
+    TextTable,
+    attribute,
+    text_table,
+    written,
+)
 from multiarm.studies.work_precision import COMPLETED, Study, decades
 
 FARTHER = 1e-3
 """The second level of the recommendation, as a fraction of the first."""
 CLAIMED = (1e-6, 1e-9)
 """The levels at which we are compared with the best peer."""
+LEAST = 1e-17
+"""The least digits that a figure shows [m, rad, N]."""
 COMPARED = (1e-3, *CLAIMED)
 """The levels for which the methods are compared."""
 
@@ -81,7 +93,7 @@ def reference_text(study: Study) -> str:
     about, scene = study.reference.about, study.scene
     check = about["check"]
     known = ", ".join(
-        f"{QUANTITIES[name][0]} {value:.1g} {QUANTITIES[name][1].split(',')[0]}"
+        f"{QUANTITIES[name].what} {value:.1g} {QUANTITIES[name].unit}"
         for name, value in study.reference.digits.items()
         if name != "motion"
     )
@@ -122,22 +134,33 @@ _seconds, _count, _error = partial(number, unit="s"), "{:,.0f}".format, "{:.0e}"
 
 def decade_table(study: Study, quantity: str) -> TextTable:
     """The cheapest setting for each power of ten, and the best peer's where there is one."""
-    what, unit = QUANTITIES[quantity]
-    rows = decades(study, quantity)
-    columns = {
-        "below": column("level", short),
-        "multiarm": column("advice"),
-        "time": column("wall_time_s", _seconds),
-        "evals": column("evaluations", _count),
-    }
+    about, rows = QUANTITIES[quantity], decades(study, quantity)
+    columns = [
+        Column("below", TEXT, attribute("level", short)),
+        Column("multiarm", TEXT, attribute("advice")),
+        Column("time", NUMBER, attribute("wall_time_s", _seconds)),
+        Column("evals", NUMBER, attribute("evaluations", _count)),
+    ]
     if rows["key_peer"].notna().any():
-        columns |= {
-            "best peer": column("advice_peer"),
-            "its time": column("wall_time_s_peer", _seconds),
-            "peer/ours": column("peer_over_ours", "{:.1f}".format),
-        }
-    title = f"Cheapest for an error below, {what} [{unit}]"
-    return text_table(title, rows.itertuples(), "ttnntnn"[: len(columns)], columns)
+        columns += [
+            Column("best peer", TEXT, attribute("advice_peer")),
+            Column("its time", NUMBER, attribute("wall_time_s_peer", _seconds)),
+            Column("peer/ours", NUMBER, attribute("peer_over_ours", "{:.1f}".format)),
+        ]
+    title = f"Cheapest for an error below, {about.what} [{about.unit}]"
+    return text_table(title, rows.itertuples(), columns)
+
+
+class _MethodRow(NamedTuple):
+    """A method: its wall times [s] to some errors, and its most precise point."""
+
+    series: str
+    times: Mapping[float, float]  # level -> [s]; NaN where not reached, as below
+    least: float
+    gap_m: float
+    energy_J: float
+    failed: str
+    message: str
 
 
 def method_table(study: Study, quantity: str) -> TextTable:
@@ -147,40 +170,55 @@ def method_table(study: Study, quantity: str) -> TextTable:
     for series, group in points.groupby("series", sort=False):
         errors = group[quantity]
         finest = group.loc[[errors.idxmin()]] if errors.notna().any() else group[:0]
-        times = (group["wall_time_s"][errors + digits <= level].min() for level in COMPARED)
-        precision = (max(errors.min(), digits), finest["gap_m"].min(), finest["energy_J"].min())
         rows.append(
-            (
-                str(series),
-                *(written(seconds, _seconds) for seconds in times),
-                *(written(value, _error) for value in precision),
-                f"{(group['status'] != COMPLETED).sum()} of {len(group)}",
-                group["message"].iloc[-1] if finest.empty else "",
+            _MethodRow(
+                series=str(series),
+                times={
+                    level: group["wall_time_s"][errors + digits <= level].min()
+                    for level in COMPARED
+                },
+                least=max(errors.min(), digits),
+                gap_m=finest["gap_m"].min(),
+                energy_J=finest["energy_J"].min(),
+                failed=f"{(group['status'] != COMPLETED).sum()} of {len(group)}",
+                message=group["message"].iloc[-1] if finest.empty else "",
             )
         )
-    heads = ("method", *map(short, COMPARED), "least", "gap m", "energy J", "failed", "")
+
+    def time_to(level: float) -> Column:
+        return Column(short(level), NUMBER, lambda row: written(row.times[level], _seconds))
+
+    columns = [
+        Column("method", TEXT, attribute("series")),
+        *map(time_to, COMPARED),
+        Column("least", NUMBER, attribute("least", _error)),
+        Column("gap m", NUMBER, attribute("gap_m", _error)),
+        Column("energy J", NUMBER, attribute("energy_J", _error)),
+        Column("failed", NUMBER, attribute("failed")),
+        Column("", REMARK, attribute("message")),
+    ]
     title = "Methods: wall time to an error, and what they are at their most precise"
-    return TextTable(title, "tnnnnnnne", heads, tuple(rows))
+    return text_table(title, rows, columns)
 
 
 def point_table(study: Study) -> TextTable:
     """Every point, in the order of the methods."""
-    columns = {
-        "setting": column("text"),
-        "time": column("wall_time_s", _seconds),
-        "steps": column("steps", _count),
-        "evals": column("evaluations", _count),
-        "pos.": column("position", _error),
-        "rot.": column("rotation", _error),
-        "joints": column("joints", _error),
-        "force": column("force", _error),
-        "gap": column("gap_m", _error),
-        "gap rate": column("gap_rate_m_per_s", _error),
-        "energy": column("energy_J", _error),
-        "": lambda row: f"{row.status}: {row.message}" if row.message else "",
-    }
-    title = "All points: errors [m, rad, rad, N], gap [m], its rate [m/s], energy [J]"
-    return text_table(title, study.table.itertuples(), "tnnnnnnnnnne", columns)
+    columns = [
+        Column("setting", TEXT, attribute("text")),
+        Column("time", NUMBER, attribute("wall_time_s", _seconds)),
+        Column("steps", NUMBER, attribute("steps", _count)),
+        Column("evals", NUMBER, attribute("evaluations", _count)),
+        Column("pos.", NUMBER, attribute("position", _error)),
+        Column("rot.", NUMBER, attribute("rotation", _error)),
+        Column("joints", NUMBER, attribute("joints", _error)),
+        Column("force", NUMBER, attribute("force", _error)),
+        Column("gap", NUMBER, attribute("gap_m", _error)),
+        Column("gap rate", NUMBER, attribute("gap_rate_m_per_s", _error)),
+        Column("energy", NUMBER, attribute("energy_J", _error)),
+        Column("", REMARK, lambda row: f"{row.status}: {row.message}" if row.message else ""),
+    ]
+    title = "All points: errors [m, rad, rad or m, N], gap [m], its rate [m/s], energy [J]"
+    return text_table(title, study.table.itertuples(), columns)
 
 
 # --- figure and page ------------------------------------------------------------------------------
@@ -199,10 +237,11 @@ _BEST: dict[str, Any] = {"marker": "o", "markersize": 10, "markerfacecolor": "no
 
 def figure(study: Study, quantity: str = "motion", with_title: bool = True) -> Figure:
     """Error over wall time and over evaluations; the cheapest of each decade is circled."""
-    digits, points = study.digits(quantity), study.table
+    # where two runs agree to the last digit: a logarithmic axis has no zero
+    digits, points = max(study.digits(quantity), LEAST), study.table
     points = points[points[quantity].notna()]
     best = set(decades(study, quantity)["key"].dropna())
-    what, unit = QUANTITIES[quantity]
+    about = QUANTITIES[quantity]
     with matplotlib.rc_context(STYLE):
         drawing = Figure(figsize=(13.0, 6.2), layout="constrained")
         axes = drawing.subplots(1, 2, sharey=True)
@@ -211,7 +250,9 @@ def figure(study: Study, quantity: str = "motion", with_title: bool = True) -> F
             panel.axhspan(digits / 10.0, digits, color=GRID, alpha=0.6, linewidth=0)
         axes[0].set(title="Error over wall time", xlabel="wall time [s]")
         axes[1].set(title="Error over evaluations", xlabel="evaluations")
-        axes[0].set(ylabel=f"largest error: {what} [{unit}]", ylim=(digits / 10.0, None))
+        axes[0].set(
+            ylabel=f"largest error: {about.what} [{about.unit}]", ylim=(digits / 10.0, None)
+        )
         handles, labels = axes[0].get_legend_handles_labels()
         handles.append(Line2D([], [], linewidth=0, **_BEST))
         labels.append("cheapest of a decade")
@@ -254,7 +295,7 @@ def render(study: Study, quantity: str = "motion") -> str:
         state=state_text(study),
         quantities=[
             {
-                "what": " ".join((QUANTITIES[name][0], f"[{QUANTITIES[name][1]}]")),
+                "what": f"{QUANTITIES[name].what} [{QUANTITIES[name].unit}]",
                 "sentences": sentences(study, name),
                 "figure": inline_svg(figure(study, name, with_title=False), f"{name}-"),
                 "decades": decade_table(study, name),

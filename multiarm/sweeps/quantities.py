@@ -233,7 +233,7 @@ KNOWN = {
     ),
     "largest_joint_torque": Known(
         "N m",
-        "magnitude of the controller's, of sliding joints in N",
+        "magnitude of the drives', of sliding joints in N",
         lambda run: _largest_of(run.joint_torques),
     ),
     **{

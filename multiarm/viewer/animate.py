@@ -1,10 +1,9 @@
 """From a trajectory to an animation: the only place where a replay meets robots and dynamics.
 
-Frames are samples of the trajectory, never interpolations between them, so that the replay shows
-computed states only.  Link poses come from each arm's kinematics, contact points and normals from
-the system's evaluation, contact forces, states and events from the trajectory, and the axes of
-joints from their frames: a joint's frame has the axis as its z axis
-(:class:`multiarm.contacts.joint.JointFrame`).
+Frames are samples of the trajectory; between two of them the page interpolates.  Link poses come
+from each arm's kinematics, contact points and normals from the system's evaluation, contact forces,
+states and events from the trajectory, and the axes of joints from their frames: a joint's frame has
+the axis as its z axis (:class:`multiarm.contacts.joint.JointFrame`).
 
 Grasps in form closure by pushing contacts on plane faces also show, on each face, the region in
 which a contact keeps the grasp closed; the other contacts stay where they are at the start.
@@ -25,6 +24,7 @@ import pinocchio as pin
 from multiarm.assembly.compilation import geometry_of
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
+from multiarm.grasp.body.face import cut_into_triangles
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.scene import without_code
 from multiarm.scene.control import NoControl
@@ -481,14 +481,6 @@ def region_bodies(
 
 def sheet(region: ContactRegion, lift: float) -> Mesh:
     """A region as triangles, lifted off its face by a distance [m]."""
-    import shapely
-
-    corners: list[np.ndarray] = []
-    triangles = []
-    for part in shapely.constrained_delaunay_triangles(region.shape).geoms:
-        ring = np.array(part.exterior.coords)[:3]
-        if np.cross(*np.pad(np.diff(ring, axis=0), ((0, 0), (0, 1))))[2] < 0.0:
-            ring = ring[::-1]
-        triangles.append(np.arange(3) + len(corners))
-        corners.extend(region.face.at(ring) + lift * region.face.normal)
-    return Mesh(np.array(corners), np.array(triangles))
+    corners = region.face.at(cut_into_triangles(region.shape).reshape(-1, 2))
+    corners = corners + lift * region.face.normal
+    return Mesh(corners, np.arange(len(corners)).reshape(-1, 3))

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from multiarm.results.channels import ContactState
 from multiarm.results.event_log import Event, Family
+from multiarm.results.limit_use import ROUNDING
 from multiarm.viewer.mesh import Mesh
 
 SPIKE = 3.0  # times the usual force
@@ -56,6 +57,13 @@ class Dial:
     turns: bool  # an angle [rad]; otherwise a slide [m]
     limits: tuple[float, float]  # from the start, which is 0
     value: np.ndarray  # shape (K,)
+
+    @property
+    def passed_at(self) -> tuple[float, float]:
+        """Values beyond which a limit is passed: a stop that is touched is not."""
+        low, high = self.limits
+        slack = ROUNDING * (high - low) / 2.0  # of the share, as in `Trajectory.limit_use`
+        return low - slack, high + slack
 
 
 @dataclass(frozen=True)

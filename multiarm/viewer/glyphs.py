@@ -245,9 +245,8 @@ class Hinges:
 
 def _draw_pointer(path: str, shape: Mesh, dial: Dial, script: Script) -> None:
     """Draw a pointer in its usual colour, and in another one that takes its place beyond limits."""
-    low, high = dial.limits
-    slack = 1e-6 * (high - low)  # a stop that is touched is not passed
-    within = (dial.value >= low - slack) & (dial.value <= high + slack)
+    least, most = dial.passed_at
+    within = (dial.value >= least) & (dial.value <= most)
     for name, color, seen in (("within", HAND, within), ("beyond", BEYOND, ~within)):
         if seen.any():
             script.put(f"{path}/{name}", seen_through(shape, color), seen)

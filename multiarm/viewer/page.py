@@ -17,13 +17,14 @@ import importlib.util
 import json
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from multiarm.errors import ReplayError
-from multiarm.notation import count_of
+from multiarm.notation import count_of, number
 from multiarm.reports import pages
 from multiarm.results.channels import ContactState
 from multiarm.results.event_log import (
@@ -64,11 +65,13 @@ def page_facts(animation: Animation, speed: float) -> dict[str, Any]:
     """Return what the player shows besides the commands.
 
     ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``, ``legend`` (name and colour of each
-    arm, and its largest force on the object [N], null where unknown), ``force_scale`` and
-    ``peak_force`` [N], ``times`` (K,) [s], ``states`` of contacts (name, sign, colour), ``events``
-    (see :func:`time_line`) and ``dials``: coordinates with limits, each a table of ``arm``,
-    ``unit``, ``limits`` and ``values`` (K,).
+    arm, and its largest force on the object in words, null where unknown), ``scale`` (what the
+    longest arrow stands for, in words), ``times`` (K,) [s], ``states`` of contacts (name, sign,
+    colour), ``events`` (see :func:`time_line`) and ``dials``: coordinates with limits, each a table
+    of ``arm``, ``unit``, ``limits``, ``passed_at`` (values beyond which a limit is passed) and
+    ``values`` (K,).
     """
+    totals = [_largest_total(contacts) for contacts in animation.contacts]
     return {
         "title": animation.title,
         "note": animation.note,
@@ -76,10 +79,10 @@ def page_facts(animation: Animation, speed: float) -> dict[str, Any]:
         "speed": speed,
         "aspect": ASPECT,
         "legend": [
-            [c.arm, f"#{hexadecimal(c.color):06x}", _largest_total(c)] for c in animation.contacts
+            [c.arm, f"#{hexadecimal(c.color):06x}", total and _newtons(total)]
+            for c, total in zip(animation.contacts, totals, strict=True)
         ],
-        "force_scale": animation.force_scale,
-        "peak_force": animation.peak_force,
+        "scale": _scale(animation, totals),
         "times": animation.time - animation.time[0],
         "states": _states(animation),
         "events": time_line(animation.events, animation.time, speed),
@@ -94,6 +97,23 @@ def _largest_total(contacts: ContactTracks) -> float | None:
     return float(np.linalg.norm(contacts.total, axis=1).max())
 
 
+_newtons = partial(number, unit="N")
+
+
+def _scale(animation: Animation, totals: Sequence[float | None]) -> str:
+    """What the longest arrow stands for; empty without forces."""
+    if not animation.force_scale > 0.0:
+        return ""
+    peak = animation.peak_force
+    spike = f" (peak {_newtons(peak)})" if peak > animation.force_scale else ""
+    text = f"longest arrow {_newtons(animation.force_scale)} at a contact{spike}"
+    known = {c.arm: total for c, total in zip(animation.contacts, totals, strict=True) if total}
+    if not known:
+        return text
+    arm = max(known, key=lambda name: known[name])
+    return f"{text}; {arm} up to {_newtons(known[arm])} in all"
+
+
 def _states(animation: Animation) -> list[list[str]]:
     """Return name, sign and colour of each state that a contact of the animation has."""
     codes = {
@@ -105,8 +125,13 @@ def _states(animation: Animation) -> list[list[str]]:
 def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:
     """Return a joint's coordinate in degrees or millimetres."""
     scale, unit = (180 / math.pi, "°") if dial.turns else (1000.0, " mm")
-    limits = [scale * limit for limit in dial.limits]
-    return {"arm": hinge.arm, "unit": unit, "limits": limits, "values": scale * dial.value}
+    return {
+        "arm": hinge.arm,
+        "unit": unit,
+        "limits": [scale * limit for limit in dial.limits],
+        "passed_at": [scale * limit for limit in dial.passed_at],
+        "values": scale * dial.value,
+    }
 
 
 class _Block:
@@ -174,13 +199,13 @@ def _ticks(events: Sequence[Event], at: np.ndarray, duration: float) -> list[dic
         inside = [int(i) for i in np.flatnonzero(part == interval)]
         kinds = list(dict.fromkeys(events[i]["kind"] for i in inside))
         more = f" and {count_of(len(kinds) - NAMED, 'more kind')}" if len(kinds) > NAMED else ""
-        number = f"{len(inside)} events: " if len(inside) > 1 else ""
+        count = f"{len(inside)} events: " if len(inside) > 1 else ""
         when = f"{events[inside[0]]['time']:.4g} s"
         ticks.append(
             {
                 "at": float(at[inside[0]]),
                 "families": sorted({_family(events[i]) for i in inside}),
-                "words": f"{when}, {number}{', '.join(kinds[:NAMED])}{more}",
+                "words": f"{when}, {count}{', '.join(kinds[:NAMED])}{more}",
             }
         )
     return ticks

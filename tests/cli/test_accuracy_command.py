@@ -6,6 +6,7 @@ import io
 import math
 import re
 import sys
+from dataclasses import replace
 
 import commands
 import pytest
@@ -24,6 +25,7 @@ from multiarm.studies.settings import OURS, Setting, our_ladders
 from multiarm.studies.work_precision_page import (
     comparison,
     decade_table,
+    figure,
     figures,
     point_table,
     recommendation,
@@ -137,7 +139,7 @@ def test_bad_input_is_named_before_the_work(words, message, tmp_path, monkeypatc
 def test_the_page_has_every_quantity_and_the_ranked_one_first():
     study = sample_accuracy()
     page = Page(render(study, "force").replace("\N{NON-BREAKING HYPHEN}", "-"))
-    places = [page.text.index(f"Error over work: {what}") for what, _ in QUANTITIES.values()]
+    places = [page.text.index(f"Error over work: {about.what}") for about in QUANTITIES.values()]
     assert min(places) == places[list(QUANTITIES).index("force")]
     for name in QUANTITIES:
         for sentence in filter(None, (recommendation(study, name), comparison(study, name))):
@@ -157,3 +159,10 @@ def test_figures_rank_the_quantity_that_is_asked_for():
 def test_every_method_and_every_peer_has_a_colour_of_its_own():
     ours = [ladder[0].method for ladder in our_ladders(0.01, 1.0, 0.005)]
     assert len({*ours, *PEERS}) <= len(set(PALETTE)) == len(PALETTE)
+
+
+def test_a_reference_without_digits_has_a_figure_with_a_finite_axis():
+    study = sample_accuracy()
+    study.reference = replace(study.reference, digits=dict.fromkeys(QUANTITIES, 0.0))
+    low, high = figure(study).axes[0].get_ylim()
+    assert 0.0 < low < high < 1e3

@@ -163,6 +163,12 @@ def test_recording_and_stabilization_do_not_move_what_they_are_about(found):
     assert found.can_go(entry_of(found, "recording")) is False, "only effects can go"
 
 
+def test_an_effect_named_like_a_setting_is_compared_at_all_times():
+    variants = effect_costs.variants_of(SHORT, {"recording": {}})
+    named = {(v.name, v.kind): v.ends_only for v in variants if v.name == "recording"}
+    assert named == {("recording", SETTING): True, ("recording", CANDIDATE): False}
+
+
 def test_an_effect_that_does_nothing_can_go_and_is_said_to(own):
     own("nothing", build=lambda self, site: [])
     scene = SHORT.replace(effects={"joint_damping": 0.5, "nothing": {}})

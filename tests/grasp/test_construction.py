@@ -22,6 +22,7 @@ from multiarm.grasp.designs.assembling import (
     crosses,
     largest_gripper,
     proven,
+    sized,
 )
 from multiarm.grasp.designs.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.designs.construction import design_grasp
@@ -236,6 +237,12 @@ def test_any_corner_and_order_of_faces_holds_a_block():
 def test_blocks_and_lengths_that_do_not_go_together_are_refused(make, place):
     with refused(GraspError, place):
         make()
+
+
+def test_a_gripper_size_that_no_depth_leads_to_is_refused():
+    grasp = design_block_grasp([1.0, 1.0, 1.0])
+    with refused(GraspError, "grippers of 2 m"):
+        sized(lambda _depth: grasp, 0.1, 2.0)
 
 
 # --- three pairs of parallel faces --------------------------------------------------------------

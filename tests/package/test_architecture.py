@@ -94,7 +94,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.pinocchio_peer",
         "viewer.animation",
     ),
-    "shapely": ("grasp", "viewer.animate"),
+    "shapely": ("grasp",),
     "threadpoolctl": ("threads",),
     "trimesh": ("grasp.body.boundaries", "scene.meshes", "scene.object"),
     "typer": ("cli",),

@@ -50,7 +50,7 @@ def test_no_module_has_markup_in_its_strings():
 def test_values_are_escaped_and_one_that_is_not_given_is_an_error():
     machine = {**sample_ledger().machine, "processor": "a <quiet> machine"}
     given = {"suite": SuiteResult((), machine, 1.0), "cases": [], "simulated_s": 1.0}
-    given |= {"overview": TextTable("", "", (), ()), "shown_events": 12}
+    given |= {"overview": TextTable("", (), (), ()), "shown_events": 12}
     assert "a &lt;quiet&gt; machine" in pages.render("stability.html", **given)
     del given["cases"]
     with pytest.raises(jinja2.UndefinedError, match="'cases' is undefined"):

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.text import Text
 
 from multiarm.cli.studies import rendered
-from multiarm.studies.tables import TextTable
+from multiarm.studies.tables import NUMBER, REMARK, TEXT, TextTable
 from multiarm.terminal.console import columns
 
 
@@ -15,7 +15,7 @@ def test_a_terminal_has_remarks_below_and_columns_in_several_tables_where_it_is_
     heads = ("name", *(f"quantity{k}" for k in range(12)), "")
     rows = tuple((name, *(f"{name}{k}" for k in range(12)), "far off") for name in ("a", "b"))
     with console.capture() as capture:
-        for part in rendered(TextTable("Much", "t" + 12 * "n" + "e", heads, rows)):
+        for part in rendered(TextTable("Much", (TEXT, *12 * [NUMBER], REMARK), heads, rows)):
             console.print(part)
     words = capture.get().split()
     for k in range(12):

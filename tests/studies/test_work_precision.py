@@ -8,6 +8,7 @@ import math
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas
@@ -15,10 +16,12 @@ import pytest
 from mechanics import single_arm, ur5_pair
 from repository import SCENES
 from scipy.spatial.transform import Rotation
+from study_samples import no_samples
 
 import multiarm as ma
 from multiarm.errors import MultiarmError
-from multiarm.problems import ring_of_arms
+from multiarm.problems import HARD_CASES, ring_of_arms
+from multiarm.results.trajectory import Outcome, Trajectory
 from multiarm.simulation.comparison import rotation_apart, sample_state
 from multiarm.studies import reference as references
 from multiarm.studies import work_precision as studies
@@ -33,7 +36,7 @@ from multiarm.studies.peers import (
     make_peers,
     sinusoid,
 )
-from multiarm.studies.reference import Motion, Reference, make_reference
+from multiarm.studies.reference import Motion, Reference, digits_of, make_reference, open_forces
 from multiarm.studies.settings import (
     BY_ACCURACY,
     COARSEST,
@@ -92,9 +95,28 @@ def study_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Study:
     study = Study.of(ring_of_arms(2, duration=1.0, accuracy=accuracy))
     quantities = dict.fromkeys(("motion", "position", "rotation", "joints", "force"), digits)
     about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
-    study.reference = Reference(Motion(np.zeros((1, 8))), quantities, 0.01, 0.01, about)
+    study.reference = Reference(no_samples(), {}, quantities, 0.01, 0.01, about)
     study.points = {item.setting.key: item for item in points}
     return study
+
+
+class Shifted:
+    """The samples of a run, with some channels shifted."""
+
+    path = None
+
+    def __init__(self, run: Trajectory, shifts):
+        self.run, self.shifts = run, shifts
+        self.samples, self.channels, self.metadata = len(run), dict(run.channels), run.provenance
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        shift = np.broadcast_to(
+            self.shifts.get(name, 0.0), (self.samples, *self.channels[name].shape)
+        )
+        return self.run.read(name, start, stop) + shift[start:stop]
+
+    def trajectory(self) -> Trajectory:
+        return Trajectory(self, Outcome("completed", ""))
 
 
 def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -> Point:
@@ -113,7 +135,7 @@ def test_digits_are_what_another_method_and_the_dense_solver_differ_by(system, r
         system, solver="dense", integrator=check["integrator"], tolerance=check["tolerance"],
         stabilization="projection",
     )  # fmt: skip
-    differ = Motion.of(run).errors(reference.motion)
+    differ = reference.errors(run)
     assert {name: reference.digits[name] for name in differ} == differ
     assert reference.digits["motion"] == max(differ[k] for k in ("position", "rotation", "joints"))
     # roundings of a tenth of a second in a system of some metres and some hundred newtons
@@ -177,26 +199,45 @@ def test_errors_of_a_point_are_those_between_two_trajectories(system, reference)
     assert (found.steps, found.evaluations) == (10, run.statistics["evaluations"])
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 3.0])
-def test_the_angle_between_rotations_is_right_however_small(angle):
-    rng = np.random.default_rng(7)
-    first = Rotation.random(20, random_state=rng)
-    axis = rng.normal(size=(20, 3))
-    axis /= np.linalg.norm(axis, axis=1)[:, None]
-    second = first * Rotation.from_rotvec(angle * axis)
-    rows = [np.column_stack([np.zeros((20, 3)), r.as_quat()]) for r in (first, second)]
-    rows[1][::2, 3:] *= -1.0  # the same rotations
-    found = Motion(rows[1]).errors(Motion(rows[0]))["rotation"]
-    assert found == pytest.approx(angle, rel=1e-6, abs=3e-16)
+def test_errors_are_those_at_the_worst_time(system):
+    exact = ma.simulate(system)
+    left, right = exact.arm_names
+    place, joint, force = (np.zeros((len(exact), width)) for width in (3, 6, 6))
+    place[2], joint[3, 1], force[4, 5] = [3.0, 0.0, 4.0], -2.0, 9.0
+    run = Shifted(
+        exact,
+        {
+            "object/position": place,
+            f"arms/{right}/joint_position": joint,
+            f"arms/{left}/contact_force": force,
+        },
+    ).trajectory()
+    errors = Reference(exact, {}, {}, 0.0, 0.0).errors(run)
+    assert errors == pytest.approx({"position": 5.0, "rotation": 0.0, "joints": 2.0, "force": 9.0})
 
 
-def test_errors_are_those_at_the_worst_time():
-    exact = np.zeros((5, 8))
-    exact[:, 6] = 1.0
-    found = exact.copy()
-    found[2, :3], found[3, 7] = [3.0, 0.0, 4.0], -2.0
-    errors = Motion(found).errors(Motion(exact))
-    assert errors == {"position": 5.0, "rotation": 0.0, "joints": 2.0, "force": None}
+def test_errors_of_a_peer_are_those_of_a_run_with_its_motion(system, reference):
+    run = ma.simulate(system, integrator="rk4", step=0.01)
+    joints = [run.joint_positions[arm] for arm in run.arm_names]
+    motion = np.column_stack([run.object_position, run.object_quaternion_xyzw, *joints])
+    motion[::2, 3:7] *= -1.0  # the same rotations
+    assert reference.errors(Motion(motion)) == {**reference.errors(run), "force": None}
+
+
+def test_forces_that_the_equations_leave_open_are_neither_digits_nor_errors():
+    scene = HARD_CASES["two_joint_arms"].scene()
+    arms = ma.compile_system(scene.replace(run={"duration": 0.02, "output_step": 0.01}))
+    exact = ma.simulate(arms)
+    undetermined = open_forces(arms, exact)
+    reference = Reference(exact, undetermined, {}, 0.0, 0.0)
+    for arm in exact.arm_names:
+        assert undetermined[arm].any()
+        assert not undetermined[arm].all()
+    for selected, error in ((undetermined, 0.0), ({a: ~x for a, x in undetermined.items()}, 5.0)):
+        shifts = {f"arms/{arm}/contact_force": 5.0 * flags for arm, flags in selected.items()}
+        run = Shifted(exact, shifts).trajectory()
+        assert reference.errors(run)["force"] == pytest.approx(error)
+        assert digits_of(run, exact, undetermined)["force"] == pytest.approx(error)
 
 
 # --- settings and ladders -------------------------------------------------------------------------
@@ -372,7 +413,7 @@ def test_progress_names_what_is_measured(fast_study):
 # --- stages of a study, by a clock that only runs advance -----------------------------------------
 
 DIGITS = {"motion": 1e-12, "position": 1e-12, "rotation": 1e-12, "joints": 1e-12, "force": 1e-9}
-EXACT = Motion(np.full((3, 8), 0.5), np.full((3, 12), 2.0))
+exact_run = cache(ma.simulate)
 
 
 def random_costs(seed: int) -> dict[str, tuple[float, float]]:
@@ -411,17 +452,18 @@ class World:
         if wall > limit_s:
             return studies.too_slow(about, limit_s)
         error = max(0.1 * 2.0 ** (-order * place), 1e-14) * luck
-        motion = Motion(EXACT.positions.copy(), EXACT.forces + 100.0 * error)
-        motion.positions[:, 0] += error
+        exact = exact_run(system)
+        shifts = {f"arms/{arm}/contact_force": 100.0 * error for arm in exact.arm_names}
+        shifts["object/position"] = error * np.array([1.0, 0.0, 0.0])
         return Point(
             about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853",
-            course=motion,
+            course=Shifted(exact, shifts).trajectory(),
         )  # fmt: skip
 
-    def reference(self, *_) -> Reference:
+    def reference(self, system, _report) -> Reference:
         self.call(60.0)
         about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
-        return Reference(EXACT, DIGITS, 0.005, 1.0, about)
+        return Reference(exact_run(system), {}, DIGITS, 0.005, 1.0, about)
 
 
 @pytest.fixture
@@ -801,3 +843,13 @@ def test_the_shipped_scene_is_the_ring_of_the_benchmark(kind):
             assert value == pytest.approx(built[path], abs=1e-15), path
         else:
             assert value == built[path], path
+
+
+def test_a_peer_that_cannot_be_loaded_is_not_said_to_be_absent(system, tmp_path, monkeypatch):
+    (tmp_path / "broken_peer.py").write_text("from math import no_such_function\n")
+    (tmp_path / "absent_peer.py").write_text("raise ModuleNotFoundError(name='mujoco')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    able, refusals = make_peers(system, {"A": "absent_peer:Peer", "B": "broken_peer:Peer"})
+    assert able == {}
+    assert refusals["A"] == NOT_INSTALLED
+    assert "no_such_function" in refusals["B"]

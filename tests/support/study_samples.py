@@ -8,6 +8,8 @@ import numpy as np
 from commands import MACHINE
 
 from multiarm.problems import ring_of_arms
+from multiarm.results.sinks import MemoryStore
+from multiarm.results.trajectory import Outcome, Trajectory
 from multiarm.studies.effect_costs import (
     CANDIDATE,
     FORCE,
@@ -21,7 +23,7 @@ from multiarm.studies.effect_costs import (
     Estimate,
     Ledger,
 )
-from multiarm.studies.reference import QUANTITIES, Motion, Reference
+from multiarm.studies.reference import QUANTITIES, Reference
 from multiarm.studies.settings import BY_ACCURACY, OURS, Setting
 from multiarm.studies.work_precision import COMPLETED, FAILED, Point, Study
 
@@ -44,13 +46,19 @@ def law(solver: str, method: str, kind: str, order: int, cost: float) -> list[Po
     return found
 
 
+def no_samples() -> Trajectory:
+    """A run that recorded nothing."""
+    store = MemoryStore((), np.empty((0, 0)), lambda _channels: {}, {})
+    return Trajectory(store, Outcome("completed", ""))
+
+
 def sample_accuracy() -> Study:
     """A study with two methods of ours, a peer's, a failed setting and a peer that is not there."""
     study = Study.of(ring_of_arms(2).replace(name="arms & <disc>"))
     check = {"solver": "dense", "integrator": "dopri5", "tolerance": 1e-13}
     about = {"integrator": "dop853", "tolerance": 1e-14, "check": check}
     digits = dict.fromkeys(QUANTITIES, 1e-13)
-    study.reference = Reference(Motion(np.zeros((1, 8))), digits, 0.01, 0.01, about)
+    study.reference = Reference(no_samples(), {}, digits, 0.01, 0.01, about)
     by_accuracy = Setting(OURS, BY_ACCURACY, "", "accuracy", 1e-9)
     first = law(OURS, "rk4", "projection", 4, 1e-5)
     points = (

@@ -253,6 +253,8 @@ def test_spike_does_not_shrink_all_other_arrows():
     assert (spiky.force_scale, spiky.peak_force) == (8.0, 8000.0)
     np.testing.assert_allclose(spiky.arrow_lengths(contact), 1.0)
     assert animation.force_scale == animation.peak_force == 8.0
+    scale = page.page_facts(spiky, 1.0)["scale"]
+    assert scale == "longest arrow 8 N at a contact (peak 8000 N)"
 
 
 def test_slow_motion_stretches_the_animation():

@@ -98,7 +98,9 @@ def classify(body: Polyhedron) -> BodyClass:
     """To which class of the thesis a body belongs, and by which faces."""
     chosen = _largest(as_polyhedron(body))
     pairs = tuple(
-        (i, j) for i, j in combinations(chosen, 2) if _angle(body.normals[i], -body.normals[j])
+        (i, j)
+        for i, j in combinations(chosen, 2)
+        if _same_direction(body.normals[i], -body.normals[j])
     )
     triples = _triples(body.normals, chosen)
     kind = _kind(body, pairs, triples)
@@ -168,7 +170,7 @@ def _largest(body: Polyhedron) -> list[int]:
     return sorted(np.argsort(-areas, kind="stable")[:MOST_FACES].tolist())
 
 
-def _angle(a: np.ndarray, b: np.ndarray) -> bool:
+def _same_direction(a: np.ndarray, b: np.ndarray) -> bool:
     """Whether two unit vectors point the same way."""
     return bool(np.linalg.norm(np.cross(a, b)) <= PARALLEL and a @ b > 0.0)
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.body.face import PLANE_TOLERANCE, Face, area_vector
+from multiarm.grasp.body.face import PLANE_TOLERANCE, Face, area_vector, cut_into_triangles
 from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
 from multiarm.programs import LinearSolution, linear_program
@@ -368,18 +368,12 @@ def triangles_of(
 
 def face_triangles(face: Face) -> list[tuple[int, int, int]]:
     """Triangles of one face, numbers into its outer corners followed by those of its holes."""
-    import shapely
-
     corners = np.vstack([face.outline, *(face.coordinates(hole) for hole in face.holes)])
     if len(corners) == 3:
         return [(0, 1, 2)]
-    cut = shapely.constrained_delaunay_triangles(face.shape)
     triangles = []
-    for piece in cut.geoms:
-        ring = np.array(piece.exterior.coords)[:3]
-        if not piece.exterior.is_ccw:
-            ring = ring[::-1]
-        a, b, c = (int(np.argmin(np.abs(corners - at).max(axis=1))) for at in ring)
+    for triangle in cut_into_triangles(face.shape):
+        a, b, c = (int(np.argmin(np.abs(corners - at).max(axis=1))) for at in triangle)
         triangles.append((a, b, c))
     return triangles
 

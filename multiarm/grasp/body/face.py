@@ -195,6 +195,18 @@ def room_in(shape: Polygon | MultiPolygon, places: np.ndarray) -> np.ndarray:
     return np.where(shapely.contains(shape, at), away, -away)
 
 
+def cut_into_triangles(shape: Polygon | MultiPolygon) -> np.ndarray:
+    """A plane shape cut into triangles at its corners, (T, 3, 2), each counter-clockwise."""
+    import shapely
+
+    pieces = shapely.constrained_delaunay_triangles(shape).geoms
+    triangles = []
+    for ring in (piece.exterior for piece in pieces):
+        corners = np.array(ring.coords)[:3]
+        triangles.append(corners if ring.is_ccw else corners[::-1])
+    return np.array(triangles).reshape(-1, 3, 2)
+
+
 def frame_of(z: np.ndarray, along: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Pose (4, 4) at a point with the z axis given, and x as nearly along a vector as can be."""
     x = along - (along @ z) * z

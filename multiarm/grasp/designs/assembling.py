@@ -196,25 +196,27 @@ def size_of_gripper(value: Any) -> float | None:
 
 
 def sized(at_depth: Callable[[float], Grasp], depth: float, gripper_size: float | None) -> Grasp:
-    """The grasp ``made(depth)``, or the one whose largest gripper has the wanted size.
+    """The grasp ``at_depth(depth)``, or the one whose largest gripper has the wanted size.
 
     Raises
     ------
     GraspError
-        A size that is not positive, or one that does not fit.
+        A size that is not positive, one that does not fit, or one that no depth was found for.
     """
     gripper_size = size_of_gripper(gripper_size)
     if gripper_size is None:
         return at_depth(depth)
     deep = BEGINNING * depth
-    grasp = at_depth(deep)
     for _ in range(ROUNDS):
+        grasp = at_depth(deep)
         size = largest_gripper(grasp)
         if abs(size - gripper_size) <= SIZE_TOLERANCE * gripper_size:
-            break
+            return grasp
         deep *= gripper_size / size
-        grasp = at_depth(deep)
-    return grasp
+    raise GraspError(
+        f"no grasp with grippers of {gripper_size:g} m was found: the last one of {ROUNDS} has "
+        f"{size:.4g} m; choose another size, or leave it out"
+    )
 
 
 # --- How evenly seven contacts balance ------------------------------------------------------------

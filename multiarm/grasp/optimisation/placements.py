@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.body.face import across
+from multiarm.grasp.body.face import across, cut_into_triangles
 from multiarm.grasp.contacts import numbers_of, wrenches_of
 from multiarm.grasp.designs.grippers import hand_reaches
 
@@ -150,9 +150,7 @@ def _regions(
     height = float(face.normal @ place) - face.offset
     if abs(height) >= reach:
         return []
-    radius = float(np.sqrt(reach**2 - height**2)) if np.isfinite(reach) else np.inf
-    if not np.isfinite(radius):
-        return [_region(face, number, index, piece, piece) for piece in _convex(shape, 1.0)]
+    radius = float(np.sqrt(reach**2 - height**2))
     angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     middle = face.coordinates(place)
@@ -173,7 +171,7 @@ def _region(
 
 def _convex(shape: Any, reach: float) -> list[np.ndarray]:
     """Convex pieces (V, 2) of a region of any form; triangles where it is not convex."""
-    import shapely
+    from shapely.geometry import Polygon
 
     pieces = []
     for part in getattr(shape, "geoms", [shape]):
@@ -183,7 +181,7 @@ def _convex(shape: Any, reach: float) -> list[np.ndarray]:
         if hull.area <= part.area * (1.0 + 1e-9):
             pieces.append(_ring(hull))
             continue
-        triangles = shapely.constrained_delaunay_triangles(part).geoms
+        triangles = map(Polygon, cut_into_triangles(part))
         pieces.extend(_ring(t) for t in triangles if t.area > SMALLEST * reach**2)
     return pieces
 

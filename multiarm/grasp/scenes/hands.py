@@ -155,7 +155,9 @@ def pose_table(pose: np.ndarray) -> dict[str, list[float]]:
 
 
 def require_room(grasp: FaceContacts, tip_radius: float) -> None:
-    """Refuse fingertips that overlap, or that do not fit onto their faces.
+    """Refuse fingertips that overlap.
+
+    A tip touches its face in one point, which lies on the face: it may stand over the edge.
 
     Raises
     ------

@@ -22,7 +22,7 @@ function showFacts(facts) {
     chip.style.setProperty("--color", color);
     chip.textContent = name;
     chip.dataset.arm = name;
-    if (force !== null) chip.title = `force on the object up to ${newtons(force)}`;
+    if (force !== null) chip.title = `force on the object up to ${force}`;
     byId("legend").append(chip);
   }
   for (const [name, sign, color] of facts.states) {
@@ -31,24 +31,20 @@ function showFacts(facts) {
     mark.append(word);
     byId("states").append(mark);
   }
-  if (facts.force_scale > 0) {
-    const spike = facts.peak_force > facts.force_scale ? ` (peak ${newtons(facts.peak_force)})` : "";
-    const [name, , total] = facts.legend.reduce((a, b) => (b[2] > a[2] ? b : a));
-    const sum = total > 0 ? `; ${name} up to ${newtons(total)} in all` : "";
-    byId("scale").textContent
-      = `longest arrow ${newtons(facts.force_scale)} at a contact${spike}${sum}`;
+  if (facts.scale) {
+    byId("scale").textContent = facts.scale;
     byId("scale").title = "dark arrows push the object, light ones pull it";
   }
 }
 
 // Shows where a joint is between its limits, after its arm's name; returns what refreshes it.
-function addDial({ arm, unit, limits: [low, high], values }, times) {
+function addDial({ arm, unit, limits: [low, high], passed_at: [least, most], values }, times) {
   const chip = [...document.querySelectorAll(".chip")].find((chip) => chip.dataset.arm === arm);
   const text = document.createElement("span");
   text.className = "dial";
   text.title = "position of the joint since the start, in its limits";
   chip?.append(text);
-  const digits = high - low < 10 ? 1 : 0, slack = 1e-6 * (high - low);
+  const digits = high - low < 10 ? 1 : 0;
   const shown = (value) => Number(value.toFixed(digits)).toFixed(digits).replace("-", "\u2212");
   return (time) => {
     const after = times.findIndex((t) => t >= time);
@@ -56,7 +52,7 @@ function addDial({ arm, unit, limits: [low, high], values }, times) {
     const span = times[k] - times[k - 1];
     const share = span > 0 ? Math.min(1, (time - times[k - 1]) / span) : 0;
     const value = share > 0 ? values[k - 1] + share * (values[k] - values[k - 1]) : values[0];
-    text.classList.toggle("beyond", value < low - slack || value > high + slack);
+    text.classList.toggle("beyond", value < least || value > most);
     text.textContent = `${shown(value)}${unit} in ${shown(low)} \u2026 ${shown(high)}${unit}`;
   };
 }
@@ -138,13 +134,6 @@ function addEvents({ count, families, rows, unlisted }, jump) {
     }
     shown = now;
   };
-}
-
-function newtons(force) {
-  const power = Math.floor(Math.log10(force) / 3) * 3;
-  const prefix = { "-6": "µ", "-3": "m", 0: "", 3: "k", 6: "M" }[power];
-  return prefix === undefined ? `${force.toExponential(2)} N`
-    : `${(force / 10 ** power).toPrecision(3)} ${prefix}N`;
 }
 
 function addLayer(viewer, path, label) {
