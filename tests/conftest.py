@@ -40,9 +40,12 @@ def pytest_sessionfinish(session):
     if session.config.getoption("--write-messages"):
         from refusals import write_seen
 
-        write_seen(
-            {item.nodeid.partition("::")[0].removeprefix("tests/") for item in session.items}
-        )
+        tests = {item.nodeid.removeprefix("tests/") for item in session.items}
+        config = session.config
+        some = any("::" in path for path in config.args) or config.getoption("--quick")
+        if not (some or config.option.keyword or config.option.markexpr):
+            tests |= {test.partition("::")[0] for test in tests}  # and those that are gone
+        write_seen(tests)
 
 
 def pytest_collection_modifyitems(config, items):

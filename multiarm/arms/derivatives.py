@@ -312,7 +312,7 @@ def _write_body(body, s):
     inertia = add_symmetric(rotate_symmetric(R, symmetric(body, _INERTIA)), around)
     v, a = _pair(s, _V), _pair(s, _A)
     w, u = v[1], v[0]
-    p, l = _times_inertia(mass, h, inertia, v)  # noqa: E741
+    p, l = _times_inertia(mass, h, inertia, v)
     f, n = _times_inertia(mass, h, inertia, a)
     s[_M] = mass
     put(s, _MOMENT, h)

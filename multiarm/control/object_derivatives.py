@@ -63,7 +63,7 @@ def write_computed_torque_derivatives(address, size, at, t):
     if not has_closed_form(law, command) or not begin(law, data, by):
         return SINGULAR
     differentiate_acceleration(t, law, data, by)
-    for l in range(6):  # noqa: E741
+    for l in range(6):
         for k in range(6):
             for c in range(by.acceleration.shape[1]):
                 by.wrench[l, c] += data.inertia[l, k] * by.acceleration[k, c]
@@ -102,7 +102,7 @@ def write_object_impedance_derivatives(address, size, at, t):
 def has_closed_form(law, command):
     """Whether the derivatives are here: targets are independent, poses free, no arm presses."""
     for i in range(law.wrenches_of_arms.shape[0]):
-        for l in range(6):  # noqa: E741
+        for l in range(6):
             if law.wrenches_of_arms[i, l] != 0.0:
                 return False
     return command.independent[0] != 0 and law.free_stiffness == 0.0
@@ -134,7 +134,7 @@ def begin(law, data, by):
     """Write y without the internal forces, and clear the results; see :func:`begin_command`."""
     copy(data.weight, by.twist)
     for k in range(data.Wo.shape[0]):
-        for l in range(6):  # noqa: E741
+        for l in range(6):
             by.twist[l] -= data.Wo[k, l] * law.forces_of_contacts[k]
     return begin_command(data, by)
 

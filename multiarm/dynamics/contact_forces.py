@@ -15,7 +15,7 @@ def add_contact_forces(work, Wo, W, force, on_object, on_joints):
     for i in range(work.dofs.size - 1):
         d0, first = work.dofs[i], work.rows[i]
         for k in range(first, work.rows[i + 1]):
-            for l in range(6):  # noqa: E741
+            for l in range(6):
                 on_object[l] += Wo[k, l] * force[k]
             for j in range(work.dofs[i + 1] - d0):
                 on_joints[d0 + j] += W[i, j, k - first] * force[k]
@@ -31,5 +31,5 @@ def write_wrenches(rows, bounds, forces, wrenches):
         wrench = wrenches[i]
         clear(wrench)
         for k in range(bounds[i], bounds[i + 1]):
-            for l in range(6):  # noqa: E741
+            for l in range(6):
                 wrench[l] += rows[k, l] * forces[k]

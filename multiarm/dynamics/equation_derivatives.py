@@ -218,7 +218,7 @@ def differentiate_bodies(struct, own):
     """
     model, data, system = open_system(struct)
     links, work = _open_links(own), open_equations(own)
-    for l in range(6):  # noqa: E741
+    for l in range(6):
         clear(work.dF_o[l])
     for i in range(system.dofs.size - 1):
         differentiate_arm(i, model, data, system, links, work)
@@ -243,7 +243,7 @@ def add_object_equation(inertia, twist, acceleration, work):
     The inertia turns with the object; ``f_o`` is its weight and the gyroscopic moment.
     """
     w, alpha = vec(twist, 3), vec(acceleration, 3)
-    I = (  # noqa: E741
+    I = (
         inertia[3, 3], inertia[3, 4], inertia[3, 5], inertia[4, 4], inertia[4, 5], inertia[5, 5],
     )  # fmt: skip
     spin, torque = times(I, w), times(I, alpha)
@@ -281,7 +281,7 @@ def differentiate_arm(i, model, data, system, links, work):
             dF[j, columns.velocities + k] = work.by_v[j, k]
         dF[j, C + j] = -1.0
     for k in range(first, last):
-        for l in range(6):  # noqa: E741
+        for l in range(6):
             dF[n + k - first, C + n + l] = data.Wo[k, l]
     for c in range(C):
         if columns.twist <= c < columns.positions or columns.velocities <= c < columns.placement:
@@ -291,7 +291,7 @@ def differentiate_arm(i, model, data, system, links, work):
         at = c if c < columns.positions else c + d0
         if c >= columns.placement:
             at = work.placements + 6 * i + c - columns.placement
-        for l in range(6):  # noqa: E741
+        for l in range(6):
             work.dF_o[l, at] -= work.on_object[c, l]
     write_matrix_of_arm(i, first, last - first, n, data, system, work)
 
@@ -360,7 +360,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
     _, data, system = open_system(struct)
     links, work = _open_links(own), open_equations(own)
     places, columns_of_state = chart_places(data), state_columns(data)
-    for l in range(places.joints):  # noqa: E741
+    for l in range(places.joints):
         for c in range(dF.shape[1]):
             dF[l, c] += work.dF_o[l, c]
         for c in range(places.joints):
@@ -376,7 +376,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
             for b in range(n + last - first):
                 K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
         for k in range(first, last):
-            for l in range(places.joints):  # noqa: E741
+            for l in range(places.joints):
                 K[l, places.velocity + k] -= data.Wo[k, l]
                 K[places.velocity + k, l] += data.Wo[k, l]
 
@@ -413,7 +413,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     _, data, system = open_system(struct)
     links, work = _open_links(own), open_equations(own)
     S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
-    for l in range(6):  # noqa: E741
+    for l in range(6):
         copy(data.inertia[l], S[l])
         row, dF_o = matrix[l], work.dF_o[l]
         for c in range(row.size):
@@ -428,7 +428,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
         C = columns.end
         for k in range(first, last):
             forces = X[n + k - first]
-            for l in range(6):  # noqa: E741
+            for l in range(6):
                 subtract_own(
                     data.Wo[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
                 )
@@ -447,7 +447,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
                 places.joints + d0 + k if k < n else places.velocity + system.rows[i] + k - n
             ]
             clear(row)
-            for l in range(6):  # noqa: E741
+            for l in range(6):
                 weight, of_object = X[C + n + l], matrix[l]
                 for c in range(row.size):
                     row[c] -= weight * of_object[c]

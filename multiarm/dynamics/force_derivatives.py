@@ -200,7 +200,7 @@ def add_slopes(applied, data, _work, power, of_drives):
     for place in range(power, total + 1, max(total - power, 1)):
         row = applied[powers + place]
         for i in range(last):
-            l = begin + i  # noqa: E741
+            l = begin + i
             for c in range(row.size):
                 row[c] += slopes[i, c] * data.velocity[l]
             rate = columns.twists + l if l < first else columns.rates + l - first
@@ -299,7 +299,7 @@ def clear_slopes(model, data, work, local, table, first):
         clear_table(table)
         return
     at = force_columns(data)
-    for l in range(first):  # noqa: E741
+    for l in range(first):
         clear(table[l, : at.positions])
         clear(table[l, at.states :])
     for i in range(work.dofs.size - 1):
@@ -372,7 +372,7 @@ def add_differences(struct, differences, k, by_state):
             continue
         if not choose_columns(model, work, differences, at, column, columns, direction):
             continue
-        for l in range(places.joints):  # noqa: E741
+        for l in range(places.joints):
             displacement[l] = direction[l]
         for j in range(data.angles.size):
             displacement[places.joints + j] = direction[at.positions + j]
@@ -397,7 +397,7 @@ def add_differences(struct, differences, k, by_state):
                 retract(
                     data.poses.shape[0], configuration, offset, displacement, data.configuration
                 )
-                for l in range(velocity.size):  # noqa: E741
+                for l in range(velocity.size):
                     rate = at.twists + l if l < places.joints else at.rates + l - places.joints
                     data.velocity[l] = velocity[l] + offset * direction[rate]
                 if needs_kinematics and differences.local and column < at.positions:

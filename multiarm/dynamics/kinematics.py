@@ -90,9 +90,7 @@ def object_terms(model, data):
     write_matrix(data.position[3:7], body)
     R, omega = rotation(body, 0), vec(data.twist, 3)
     A = model.object_inertia
-    I = rotate_symmetric(  # noqa: E741
-        R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
-    )
+    I = rotate_symmetric(R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]))
     put(body, ORIGIN_AT, vec(data.position, 0))
     put(body, VELOCITY, vec(data.twist, 0))
     put(body, SPIN, omega)

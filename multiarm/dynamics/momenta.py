@@ -16,7 +16,7 @@ from multiarm.jit.kernels import INTS, NUMBERS, inlined, kernel
 def times_object_inertia(k, data, x):
     """Entry ``k`` of ``M_o x``."""
     product = 0.0
-    for l in range(6):  # noqa: E741
+    for l in range(6):
         product += data.inertia[k, l] * x[l]
     return product
 

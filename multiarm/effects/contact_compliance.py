@@ -98,7 +98,7 @@ def differentiate_contact_compliance(address, size, at, _t):
     status = write_load_derivatives(struct_at(springs.rows[0], springs.rows[1]), derivatives)
     equations, by = open_equations(derivatives), force_columns(data)
     first = chart_places(data).joints
-    for l in range(first):  # noqa: E741
+    for l in range(first):
         for c in range(by.states):
             data.force_slopes[l, c] -= equations.dF_o[l, c]
     for i in range(work.dofs.size - 1):
@@ -129,7 +129,7 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
         if not of_rate:
             change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
         column = column_of_state(by, columns, d0, c)
-        for l in range(first):  # noqa: E741
+        for l in range(first):
             data.force_slopes[l, column] -= rows.Wo[s, l] * change
         for j in range(n):
             data.force_slopes[first + d0 + j, column] -= W[j] * change

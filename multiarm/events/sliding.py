@@ -72,7 +72,7 @@ def write_reactions(data, work, Wr, slides, slow, reactions):
     status = update_rows(struct)
     _, sideways, tangents = open_system(struct)
     for k in range(data.Wo.shape[0]):
-        for l in range(6):  # noqa: E741
+        for l in range(6):
             Wr[k, l] = data.Wo[k, l]
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):

@@ -271,7 +271,7 @@ def add_equations(step, blocks):
     _, data, work = open_system(step.system)
     equations, at = open_equations(blocks.equations), block_columns(blocks)
     of_state = state_columns(data)
-    for l in range(blocks.frames):  # noqa: E741
+    for l in range(blocks.frames):
         for c in range(of_state.positions):
             blocks.by_object[l, c] += equations.dF_o[l, c]
     for i in range(blocks.counts.size):
@@ -282,7 +282,7 @@ def add_equations(step, blocks):
             column = column_of_block(at, columns, c)
             for k in range(n + m):
                 A[k, column] += dF[k, c]
-        for l in range(blocks.frames):  # noqa: E741
+        for l in range(blocks.frames):
             for j in range(n):
                 blocks.on_object[i, l, j] += equations.dF_o[l, of_state.positions + d0 + j]
             for k in range(m):
@@ -307,7 +307,7 @@ def differentiate_carrying(struct, blocks):
     equations, columns = open_equations(blocks.equations), force_columns(data)
     for k in range(data.static_force.size):
         data.static_force[k] = 0.0
-        for l in range(blocks.frames):  # noqa: E741
+        for l in range(blocks.frames):
             data.static_force[k] += data.Wo[k, l] * blocks.share[l]
     copy(data.static_force, equations.force)
     clear(equations.a_j)
@@ -328,7 +328,7 @@ def differentiate_carrying(struct, blocks):
                 for k in range(m):
                     slope -= W[j, k] * equations.rates[r0 + k, c]
                 data.torque_slopes[d0 + j, column] += slope
-            for l in range(blocks.frames):  # noqa: E741
+            for l in range(blocks.frames):
                 change = 0.0
                 for k in range(m):
                     change += data.Wo[r0 + k, l] * equations.rates[r0 + k, c]
@@ -338,11 +338,11 @@ def differentiate_carrying(struct, blocks):
                     change -= equations.dF_o[l, columns.positions + d0 + c - at.positions]
                     blocks.on_object[i, blocks.frames + l, c - at.positions] += change
         for j in range(n):
-            for l in range(blocks.frames):  # noqa: E741
+            for l in range(blocks.frames):
                 for k in range(m):
                     change = W[j, k] * data.Wo[r0 + k, l]
                     data.torque_slopes[d0 + j, columns.share + l] -= change
-    for l in range(blocks.frames):  # noqa: E741
+    for l in range(blocks.frames):
         for c in range(blocks.frames):
             blocks.by_object[blocks.frames + l, c] -= equations.dF_o[l, c]
     return OK
@@ -398,7 +398,7 @@ def gather(blocks, data, work, power, of_drives):
     for c in range(0 if of_drives else 2 * frames + 1):
         source = c if c < 2 * frames else of_forces.time
         power_slope = data.f_o[c - frames] if frames <= c < 2 * frames else 0.0
-        for l in range(frames):  # noqa: E741
+        for l in range(frames):
             slope = slopes[l, source]
             blocks.by_object[l, c] -= slope
             power_slope += slope * data.twist[l]
@@ -432,7 +432,7 @@ def factor_arms(blocks, data, work):
     """
     usable, S, K = True, blocks.S, open_equations(blocks.equations).K
     frames = blocks.frames
-    for l in range(blocks.shared):  # noqa: E741
+    for l in range(blocks.shared):
         clear(S[l])
         for c in range(frames):
             S[l, c] = data.inertia[l, c] if l < frames else 0.0
@@ -449,7 +449,7 @@ def solve_arms(blocks, work):
     """From the derivatives of F to those of the accelerations; returns whether it succeeded."""
     S, u, K = blocks.S, blocks.shared, open_equations(blocks.equations).K
     at, of_object = block_columns(blocks), blocks.by_object.shape[1]
-    for l in range(u):  # noqa: E741
+    for l in range(u):
         for c in range(of_object):
             blocks.by_object[l, c] = -blocks.by_object[l, c]
     for i in range(blocks.counts.size):
@@ -460,7 +460,7 @@ def solve_arms(blocks, work):
             for c in range(row.size):
                 row[c] = -row[c]
         solve_rows(K[i], n + m, blocks.K_pivots[i], A)
-        for l in range(u):  # noqa: E741
+        for l in range(u):
             row = B[l]
             for c in range(at.pose):
                 row[c] = -row[c]
@@ -488,7 +488,7 @@ def write_time_slope(blocks, struct, slope):
     time = at.time - at.pose
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     clear(slope)
-    for l in range(blocks.frames):  # noqa: E741
+    for l in range(blocks.frames):
         slope[places.velocity + l] = blocks.by_object[l, time]
     for k in range(blocks.works):
         slope[places.works + k] = blocks.by_object[blocks.shared + k, time]
@@ -496,7 +496,7 @@ def write_time_slope(blocks, struct, slope):
         A, first = blocks.derivatives[i], places.rates + work.dofs[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             s = A[j, at.time]
-            for l in range(blocks.shared):  # noqa: E741
+            for l in range(blocks.shared):
                 s += A[j, at.accelerations + l] * blocks.by_object[l, time]
             slope[first + j] = s
         for k in range(blocks.counts[i]):

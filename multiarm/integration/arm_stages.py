@@ -43,7 +43,7 @@ def factor_stages(gamma, blocks, struct, velocity, h):
     _, _, work = open_system(struct)
     d, at, node, usable = blocks.d, block_columns(blocks), blocks.node, True
     u = blocks.shared
-    for l in range(u):  # noqa: E741
+    for l in range(u):
         clear(node[l])
         along_object(gamma, h, velocity, blocks.by_object[l], blocks.frames, node[l])
         for c in range(u):
@@ -62,7 +62,7 @@ def factor_stages(gamma, blocks, struct, velocity, h):
             row = A[r if r < n else d + blocks.m + r - n]
             clear(V[r])
             along_object(gamma, h, velocity, row[at.pose :], blocks.frames, V[r])
-            for l in range(u):  # noqa: E741
+            for l in range(u):
                 V[r, l] = h * (V[r, l] + row[at.accelerations + l])
             for c in range(n):
                 E[r, c] = -h * (row[d + c] + h * gamma * row[c])
@@ -71,7 +71,7 @@ def factor_stages(gamma, blocks, struct, velocity, h):
             E[r, r] += 1.0 / gamma
         usable = usable and factor_lu(E, size, blocks.E_pivots[i]) > 0.0
         solve_rows(E, size, blocks.E_pivots[i], V)
-        for l in range(u):  # noqa: E741
+        for l in range(u):
             for c in range(n):
                 D[l, c] = B[l, d + c] + h * gamma * B[l, c]
             for c in range(n, size):
@@ -88,10 +88,10 @@ def along_object(gamma, h, velocity, row, frames, out):
 
     ``row`` has the derivatives by pose and twist, ``frames`` numbers each.
     """
-    for l in range(frames):  # noqa: E741
+    for l in range(frames):
         out[l] = gamma * row[l]
     turn_frames(frames, 1.0 / gamma, -0.5 * h, velocity, row, out)
-    for l in range(frames):  # noqa: E741
+    for l in range(frames):
         out[l] = h * gamma * (h * out[l] + row[frames + l])
 
 
@@ -122,7 +122,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
     alpha, k_o, frames = blocks.alpha, blocks.rates, blocks.frames
     clear(alpha)
     write_object_rates(gamma, h, velocity, places, right, alpha, k_o)
-    for l in range(blocks.shared):  # noqa: E741
+    for l in range(blocks.shared):
         s = 0.0
         for c in range(k_o.size):
             s += blocks.by_object[l, c] * k_o[c]
@@ -140,7 +140,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
                 s += gamma * row[c] * right[places.joints + d0 + c]
             k_i[r] = right[unknown_place(blocks, i, places, d0, joints, r)] + h * s
         solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
-        for l in range(blocks.shared):  # noqa: E741
+        for l in range(blocks.shared):
             s = 0.0
             for c in range(joints):
                 s += gamma * B[l, c] * right[places.joints + d0 + c]
@@ -149,13 +149,13 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
             alpha[l] += s
     solve_lu(blocks.node, blocks.shared, blocks.node_pivots, alpha)
     write_object_rates(gamma, h, velocity, places, right, alpha, k_o)
-    for l in range(frames):  # noqa: E741
+    for l in range(frames):
         out[l], out[places.velocity + l] = k_o[l], k_o[frames + l]
     for i in range(blocks.counts.size):
         d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         for r in range(joints + blocks.counts[i]):
             s = blocks.unknowns[i, r]
-            for l in range(blocks.shared):  # noqa: E741
+            for l in range(blocks.shared):
                 s += blocks.V[i, r, l] * alpha[l]
             out[unknown_place(blocks, i, places, d0, joints, r)] = s
             if r < joints:
@@ -174,11 +174,11 @@ def unknown_place(blocks, i, places, d0, joints, r):
 def write_object_rates(gamma, h, velocity, places, right, alpha, rates):
     """Rates of the object's pose and twist for the derivative ``alpha`` of its acceleration."""
     frames = places.joints
-    for l in range(frames):  # noqa: E741
+    for l in range(frames):
         rates[frames + l] = gamma * (right[places.velocity + l] + h * alpha[l])
         rates[l] = right[l] + h * rates[frames + l]
     turn_frames(frames, 1.0 / gamma, 0.5 * h, velocity, rates, rates)
-    for l in range(frames):  # noqa: E741
+    for l in range(frames):
         if l % 6 < 3:
             rates[l] *= gamma
 
@@ -196,7 +196,7 @@ def add_powers(gamma, blocks, work, places, h, right, out):
             row = blocks.derivatives[i, first + k]
             for c in range(blocks.rates.size):
                 total += row[at.pose + c] * blocks.rates[c]
-            for l in range(blocks.frames, blocks.shared):  # noqa: E741
+            for l in range(blocks.frames, blocks.shared):
                 total += row[at.accelerations + l] * blocks.alpha[l]
             for j in range(joints):
                 total += row[j] * out[places.joints + d0 + j]

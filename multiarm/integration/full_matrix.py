@@ -154,7 +154,7 @@ def solve_equations(struct, full):
     data = open_data(struct)
     wrench = state_columns(data).wrench
     dF_o = open_equations(full.equations).dF_o
-    for l in range(chart_places(data).joints):  # noqa: E741
+    for l in range(chart_places(data).joints):
         dF_o[l, wrench + l] = -1.0
     if data.solution.elimination == WHOLE:
         return solve_by_arms(struct, full.equations, full.solution)
@@ -174,12 +174,12 @@ def respond_to_forces(data, full, time_slope):
             solution = full.solution[i]
             for c in range(at.torques):
                 row[c] = solution[c]
-            for l in range(nv):  # noqa: E741
+            for l in range(nv):
                 torque = at.torques + l - places.joints
                 response = solution[at.wrench + l if l < places.joints else torque]
                 for c in range(row.size):
                     row[c] += response * full.applied[l, c]
-        for l in range(nv):  # noqa: E741
+        for l in range(nv):
             joint = l - places.joints
             of_frame = l < places.joints
             full.by_position[i, l] = row[l if of_frame else at.positions + joint]

@@ -130,9 +130,9 @@ def rosenbrock_step(address, size, t, h):
                 return status
         for j in range(i):
             weight = method.C[i, j]
-            for l in range(right.size):  # noqa: E741
+            for l in range(right.size):
                 right[l] += weight * step.k[j, l]
-        for l in range(right.size):  # noqa: E741
+        for l in range(right.size):
             right[l] += h * method.d[i] * work.time_slope[l]
         if blocks.used[0] != 0:
             solve_arm_stage(gamma, blocks, step.system, velocity, h, right, step.k[i])

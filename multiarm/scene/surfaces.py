@@ -61,7 +61,7 @@ class PatchSpec(Spec):
         return self
 
     def record(self) -> records.Patch:
-        """The patch as the monitors read it."""
+        """The patch as guards read it."""
         lower = [-np.inf if bound is None else bound for bound in self.min]
         upper = [np.inf if bound is None else bound for bound in self.max]
         return records.Patch(np.array(lower), np.array(upper))

@@ -292,7 +292,7 @@ def test_inverse_dynamics_of_the_result_gives_the_torques_back(block_system, rng
         np.testing.assert_allclose(tau, ev.joint_torques[name], atol=1e-9)
         on_object += terms.W_o @ lam
     body, twist = block_system.scene.object, state.object_twist
-    I = R @ body.inertia_matrix() @ R.T  # noqa: E741
+    I = R @ body.inertia_matrix() @ R.T
     force = body.mass * (ev.object_acceleration[:3] - G)
     moment = I @ ev.object_acceleration[3:] + np.cross(twist[3:], I @ twist[3:])
     np.testing.assert_allclose(R @ on_object[:3], force, atol=1e-9)
@@ -308,7 +308,7 @@ def test_forces_act_at_the_points_along_the_normals(rng):
     r = ev.contact_points["arm"] - state.object_position
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     body, omega = system.scene.object, state.object_twist[3:]
-    I = R @ body.inertia_matrix() @ R.T  # noqa: E741
+    I = R @ body.inertia_matrix() @ R.T
     np.testing.assert_allclose(f.sum(0), body.mass * (ev.object_acceleration[:3] - G), atol=1e-9)
     moment = I @ ev.object_acceleration[3:] + np.cross(omega, I @ omega)
     np.testing.assert_allclose(np.cross(r, f).sum(0), moment, atol=1e-9)

@@ -76,9 +76,11 @@ def _on_any_machine(message: str) -> str:
     return message
 
 
-def write_seen(files: set[str]) -> None:
-    """Replace what the file has for the tests of these files by what they saw."""
-    others = {test: texts for test, texts in STORED.items() if test.split("::")[0] not in files}
+def write_seen(tests: set[str]) -> None:
+    """Replace what the file has for some tests, or all those of some files, by what they saw."""
+    others = {
+        test: texts for test, texts in STORED.items() if not {test, test.partition("::")[0]} & tests
+    }
     lines = [
         f"== {test}\n{message}\n"
         for test, messages in sorted((others | SEEN).items())

@@ -128,7 +128,7 @@ def solve_node(work, object_inertia, f_o, a_o):
     for k in range(6):
         at = NODE_AT + LANES * NODE_WIDTH * k
         a_o[k] = f_o[k] + sum_pack(load_pack(packs, at))
-        for l in range(k + 1):  # noqa: E741
+        for l in range(k + 1):
             at += LANES
             S[k, l] = object_inertia[k, l] + sum_pack(load_pack(packs, at))
     smallest = 1.0

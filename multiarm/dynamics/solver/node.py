@@ -266,7 +266,7 @@ def add_to_node(i, work):
     for a in range(work.rows[i + 1] - work.rows[i]):
         for k in range(6):
             factor = Z[a, k]
-            for l in range(k + 1):  # noqa: E741
+            for l in range(k + 1):
                 S[k, l] += factor * Z[a, l]
 
 

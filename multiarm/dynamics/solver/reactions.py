@@ -190,7 +190,7 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
     """
     n = work.coupled.size
     for k in range(6):
-        for l in range(k + 1):  # noqa: E741
+        for l in range(k + 1):
             work.Lo[k, l] = object_inertia[k, l]
     if not factor_cholesky(work.Lo, 6) > 0.0:
         return n
@@ -280,7 +280,7 @@ def factor_node(work, Wo, Wr, object_inertia):
     """Node matrix of the arms that are not coupled, in inertia coordinates; its relative pivot."""
     S, Ls, C = work.node, work.Ls, work.six_columns
     for k in range(6):
-        for l in range(k + 1):  # noqa: E741
+        for l in range(k + 1):
             S[k, l] = S[l, k] = Ls[k, l] = object_inertia[k, l]
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
@@ -290,7 +290,7 @@ def factor_node(work, Wo, Wr, object_inertia):
         solve_arm_rows(i, work, Wo, C)
         for a in range(m):
             for k in range(6):
-                for l in range(6):  # noqa: E741
+                for l in range(6):
                     S[k, l] += Wr[first + a, k] * C[a, l]
         add_without_friction(i, work, Wo)
     work.status.evenness = evenness(work)
@@ -308,7 +308,7 @@ def evenness(work):
     """
     T, largest, smallest = work.stiffness, 0.0, math.inf
     for k in range(6):
-        for l in range(k + 1):  # noqa: E741
+        for l in range(k + 1):
             T[k, l] = T[l, k] = work.Ls[k, l]
     whiten(T, work.Lo, work.six)
     for k in range(6):
@@ -324,14 +324,14 @@ def evenness(work):
 def whiten(S, L, x):
     """Write ``L^-1 S L^-T`` in place."""
     for _ in range(2):  # L^-1 (L^-1 S)^T is the result's transpose
-        for l in range(6):  # noqa: E741
+        for l in range(6):
             for k in range(6):
                 x[k] = S[k, l]
             node_forward(L, x)
             for k in range(6):
                 S[k, l] = x[k]
         for k in range(6):
-            for l in range(k):  # noqa: E741
+            for l in range(k):
                 S[k, l], S[l, k] = S[l, k], S[k, l]
 
 
@@ -365,7 +365,7 @@ def add_without_friction(i, work, Wo):
                 s -= G[a, b] * Z[b, k]
             Z[a, k] = s * G[a, a]
         for k in range(6):
-            for l in range(k + 1):  # noqa: E741
+            for l in range(k + 1):
                 work.Ls[k, l] += Z[a, k] * Z[a, l]
 
 

@@ -199,7 +199,7 @@ def split_arm(i, work, coupled, Wo):
         if sigma > coupled.split[i]:
             for k in range(6):
                 wrench[k] /= sigma
-                for l in range(k + 1):  # noqa: E741
+                for l in range(k + 1):
                     S[k, l] += wrench[k] * wrench[l]
             continue
         if not sigma > least:
@@ -287,7 +287,7 @@ def couple(work, coupled, Wo, object_inertia, decompose_all=False):
     only when that is positive (and not NaN).
     """
     for k in range(6):
-        for l in range(k + 1):  # noqa: E741
+        for l in range(k + 1):
             coupled.inertia[k, l] = object_inertia[k, l]
     pivot = factor_cholesky(coupled.inertia, 6)
     if not pivot > 0.0:
@@ -312,7 +312,7 @@ def build_node(work, coupled, Wo, object_inertia, every):
     status, S = coupled.status, work.S
     status.arms = status.unknowns = 0
     for k in range(6):
-        for l in range(k + 1):  # noqa: E741
+        for l in range(k + 1):
             S[k, l] = object_inertia[k, l]
     for i in range(work.dofs.size - 1):
         coupled.deficient[i] = 1 if every or not work.pivot[i] > COUPLED_BELOW else 0
