@@ -305,7 +305,7 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
 
 def _table_of(table, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times (r,) of a table, and cubics (r, 6, 4) from each row on, highest power first."""
-    from scipy.interpolate_wrench import PchipInterpolator
+    from scipy.interpolate import PchipInterpolator
 
     if table.file is not None:
         rows = np.array(read_wrench_table(table.file)[0])

@@ -54,7 +54,7 @@ def test_a_run_keeps_its_data_and_its_step_across_modes(monkeypatch):
 def test_memory_does_not_grow_with_the_events(monkeypatch):
     """That of a bouncing ball after 100 events is that after 20, but for the event log."""
     taken, count = {}, 0
-    log = tracemalloc.Filter(False, "*/events/transition.py")  # it makes the entries
+    log = tracemalloc.Filter(False, "*/events/decision_events.py")  # it makes the entries
     ours = [tracemalloc.Filter(True, f"*/multiarm/{room}/*") for room in ("dynamics", "events")]
 
     def look(_handler, _run):
