@@ -52,6 +52,7 @@ from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import share_load, static_forces, subtract_contact_forces
+from multiarm.dynamics.momenta import times_arm_inertia
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, kernel
@@ -171,15 +172,8 @@ def add_motion_forces(law, command, feedforward, model, data, work):
         )  # fmt: skip
         if not independent:
             command.independent[0] = 0
-        add_inertia_forces(work.M[i], command.a_j[d0:d1], data.torque[d0:d1])
-
-
-@kernel
-def add_inertia_forces(inertia, accelerations, torque):
-    """Add ``M q''`` of an arm to ``torque``; of the inertia the lower triangle is read."""
-    for j in range(torque.size):
-        for k in range(torque.size):
-            torque[j] += (inertia[j, k] if k <= j else inertia[k, j]) * accelerations[k]
+        for j in range(d1 - d0):
+            data.torque[d0 + j] += times_arm_inertia(i, j, work, command.a_j)
 
 
 def computed_torque_program(

@@ -60,7 +60,7 @@ def write_computed_torque_derivatives(address, size, at, t):
     law, command = open_object_law(struct, at), open_command(struct, at)
     by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
-    if not has_closed_form(law, command) or not begin(law, data, by):
+    if not begin(law, command, data, by):
         return SINGULAR
     differentiate_acceleration(t, law, data, by)
     for l in range(6):
@@ -87,7 +87,7 @@ def write_object_impedance_derivatives(address, size, at, t):
     law, command = open_object_law(struct, at), open_command(struct, at)
     by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
-    if not has_closed_form(law, command) or not begin(law, data, by):
+    if not begin(law, command, data, by):
         return SINGULAR
     differentiate_spring_wrench(t, law, data, by.wrench)
     copy(command.a_j, motion.a_j)
@@ -130,8 +130,13 @@ def differentiate_torques(law, command, struct, data, work, by):
 
 
 @inlined
-def begin(law, data, by):
-    """Write y without the internal forces, and clear the results; see :func:`begin_command`."""
+def begin(law, command, data, by):
+    """Write y without the internal forces, and clear the results; see :func:`begin_command`.
+
+    Returns whether there is a closed form.
+    """
+    if not has_closed_form(law, command):
+        return False
     copy(data.weight, by.twist)
     for k in range(data.Wo.shape[0]):
         for l in range(6):
