@@ -16,6 +16,7 @@ those of their rates by the velocities, :math:`W_o^T, W^T`.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +48,7 @@ from multiarm.dynamics.contact_derivatives import (
 )
 from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
     INTS,
@@ -385,14 +386,16 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
 def solve_at_once(struct, own, matrix):
     """Solve for ``dy`` where some arm cannot be solved on its own; returns a status.
 
-    ``matrix`` (6 + n + N, columns) is written.  The result is ``SINGULAR`` where constraints are
-    dependent.
+    ``matrix`` (6 + n + N, columns) is written; of forces that are not unique it has one of many
+    derivatives.  The result is ``SINGULAR`` where the rank of the constraints changes.
     """
     size = matrix.shape[0]
     K, pivots = np.zeros((size, size)), np.zeros(size, dtype=np.int64)
     for i in range(size):
         clear(matrix[i])
     stack_equations(struct, own, K, matrix)
+    data = open_data(struct)
+    separate_dependent_rows(K, data.velocity.size, data.solution.dependent)
     if not factor_lu(K, size, pivots) > 0.0:
         return SINGULAR
     for i in range(size):
@@ -401,6 +404,28 @@ def solve_at_once(struct, own, matrix):
             row[c] = -row[c]
     solve_rows(K, size, pivots, matrix)
     return OK
+
+
+@allocating
+def separate_dependent_rows(K, nv, dependent):
+    r"""Add :math:`N N^T` to the block of the forces: K is regular then, the accelerations the same.
+
+    The columns of N are orthonormal combinations of constraints with :math:`W N = 0`, as many as
+    are ``dependent``: their part of the right-hand sides, which no acceleration can meet, goes into
+    forces without effect.
+    """
+    if dependent == 0:
+        return
+    rows = K.shape[0] - nv
+    G, V, singular = np.zeros((rows, nv)), np.zeros((rows, rows)), np.zeros(rows)
+    for k in range(rows):
+        for l in range(nv):
+            G[k, l] = K[nv + k, l] / math.sqrt(K[l, l])
+    decompose(G, rows, nv, V, singular)
+    for k in range(rows - dependent, rows):
+        for a in range(rows):
+            for b in range(rows):
+                K[nv + a, nv + b] += V[k, a] * V[k, b]
 
 
 @kernel

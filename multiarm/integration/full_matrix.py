@@ -10,7 +10,7 @@ positions and by these, and R and the right-hand sides of :mod:`multiarm.integra
 
 one matrix as large as there are velocities, half as large as the state, without states of effects.
 
-*The derivatives* are exact where the constraints are independent and contacts do not slide: those
+*The derivatives* are exact where contacts do not slide and the constraints keep their rank: those
 of the equations of motion (:mod:`multiarm.dynamics.equation_derivatives`) and of the forces of
 control and effects (:mod:`multiarm.dynamics.force_derivatives`).  With the generalised forces f,
 their responses :math:`\partial\dot v/\partial f` are columns of the same solution,
@@ -117,11 +117,11 @@ def differentiate_full(step, full, slope, time_slope, t, h):
 
 @inlined
 def is_smooth(step):
-    """Whether the accelerations are those of independent constraints, without friction."""
+    """Whether the constraints are far from a change of their rank, without friction."""
     data = open_data(step.system)
     if step.stage.gap >= 0.0 or data.modes.slides:
         return False
-    return data.solution.dependent == 0 and data.solution.margin >= ZONE
+    return data.solution.margin >= ZONE
 
 
 # --- exact ----------------------------------------------------------------------------------------

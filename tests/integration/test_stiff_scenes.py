@@ -206,6 +206,21 @@ def test_error_falls_with_order_5_under_stiff_damping(damping, monkeypatch):
     assert slope == pytest.approx(5.0, abs=0.2), errors
 
 
+@pytest.mark.parametrize("name", ["parallelogram", "duplicated_rows"])
+def test_error_falls_with_order_5_under_dependent_constraints(name):
+    """With few evaluations a step: its derivatives take one.  The methods choose the steps."""
+    system, run = ma.compile_system(HARD_CASES[name].scene()), {"output_step": 0.3}
+    exact = ma.simulate(system, 0.3, integrator="dop853", tolerance=1e-12, **run)
+    errors, steps = [], []
+    for tolerance in (1e-5, 1e-6, 1e-7, 1e-8, 1e-9):
+        found = ma.simulate(system, 0.3, integrator="rodas5p", tolerance=tolerance, **run)
+        errors.append(np.max(np.abs(joints(found)[-1] - joints(exact)[-1])))
+        steps.append(found.statistics["steps"])
+        assert found.statistics["evaluations"] < 11 * steps[-1] + 5
+    slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(5.0, abs=0.4), errors
+
+
 @pytest.mark.slow
 def test_samples_between_long_steps_are_as_accurate_as_their_ends():
     system = damped_pair(1e4)

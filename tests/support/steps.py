@@ -77,11 +77,11 @@ class Slope:
         assert evaluate_slope(self.data.struct, self.stage, t, z, self.base, slope) == OK
         return slope
 
-    def jacobian(self, size):
+    def jacobian(self, size, displacement=1e-3):
         """Derivatives by the first ``size`` entries of the state, by differences of order 8."""
         along = lambda e: lambda s: self(0.0, self.z + s * e)  # noqa: E731
         return np.column_stack(
-            [first_difference(along(e), 1e-3) for e in np.eye(self.z.size)[:size]]
+            [first_difference(along(e), displacement) for e in np.eye(self.z.size)[:size]]
         )
 
 
