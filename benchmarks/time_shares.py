@@ -340,7 +340,7 @@ def _pass_often(struct, z, base, slope, count):
 def _sample_often(struct, row, count):
     data = open_data(struct)
     for i in range(count):
-        write_sample(struct, 1e-3 * i, data.power, row)
+        write_sample(struct, 1e-3 * i, data.effects.power, row)
     return OK
 
 

@@ -175,7 +175,7 @@ def differentiate_shares(data, work, motion, rest, by):
     for i in range(work.dofs.size - 1):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):
-            slopes = data.torque_slopes[d0 + j]
+            slopes = data.slopes.torque[d0 + j]
             for k in range(work.rows[i + 1] - r0):
                 weight, forces = work.W[i, j, k], by.forces[r0 + k]
                 for c in range(states):
@@ -190,7 +190,7 @@ def add_inverse_dynamics(data, work, motion):
         d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         own = arm_columns(n, False)
         for j in range(n):
-            slopes = data.torque_slopes[d0 + j]
+            slopes = data.slopes.torque[d0 + j]
             for c in range(own.end):
                 slopes[column_of_state(columns, own, d0, c)] += motion.dF[i, j, c]
 
@@ -217,7 +217,7 @@ def add_motion_derivatives(data, work, i, motion, excess, by):
         return SINGULAR
     solve_rows(motion.K[i], n + m, by.pivots, X)
     for j in range(n):
-        slopes = data.torque_slopes[d0 + j]
+        slopes = data.slopes.torque[d0 + j]
         for k in range(n):
             inertia = M[j, k]
             for c in range(own.end):
@@ -228,7 +228,7 @@ def add_motion_derivatives(data, work, i, motion, excess, by):
 @inlined
 def subtract_passive_slopes(data):
     """Subtract the derivatives of what passive effects do to the joints from the torques."""
-    for j in range(data.passive_slopes.shape[0]):
-        slopes, passive = data.torque_slopes[j], data.passive_slopes[j]
+    for j in range(data.slopes.passive.shape[0]):
+        slopes, passive = data.slopes.torque[j], data.slopes.passive[j]
         for c in range(passive.size):
             slopes[c] -= passive[c]

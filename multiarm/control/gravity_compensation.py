@@ -72,14 +72,14 @@ def gravity_compensation(address, size, _at, _t):
 
 @kernel
 def add_holding_torques(model, data, work):
-    """Add the torques that hold arms and object at rest to ``data.torque``."""
-    torque, weight = data.torque, data.weight
+    """Add the torques that hold arms and object at rest to ``data.control.torque``."""
+    torque, weight = data.control.torque, data.control.object_wrench
     for k in range(3):
         weight[k] = -model.object_mass * model.gravity[k]
         weight[3 + k] = 0.0
     static_forces(data.Wo, weight, data.static_force)
     for j in range(torque.size):
-        torque[j] += data.gravity_torque[j]
+        torque[j] += data.control.gravity_torque[j]
     subtract_contact_forces(data, work)
 
 
@@ -97,7 +97,7 @@ def write_gravity_compensation_derivatives(address, size, at, _t):
     _, data, work = open_system(struct)
     by = open_derivatives(open_carrying(struct, at).derivatives)
     motion = open_equations(by.motion)
-    copy(data.weight, by.twist)
+    copy(data.control.object_wrench, by.twist)
     if not begin_command(data, by):
         return SINGULAR
     clear(motion.a_j)
@@ -137,22 +137,22 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     state.velocity[:] = 0.0
     data.set_state(0.0, state)
     require_ok(data, update_kinematics(data.struct))
-    b.gravity_torque[:] = np.concatenate(
+    b.control.gravity_torque[:] = np.concatenate(
         [
             data.model.arms[arm].gravity_torque(angles, gravity)
             for arm, angles in state.joint_positions.items()
         ]
     )
     write_holding_torque(data.struct)
-    return b.torque.copy()
+    return b.control.torque.copy()
 
 
 @kernel
 def write_holding_torque(struct: INTS):
-    """Write the torques that hold the configuration in ``data`` into ``data.torque``.
+    """Write the torques that hold the configuration in ``data`` into ``data.control.torque``.
 
     Needs its kinematics and ``gravity_torque`` in ``data``.
     """
     model, data, work = open_system(struct)
-    clear(data.torque)
+    clear(data.control.torque)
     add_holding_torques(model, data, work)

@@ -39,8 +39,8 @@ def harmonic(address, size, at, t):
     data, law = open_data(struct), open_harmonic(struct, at)
     angle = 2.0 * math.pi * law.frequency * t
     sine, cosine = math.sin(angle), math.cos(angle)
-    for j in range(data.torque.size):
-        data.torque[j] += law.constant[j] + law.sine[j] * sine + law.cosine[j] * cosine
+    for j in range(data.control.torque.size):
+        data.control.torque[j] += law.constant[j] + law.sine[j] * sine + law.cosine[j] * cosine
     return 0
 
 

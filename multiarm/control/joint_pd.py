@@ -42,7 +42,7 @@ def joint_pd(address, size, at, t):
     """Add the torques."""
     struct = struct_at(address, size)
     data, law = open_data(struct), open_joint_pd(struct, at)
-    for j in range(data.torque.size):
+    for j in range(data.control.torque.size):
         reference, rate = path_point(t, law.bounds, law.coefficients, j)
         add_spring(law, j, reference, rate, data)
     return 0
@@ -59,17 +59,17 @@ def differentiate_joint_pd(address, size, at, _t):
 @inlined
 def add_spring(gains, j, reference, rate, data):
     """Add the torque of the spring and the damper in joint ``j``."""
-    data.torque[j] += gains.stiffness[j] * (reference - data.angles[j])
-    data.torque[j] += gains.damping[j] * (rate - data.v[j])
+    data.control.torque[j] += gains.stiffness[j] * (reference - data.angles[j])
+    data.control.torque[j] += gains.damping[j] * (rate - data.v[j])
 
 
 @inlined
 def differentiate_springs(gains, data):
     """Add the derivatives of the torques of springs and dampers in all joints."""
     columns = force_columns(data)
-    for j in range(data.torque.size):
-        data.torque_slopes[j, columns.positions + j] -= gains.stiffness[j]
-        data.torque_slopes[j, columns.rates + j] -= gains.damping[j]
+    for j in range(data.control.torque.size):
+        data.slopes.torque[j, columns.positions + j] -= gains.stiffness[j]
+        data.slopes.torque[j, columns.rates + j] -= gains.damping[j]
 
 
 @kernel

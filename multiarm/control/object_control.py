@@ -69,7 +69,11 @@ def computed_torque(address, size, at, t):
     """Add the torques of computed torque."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, command, wrench = open_object_law(struct, at), open_command(struct, at), data.weight
+    law, command, wrench = (
+        open_object_law(struct, at),
+        open_command(struct, at),
+        data.control.object_wrench,
+    )
     desired, target = command.acceleration, command.target
     write_object_acceleration(t, law, data.position, data.twist, desired)
     for a in range(6):
@@ -78,8 +82,8 @@ def computed_torque(address, size, at, t):
             wrench[a] += data.inertia[a, b] * desired[b]
     write_contact_forces(law, data, work)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
-    for j in range(data.torque.size):
-        data.torque[j] -= data.f_j[j]
+    for j in range(data.control.torque.size):
+        data.control.torque[j] -= data.f_j[j]
     for k in range(target.size):
         target[k] = -data.contacts[k, GAP_BIAS]
         for a in range(6):
@@ -94,13 +98,17 @@ def object_impedance(address, size, at, t):
     """Add the torques of the object impedance."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, command, wrench = open_object_law(struct, at), open_command(struct, at), data.weight
+    law, command, wrench = (
+        open_object_law(struct, at),
+        open_command(struct, at),
+        data.control.object_wrench,
+    )
     write_spring_wrench(t, law, data.position, data.twist, wrench)
     for k in range(3):
         wrench[k] -= model.object_mass * model.gravity[k]
     write_contact_forces(law, data, work)
-    for j in range(data.torque.size):
-        data.torque[j] += data.gravity_torque[j]
+    for j in range(data.control.torque.size):
+        data.control.torque[j] += data.control.gravity_torque[j]
     add_motion_forces(law, command, False, model, data, work)
     subtract_contact_forces(data, work)
     return 0
@@ -139,14 +147,14 @@ def write_spring_wrench(t, law, position, velocity, wrench):
 
 @kernel
 def write_contact_forces(law, data, work):
-    """Distribute ``data.weight`` over the contacts; writes ``data.static_force``."""
+    """Distribute ``data.control.object_wrench`` over the contacts; writes ``data.static_force``."""
     if law.squeezes:
         share_load(
-            data.weight, data.Wo, work.rows, data.body, law.forces_of_contacts,
+            data.control.object_wrench, data.Wo, work.rows, data.body, law.forces_of_contacts,
             law.wrenches_of_arms, data.static_force,
         )  # fmt: skip
     else:
-        static_forces(data.Wo, data.weight, data.static_force)
+        static_forces(data.Wo, data.control.object_wrench, data.static_force)
 
 
 @kernel
@@ -173,7 +181,7 @@ def add_motion_forces(law, command, feedforward, model, data, work):
         if not independent:
             command.independent[0] = 0
         for j in range(d1 - d0):
-            data.torque[d0 + j] += times_arm_inertia(i, j, work, command.a_j)
+            data.control.torque[d0 + j] += times_arm_inertia(i, j, work, command.a_j)
 
 
 def computed_torque_program(

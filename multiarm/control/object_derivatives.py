@@ -137,7 +137,7 @@ def begin(law, command, data, by):
     """
     if not has_closed_form(law, command):
         return False
-    copy(data.weight, by.twist)
+    copy(data.control.object_wrench, by.twist)
     for k in range(data.Wo.shape[0]):
         for l in range(6):
             by.twist[l] -= data.Wo[k, l] * law.forces_of_contacts[k]

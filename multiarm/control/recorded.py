@@ -59,9 +59,9 @@ def recorded_torques(address, size, at, t):
     struct = struct_at(address, size)
     data, table = open_data(struct), open_torques(struct, at)
     row = row_at(table.times, t)
-    for j in range(data.torque.size):
+    for j in range(data.control.torque.size):
         value, _ = table_point(t, table, row, j)
-        data.torque[j] += value
+        data.control.torque[j] += value
     return 0
 
 
@@ -71,7 +71,7 @@ def recorded_positions(address, size, at, t):
     struct = struct_at(address, size)
     data, law = open_data(struct), open_positions(struct, at)
     row = row_at(law.times, t)
-    for j in range(data.torque.size):
+    for j in range(data.control.torque.size):
         reference, rate = table_point(t, law, row, j)
         add_spring(law, j, reference, rate, data)
     return 0

@@ -59,7 +59,7 @@ class Control(SampledControl):
     def build(self, context: ControlContext) -> ControlProgram:
         """The compiled laws and their numbers; by default ``torques`` in Python.
 
-        A law that needs ``data.gravity_torque`` overrides ``compensates_gravity``.
+        A law that needs ``data.control.gravity_torque`` overrides ``compensates_gravity``.
         """
         from multiarm.control.program import ControlProgram
         from multiarm.dynamics.callbacks import PythonControl

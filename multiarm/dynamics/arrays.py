@@ -13,6 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
+from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.guards import Guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.node import NodeWork
@@ -29,6 +30,8 @@ from multiarm.jit.structs import (
     Ints1,
     Ints2,
     Numbers,
+    count_entries,
+    place_of,
     size_places,
     struct_of,
     view,
@@ -39,7 +42,7 @@ from multiarm.jit.structs import (
 # whether it is a user's that knows the state alone.
 ADDRESS, NUMBERS_AT, DERIVATIVE, STATE_ALONE = range(4)
 
-# Numbers of a tip in ``Variables.tips``.
+# Numbers of a tip in ``Sample.tips``.
 TIP_WIDTH = 13
 # What the torques of an arm's drives depend on: the time, also the state of this arm, also its
 # share of the weight of the object where gravity compensation is the last law, anything.
@@ -115,11 +118,21 @@ class Check(Numbers):
     solved: Flag  # whether the result is a solution
 
 
-class LastStep(Numbers):
-    """The solution at the end of the last step, beside ``Variables.lost`` and ``signs``."""
+class LastSolution(Numbers):
+    """The solution at the end of the last step."""
 
     known: Flag  # there is one: a run has begun
     rank: Int
+
+
+class LastStep(NamedTuple):
+    """What a run remembers of the end of the last step, of ``n`` arms."""
+
+    solution: LastSolution
+    lost_directions: Ints1  # (n,) how many each arm has lost
+    determinant_signs: Floats1  # (n,) of each arm (0: unknown)
+    sign_changes: Ints1  # (n,) whether this sign has changed in the step
+    coordinates: Floats2  # (n, 6) free coordinates of the joints, without jumps
 
 
 # When the laws of a control that can be held are evaluated: not at all, at the next evaluation, at
@@ -128,17 +141,95 @@ HELD, ONCE, ALWAYS = 0, 1, 2
 
 
 class SamplingStatus(Numbers):
-    """State of a control that can be held; of use to no other."""
+    """Which torques of a control that can be held act; of use to no other."""
 
     mode: Int  # what a sample, and the beginning of a run, makes of ``due``
     due: Int  # HELD, ONCE or ALWAYS
     samples: Int  # taken since the beginning
 
 
-class Interpolation(Numbers):
-    """Setting of an evaluation near a loss of rank."""
+class ControlVariables(NamedTuple):
+    """What control laws read and write, beside the state."""
+
+    torque: Floats1  # (joints,) of the drives
+    power: Floats1  # (n,) of these torques on each arm [W], in models with control
+    sampling: SamplingStatus
+    held_torques: (
+        Floats2  # (2, joints) of a control that can be held: those that act, the last ones
+    )
+    gravity_torque: Floats1  # (joints,) gravity forces, for control that needs them
+    object_wrench: Floats1  # (6,) on the object, that the control commands
+
+
+class EffectVariables(NamedTuple):
+    """What effects read and write, beside state and forces."""
+
+    states: Floats1  # such as the torques of lagging drives
+    state_rates: Floats1
+    power: Floats1  # (1 + w,) of each effect that does work; last of control and effects [W]
+    link_poses: Ints1  # addresses of the poses of links on which effects act
+
+
+class ForceSlopes(NamedTuple):
+    """Derivatives of forces, by the columns of :func:`multiarm.dynamics.coordinates.force_columns`.
+
+    They are written by :mod:`multiarm.dynamics.force_derivatives`.
+    """
+
+    torque: Floats2  # (joints, columns) of the drives
+    passive: Floats2  # of what passive effects do to the joints; as many rows, or none
+    force: (
+        Floats2  # (velocities + states, columns) of the forces of one effect, and its states' rates
+    )
+
+
+class InterpolationSettings(Numbers):
+    """How states near a loss of rank are evaluated."""
 
     gap: Float  # to which neighbours of the state are projected [m]
+
+
+class Interpolation(NamedTuple):
+    """Memory of an evaluation near a loss of rank, :mod:`multiarm.integration.near_singular`."""
+
+    settings: InterpolationSettings
+    configuration: Floats1  # of the state itself
+    velocity: Floats1
+    acceleration: Floats1  # interpolated
+
+
+class DeficientArms(NamedTuple):
+    """Which arms (n,) the solution could not eliminate as a whole."""
+
+    coupled: Ints1  # these, where ``solution`` has any
+    loose: Ints1  # their contact forces take part in a motion that is not unique, where it has one
+
+
+class SurfacePairs(NamedTuple):
+    """Contacts of two surfaces, S of them, and scratch of all rows that are not a tip on a surface
+    in closed form.
+    """
+
+    starts: Floats2  # (S, 3) contact points in the frame of the guiding body: start of the search
+    points: Floats2  # (S, 3) its result
+    scratch: Floats1  # (29,) a relative motion, and a query of a surface
+
+
+class JointMotion(NamedTuple):
+    """The relative motion that one joint leaves free, of the arm that was evaluated last."""
+
+    rates: Floats1  # (6,)
+    coordinates: Floats1  # (9,) see multiarm.contacts.joint
+
+
+class Sample(NamedTuple):
+    """What the last sample has recorded, beside the state."""
+
+    # contact forces: those of the rows; with unilateral contacts those of all rows, and the states
+    # of all contacts
+    forces: Floats1
+    wrenches: Floats2  # (o, 6) on the object, of each owner of rows
+    tips: Floats2  # (n, 13) origin, quaternion (xyzw) and twist of each tip
 
 
 class Functions(Numbers):
@@ -179,18 +270,24 @@ class ModeStructs(Numbers):
 
 
 class Variables(NamedTuple):
-    """Variables of one evaluation, world axes; ``n`` arms, ``N`` rows, ``S`` pairs of surfaces."""
+    """Variables of one evaluation, world axes; ``n`` arms, ``N`` rows."""
 
     time: Time
     status: Status
+    functions: Functions
+    modes: ModeStructs
+    control: ControlVariables
+    effects: EffectVariables
     solution: Solution
+    deficient: DeficientArms
     check: Check
     last_step: LastStep
+    sample: Sample
+    slopes: ForceSlopes
     interpolation: Interpolation
-    functions: Functions
+    pairs: SurfacePairs
+    joint_motion: JointMotion
     pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
-    link_poses: Ints1  # addresses of the poses of links on which effects act
-    modes: ModeStructs
     # the state, see multiarm.dynamics.layout, and parts of the same memory: poses of the frames
     # (F, 7), of the object (7,), joint positions (joints,); twist of the object (6,), joint
     # velocities (joints,)
@@ -209,11 +306,6 @@ class Variables(NamedTuple):
     relative: Floats1
     contacts: Floats2  # (N, 18) contact kinematics of the rows of W
     parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
-    query: Floats1  # (29,) scratch of rows other than a tip on a plane, sphere or cylinder
-    # (S, 3) contact points of two surfaces, in the frame of the guiding body: start of the search,
-    # and result
-    places: Floats2
-    located: Floats2
     Wo: Floats2  # (N, 6) rows ``[e; (P - x_o) x e]``
     wrench: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
     inertia: Floats2  # (6, 6) of the object
@@ -234,45 +326,7 @@ class Variables(NamedTuple):
     a_o: Floats1
     a_j: Floats1
     force: Floats1
-    # recorded contact forces: ``force`` itself; with unilateral contacts those of all rows, and the
-    # states of all contacts
-    shown: Floats1
-    # at the last sample: (o, 6) the wrench on the object of each owner of rows; (n, 13) of each tip
-    # its origin, quaternion (xyzw) and twist
-    wrenches: Floats2
-    tips: Floats2
-    torque: Floats1  # (joints,) of the control
-    control_power: Floats1  # (n,) of its torques on each arm [W], in models with control
-    sampling: SamplingStatus
-    held: Floats2  # (2, joints) of a control that can be held: torques that act, and the last ones
-    gravity_torque: Floats1  # (joints,) gravity forces, for control that needs them
-    weight: Floats1  # (6,) wrench on the object that the control commands
     static_force: Floats1  # (N,) contact forces for this wrench
-    power: Floats1  # (1 + w,) of each effect that does work; last of control and effects [W]
-    inner: Floats1  # states of effects, such as lagging actuators
-    inner_rate: Floats1
-    # by ``force_columns``, see multiarm.dynamics.force_derivatives: derivatives of the torques of
-    # the drives (joints, columns); of what passive effects do to the joints (as many, or none); of
-    # the forces of one effect, and of the rates of states of effects (velocities + states, columns)
-    torque_slopes: Floats2
-    passive_slopes: Floats2
-    force_slopes: Floats2
-    coordinates: Floats2  # (n, 6) free coordinates of the joints after the last step, without jumps
-    # scratch of an interpolation: a state, and accelerations
-    kept_configuration: Floats1
-    kept_velocity: Floats1
-    mixed: Floats1
-    # (n,) arms that could not be eliminated as a whole, where ``solution`` has any; arms whose
-    # contact forces take part in a motion that is not unique, where it has one
-    coupled_arms: Ints1
-    loose_arms: Ints1
-    lost: Ints1  # (n,) directions that each arm has lost at the end of the last step
-    signs: Floats1  # (n,) sign of the determinant of each arm (0: unknown)
-    passed: Ints1  # (n,) whether it has changed
-
-
-# Whole numbers of each arm.
-_OF_ARMS = "coupled_arms", "loose_arms", "lost", "passed"
 
 
 def make_variables(
@@ -283,45 +337,79 @@ def make_variables(
     pinocchio_size: int,
     works: int = 0,
     states: int = 0,
+    link_poses: Sequence[int] = (),
+    contact_states: int = 0,
 ) -> Variables:
     """Allocate for a layout, the size of Pinocchio's configuration, numbers of effects that do
-    work, and of states of effects.
+    work, of states of effects, and of unilateral contacts.
     """
     arms, joints, pairs = len(pointers), layout.joints, len(constants.shapes)
     tips = len(constants.tip_frames)  # without the surroundings, which are an arm
-    columns = 2 * layout.nv + states + 7
+    columns = columns_of_forces(layout.nv, joints, states).end
+    rows = row_variables(layout.contacts, len(constants.codes) - layout.contacts)
     shapes = {
         "q": pinocchio_size,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
-        "query": RELATIVE_WIDTH + QUERY_WIDTH, "places": (pairs, 3), "located": (pairs, 3),
         "inertia": (6, 6),
-        "torque": joints, "control_power": tips, "held": (2, joints), "gravity_torque": joints,
-        "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
-        "torque_slopes": (joints, columns),
-        "passive_slopes": (joints if constants.passive_end > 0 else 0, columns),
-        "force_slopes": (layout.nv + states, columns),
-        "wrenches": (arms, 6), "tips": (tips, TIP_WIDTH),
         "total_forces": layout.nv, "forces_without_prestress": layout.nv,
-        "kept_configuration": layout.nq, "kept_velocity": layout.nv,
-        "mixed": layout.nv, "signs": arms,
     }  # fmt: skip
     return Variables(
         time=Time(),
         status=Status(),
-        solution=UNSOLVED.copy(),
-        check=Check(),
-        last_step=LastStep(),
-        interpolation=Interpolation(),
         functions=Functions(),
         modes=ModeStructs(),
-        sampling=SamplingStatus(mode=ALWAYS),
+        control=ControlVariables(
+            torque=np.zeros(joints),
+            power=np.zeros(tips),
+            sampling=SamplingStatus(mode=ALWAYS),
+            held_torques=np.zeros((2, joints)),
+            gravity_torque=np.zeros(joints),
+            object_wrench=np.zeros(6),
+        ),
+        effects=EffectVariables(
+            states=np.zeros(states),
+            state_rates=np.zeros(states),
+            power=np.zeros(1 + works),
+            link_poses=np.array(link_poses, dtype=np.int64),
+        ),
+        solution=UNSOLVED.copy(),
+        deficient=DeficientArms(
+            coupled=np.zeros(arms, dtype=np.int64), loose=np.zeros(arms, dtype=np.int64)
+        ),
+        check=Check(),
+        last_step=LastStep(
+            solution=LastSolution(),
+            lost_directions=np.zeros(arms, dtype=np.int64),
+            determinant_signs=np.zeros(arms),
+            sign_changes=np.zeros(arms, dtype=np.int64),
+            coordinates=np.full((arms, 6), np.nan),
+        ),
+        sample=Sample(
+            forces=np.zeros(layout.contacts + contact_states) if contact_states else rows["force"],
+            wrenches=np.zeros((arms, 6)),
+            tips=np.zeros((tips, TIP_WIDTH)),
+        ),
+        slopes=ForceSlopes(
+            torque=np.zeros((joints, columns)),
+            passive=np.zeros((joints if constants.passive_end > 0 else 0, columns)),
+            force=np.zeros((layout.nv + states, columns)),
+        ),
+        interpolation=Interpolation(
+            settings=InterpolationSettings(),
+            configuration=np.zeros(layout.nq),
+            velocity=np.zeros(layout.nv),
+            acceleration=np.zeros(layout.nv),
+        ),
+        pairs=SurfacePairs(
+            starts=np.zeros((pairs, 3)),
+            points=np.zeros((pairs, 3)),
+            scratch=np.zeros(RELATIVE_WIDTH + QUERY_WIDTH),
+        ),
+        joint_motion=JointMotion(rates=np.zeros(6), coordinates=np.zeros(9)),
         pointers=pointers,
-        link_poses=np.zeros(0, dtype=np.int64),
-        coordinates=np.full((arms, 6), np.nan),
-        **{name: np.zeros(arms, np.int64) for name in _OF_ARMS},
         **{name: np.zeros(shape) for name, shape in shapes.items()},
         **stacked_vectors(layout),
-        **row_variables(layout.contacts, len(constants.codes) - layout.contacts),
+        **rows,
     )
 
 
@@ -340,11 +428,11 @@ def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
 def row_variables(rows: int, parts: int) -> dict[str, np.ndarray]:
     """The variables with an entry for every row of W, and for the parts of combined rows."""
     arrays = {name: np.zeros(shape) for name, shape in row_shapes(rows).items()}
-    return {**arrays, "parts": np.zeros((parts, CONTACT_WIDTH)), "shown": arrays["force"]}
+    return {**arrays, "parts": np.zeros((parts, CONTACT_WIDTH))}
 
 
 def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of the variables with an entry for every row, without ``shown``."""
+    """Shapes of the variables with an entry for every row."""
     return {
         "contacts": (rows, CONTACT_WIDTH), "Wo": (rows, 6), "wrench": (6, rows), "c": (rows,),
         "force": (rows,), "static_force": (rows,),
@@ -367,7 +455,7 @@ def system_struct(
 
 
 _PARTS = (Constants, Variables, NodeWork, CoupledWork, Guards)
-_FIRST = [sum(len(part._fields) for part in _PARTS[:k]) for k in range(len(_PARTS) + 1)]
+_FIRST = [sum(map(count_entries, _PARTS[:k])) for k in range(len(_PARTS) + 1)]
 _open_constants, _open_variables, _open_work = (
     view(part, at) for part, at in zip(_PARTS[:3], _FIRST[:3], strict=True)
 )
@@ -377,8 +465,8 @@ open_coupled = view(CoupledWork, _FIRST[3])
 open_reports = view(Guards, _FIRST[4])
 
 # Indices of two fields in the struct of a system, and of the first of the effects' arrays.
-FUNCTIONS = _FIRST[1] + Variables._fields.index("functions")
-STATUS = _FIRST[1] + Variables._fields.index("status")
+FUNCTIONS = _FIRST[1] + place_of(Variables, "functions")
+STATUS = _FIRST[1] + place_of(Variables, "status")
 EFFECTS = _FIRST[5]
 
 

@@ -172,7 +172,7 @@ class PythonControl:
             return stacked
 
         function = self.function if self.instance is None else self.instance()
-        out, owner = variables.torque, self.function
+        out, owner = variables.control.torque, self.function
         return UserCallback(function, self.who, read, out, layout, variables, owner)
 
 
@@ -230,8 +230,8 @@ class DenseSolver:
         b.a_j[:] = np.concatenate(solution.joint_accelerations)
         b.force[:] = np.concatenate(solution.contact_forces)
         write_solution(b, DENSE, 0, b.force.size - solution.rank, math.inf, solution.motion_unique)
-        b.loose_arms[:] = 0
-        b.loose_arms[list(solution.loose_arms)] = 1
+        b.deficient.loose[:] = 0
+        b.deficient.loose[list(solution.loose_arms)] = 1
 
 
 def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:

@@ -261,10 +261,12 @@ def differentiate_rows(model, data, first, last, work):
 @kernel
 def write_rows_at(model, data, first, last, motion, work):
     """Write the rows ``first`` to ``last`` of an arm for a motion seen from the object."""
+    pairs = data.pairs
     for k in range(first, last):
         write_row(
             k, motion, work.scratch[STILL], model.codes, model.geometry, model.shapes,
-            data.functions.surface, work.rows, work.parts, data.query, data.places, data.located,
+            data.functions.surface, work.rows, work.parts,
+            pairs.scratch, pairs.starts, pairs.points,
         )  # fmt: skip
 
 

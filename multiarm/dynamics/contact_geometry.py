@@ -73,7 +73,7 @@ def place_state(data: Data, t: float, state: State) -> None:
     data.forgive()
     places = locate_pairs(data, state)
     data.set_state(t, state)
-    data.arrays.places[:] = places
+    data.arrays.pairs.starts[:] = places
 
 
 def locate_pairs(data: Data, start: State) -> np.ndarray:
@@ -87,7 +87,7 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
     SceneError
         When two surfaces have no common normal near each other, or touch along a line.
     """
-    places = np.zeros_like(data.arrays.places)
+    places = np.zeros_like(data.arrays.pairs.starts)
     pairs = np.flatnonzero(data.model.constants.codes[:, KIND] == PAIR)
     if not pairs.size:
         return places
@@ -298,7 +298,7 @@ def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
     on_object = constants.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT
     a, b = (link, body) if on_object else (body, link)
     first, calls = int(constants.codes[row, LINK]), arrays.functions.surface
-    query = arrays.query[RELATIVE_WIDTH:]
+    query = arrays.pairs.scratch[RELATIVE_WIDTH:]
     r = a[9:12] - b[9:12]
     best, smallest, trouble = None, np.inf, None
     for guess in _guesses(data, arm, row, b):

@@ -1,8 +1,9 @@
 r"""Control laws: compiled functions with named numbers, which an evaluation calls by address.
 
-Laws are called one after the other, and each adds its torques to ``data.torque``.  A law has the
-signature of :func:`multiarm.jit.kernels.cfunc`.  Its numbers are a ``NamedTuple``, constants of the
-model, which stand at the end of the system's struct; it opens them by :func:`view_of_law`.
+Laws are called one after the other, and each adds its torques to ``data.control.torque``.  A law
+has the signature of :func:`multiarm.jit.kernels.cfunc`.  Its numbers are a ``NamedTuple``,
+constants of the model, which stand at the end of the system's struct; it opens them by
+:func:`view_of_law`.
 
 .. code-block:: python
 
@@ -15,14 +16,14 @@ model, which stand at the end of the system's struct; it opens them by :func:`vi
     def pull(address, size, at, t):
         struct = struct_at(address, size)
         data, spring = open_data(struct), open_spring(struct, at)
-        for j in range(data.torque.size):
-            data.torque[j] -= spring.stiffness[j] * data.angles[j]
+        for j in range(data.control.torque.size):
+            data.control.torque[j] -= spring.stiffness[j] * data.angles[j]
         return 0
 
     ControlLaw(pull, Spring(stiffness))
 
 *Its derivative*, where it states one, is a function of the same signature.  It adds the derivatives
-of the law's torques to ``data.torque_slopes`` (n, columns), by the columns of
+of the law's torques to ``data.slopes.torque`` (n, columns), by the columns of
 :func:`multiarm.dynamics.coordinates.force_columns`, without those by the time.
 
 .. code-block:: python
@@ -32,8 +33,8 @@ of the law's torques to ``data.torque_slopes`` (n, columns), by the columns of
         struct = struct_at(address, size)
         data, spring = open_data(struct), open_spring(struct, at)
         positions = force_columns(data).positions
-        for j in range(data.torque.size):
-            data.torque_slopes[j, positions + j] -= spring.stiffness[j]
+        for j in range(data.control.torque.size):
+            data.slopes.torque[j, positions + j] -= spring.stiffness[j]
         return 0
 
     ControlLaw(pull, Spring(stiffness), differentiate_pull)

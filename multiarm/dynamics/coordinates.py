@@ -101,8 +101,13 @@ class StateColumns(NamedTuple):
 @plain
 def state_columns(data):
     """The columns for the sizes of these data, see ``Layout.columns``."""
-    joints, frames = data.angles.size, data.velocity.size - data.angles.size
-    torques = 2 * data.velocity.size
+    return columns_of_state(data.velocity.size, data.angles.size)
+
+
+@plain
+def columns_of_state(velocities, joints):
+    """The columns for numbers of velocities, and of joints among them."""
+    frames, torques = velocities - joints, 2 * velocities
     wrench = torques + joints
     return StateColumns(frames, 2 * frames, 2 * frames + joints, torques, wrench, wrench + frames)
 
@@ -122,8 +127,14 @@ class ForceColumns(NamedTuple):
 @plain
 def force_columns(data):
     """The columns for the sizes of these data: those of the state, and what follows them."""
-    at = state_columns(data)
-    time = at.torques + data.inner.size
+    return columns_of_forces(data.velocity.size, data.angles.size, data.effects.states.size)
+
+
+@plain
+def columns_of_forces(velocities, joints, states):
+    """The columns for numbers of velocities, joints among them, and states of effects."""
+    at = columns_of_state(velocities, joints)
+    time = at.torques + states
     return ForceColumns(at.twists, at.positions, at.rates, at.torques, time, time + 1, time + 7)
 
 
@@ -146,9 +157,14 @@ class Places(NamedTuple):
 @plain
 def chart_places(data):
     """The places for the sizes of these data."""
-    velocity, joints = data.velocity.size, data.angles.size
-    states = 2 * velocity
-    return Places(velocity - joints, velocity, states - joints, states, states + data.inner.size)
+    return places_in_chart(data.velocity.size, data.angles.size, data.effects.states.size)
+
+
+@plain
+def places_in_chart(velocities, joints, states):
+    """The places for numbers of velocities, joints among them, and states of effects."""
+    end = 2 * velocities  # of the velocity
+    return Places(velocities - joints, velocities, end - joints, end, end + states)
 
 
 @plain
@@ -164,8 +180,8 @@ def load_chart(z, base, data):
     read_chart(data.poses.shape[0], z, base, data.configuration)
     for k in range(data.velocity.size):
         data.velocity[k] = z[places.velocity + k]
-    for k in range(data.inner.size):
-        data.inner[k] = z[places.states + k]
+    for k in range(data.effects.states.size):
+        data.effects.states[k] = z[places.states + k]
 
 
 @inlined
@@ -181,8 +197,8 @@ def store_chart(data, base, z):
         z[places.joints + j] = data.angles[j]
     for k in range(data.velocity.size):
         z[places.velocity + k] = data.velocity[k]
-    for k in range(data.inner.size):
-        z[places.states + k] = data.inner[k]
+    for k in range(data.effects.states.size):
+        z[places.states + k] = data.effects.states[k]
 
 
 @inlined
@@ -202,7 +218,7 @@ def write_chart_slope(z, data, slope):
         slope[places.joints + j] = data.v[j]
     for k in range(data.acceleration.size):
         slope[places.velocity + k] = data.acceleration[k]
-    for k in range(data.inner_rate.size):
-        slope[places.states + k] = data.inner_rate[k]
-    for k in range(data.power.size):
-        slope[places.works + k] = data.power[k]
+    for k in range(data.effects.state_rates.size):
+        slope[places.states + k] = data.effects.state_rates[k]
+    for k in range(data.effects.power.size):
+        slope[places.works + k] = data.effects.power[k]

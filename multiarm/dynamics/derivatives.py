@@ -75,7 +75,7 @@ def differentiate(
     SolverError
         When the accelerations are not differentiable at this state.
     """
-    layout, states = data.model.layout, data.arrays.inner.size
+    layout, states = data.model.layout, data.arrays.effects.states.size
     rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
     equations = _Equations(data, parameters, columns)
     independent, message = found.rank == layout.contacts, ""

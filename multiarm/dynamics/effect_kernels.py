@@ -32,7 +32,7 @@ arrays of a ``NamedTuple``, which it opens by :func:`view_of_effect`.
     EffectKernel("spring", pull, PASSIVE, Spring(stiffness))
 
 *Its derivative*, where it states one, is a kernel of the same signature.  It adds to
-``data.force_slopes``, which is zero before, the derivatives of the forces on the frames and joints
+``data.slopes.force``, which is zero before, the derivatives of the forces on the frames and joints
 and, below these, of the rates of effects' states, by the columns of
 :func:`multiarm.dynamics.coordinates.force_columns`; those by the time and by s are not asked for.
 
@@ -44,12 +44,12 @@ and, below these, of the rates of effects' states, by the columns of
         data, spring = open_data(struct), open_spring(struct, at)
         first, columns = chart_places(data).joints, force_columns(data)
         for j in range(data.f_j.size):
-            data.force_slopes[first + j, columns.positions + j] -= spring.stiffness[j]
+            data.slopes.force[first + j, columns.positions + j] -= spring.stiffness[j]
         return 0
 
-That of an actuator changes ``data.torque_slopes`` (n, columns), all columns of a joint alike, as
-its kernel changes ``data.torque``, which is what comes to it.  Without a derivative, integration
-and :func:`multiarm.derivatives` take differences, which cost further evaluations.
+That of an actuator changes ``data.slopes.torque`` (n, columns), all columns of a joint alike, as
+its kernel changes ``data.control.torque``, which is what comes to it.  Without a derivative,
+integration and :func:`multiarm.derivatives` take differences, which cost further evaluations.
 
 A scene without effects has an empty list of kernels.
 """
@@ -70,8 +70,8 @@ from multiarm.jit.structs import ints1, make_struct, struct_of, view_at
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 
-# Entries of the array before a kernel's own ones: index of its power in ``Variables.power``, and of
-# its first state in ``Variables.inner``.
+# Entries of the array before a kernel's own ones: index of its power in ``EffectVariables.power``,
+# and of its first state in ``EffectVariables.states``.
 POWER, STATE = range(2)
 
 
@@ -89,12 +89,12 @@ def view_of_effect(holder: type) -> Callable[[Any, Any], Any]:
 @inlined
 def set_power(struct, at, power):
     """Write the power [W] of the effect at this place."""
-    open_data(struct).power[ints1(struct, int(at))[POWER]] = power
+    open_data(struct).effects.power[ints1(struct, int(at))[POWER]] = power
 
 
 @inlined
 def first_state(struct, at):
-    """Index in ``data.inner`` and ``data.inner_rate`` of the first state of this effect."""
+    """Index of the first state of this effect in ``data.effects.states`` and ``state_rates``."""
     return ints1(struct, int(at))[STATE]
 
 
@@ -129,8 +129,8 @@ class EffectKernel:
         The kernel calls :func:`set_power` at every call, with the power of its forces: derivatives
         of powers are taken from those of forces.
     states : int
-        Number of its states: it reads ``data.inner`` from :func:`first_state` on, and writes their
-        rates to ``data.inner_rate``.
+        Number of its states: it reads ``data.effects.states`` from :func:`first_state` on, and
+        writes their rates to ``data.effects.state_rates``.
     start : callable, optional
         ``start(arrays) -> (states,)``: these states at the start of a run, which has been
         evaluated with these arrays.  Zero when left out.
@@ -222,7 +222,7 @@ class EffectProgram:
 
     @property
     def works(self) -> tuple[str, ...]:
-        """Names of the effects that do work, in the order of ``Variables.power``."""
+        """Names of the effects that do work, in the order of ``Variables.effects.power``."""
         return tuple(effect.name for effect in self.kernels if effect.works)
 
     @property
@@ -237,7 +237,7 @@ class EffectProgram:
         return np.array(powers, dtype=np.int64)
 
     def slot(self, name: str) -> int:
-        """Index of an effect in ``Variables.power`` and ``works``."""
+        """Index of an effect in ``Variables.effects.power`` and ``works``."""
         return self.works.index(name)
 
     @property

@@ -120,7 +120,7 @@ def right_hand_sides(address, size, alpha, beta):
     """
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    clear(data.power)
+    clear(data.effects.power)
     passive_forces(struct, model, data, work)
     power = 0.0
     if model.control.shape[0] > 0:
@@ -133,7 +133,7 @@ def right_hand_sides(address, size, alpha, beta):
 
 @inlined
 def command_torques(struct, model, data, work):
-    """Let the control laws write ``data.torque``."""
+    """Let the control laws write ``data.control.torque``."""
     if data.modes.active:
         control_of_closed(model, data)
     else:
@@ -143,7 +143,7 @@ def command_torques(struct, model, data, work):
 
 @inlined
 def control_of_closed(model, data):
-    """Let the control laws write ``data.torque`` as if all contacts of the joints were closed."""
+    """Let the laws write ``data.control.torque`` as if all contacts of the joints were closed."""
     closed = struct_at(data.modes.closed, 0)
     constants, of_closed, work = open_system(closed)
     for i in range(of_closed.pointers.shape[0]):
@@ -171,13 +171,13 @@ def load_gravity_torque(data, work):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         g = floats_at(data.pointers[i, GRAVITY_AT], d)
         for j in range(d):
-            data.gravity_torque[d0 + j] = g[j]
+            data.control.gravity_torque[d0 + j] = g[j]
 
 
 @inlined
 def control_torques(struct, laws, model, data):
-    """Let a number of control laws write ``data.torque``."""
-    clear(data.torque)
+    """Let a number of control laws write ``data.control.torque``."""
+    clear(data.control.torque)
     for k in range(laws):
         call_listed(model.control, k, ADDRESS, struct, data)
 
@@ -190,12 +190,12 @@ def add_torques(struct, model, data, work):
     """
     call_effects(model.passive_end, model.actuator_end, struct, model, data)
     total = 0.0
-    for i in range(data.control_power.size):
+    for i in range(data.control.power.size):
         power = 0.0
         for j in range(work.dofs[i], work.dofs[i + 1]):
-            data.f_j[j] += data.torque[j]
-            power += data.torque[j] * data.v[j]
-        data.control_power[i] = power
+            data.f_j[j] += data.control.torque[j]
+            power += data.control.torque[j] * data.v[j]
+        data.control.power[i] = power
         total += power
     return total
 
@@ -204,10 +204,10 @@ def add_torques(struct, model, data, work):
 def applied_forces(struct, model, data, power):
     """Add the external loads, and write the total power; ``power`` [W] is that of the control."""
     call_effects(model.actuator_end, model.applied_end, struct, model, data)
-    last = data.power.size - 1
+    last = data.effects.power.size - 1
     for k in range(last):
-        power += data.power[k]
-    data.power[last] = power
+        power += data.effects.power[k]
+    data.effects.power[last] = power
 
 
 @inlined
@@ -287,8 +287,8 @@ def write_coupled_solution(data, coupled):
     if status.arms == 0:
         write_solution(data, WHOLE, 0, 0, math.inf, 1)
         return
-    for i in range(data.coupled_arms.size):
-        data.coupled_arms[i] = coupled.deficient[i]
+    for i in range(data.deficient.coupled.size):
+        data.deficient.coupled[i] = coupled.deficient[i]
     write_solution(data, SPLIT, status.arms, status.unknowns - status.rank, status.margin, 1)
 
 
@@ -309,9 +309,11 @@ def update_rows(struct: INTS):
 def write_general_row(address, size, row, arm):
     """Write a row of an arm that is not a tip on a plane, a sphere or a cylinder."""
     model, data, _ = open_system(struct_at(address, size))
+    pairs = data.pairs
     write_row(
         int(row), data.arms[int(arm)], data.body, model.codes, model.geometry, model.shapes,
-        data.functions.surface, data.contacts, data.parts, data.query, data.places, data.located,
+        data.functions.surface, data.contacts, data.parts,
+        pairs.scratch, pairs.starts, pairs.points,
     )  # fmt: skip
     return OK
 

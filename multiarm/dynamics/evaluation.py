@@ -414,14 +414,14 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     b, layout = data.arrays, data.model.layout
     if data.model.effects.states:
         require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
-        b.inner[:] = data.effect_states()
+        b.effects.states[:] = data.effect_states()
     require_ok(data, evaluate_and_check(data.struct))
     check = b.check
-    a_j, torques, snapshot = b.a_j.copy(), b.torque.copy(), Snapshot(data)
+    a_j, torques, snapshot = b.a_j.copy(), b.control.torque.copy(), Snapshot(data)
     forces = layout.split_contacts(b.force.copy())
     coupled = _coupled_arms(data)
     pivots = () if snapshot.dense else data.work.pivot.tolist()
-    powers = b.control_power.tolist() if data.model.controlled else ()
+    powers = b.control.power.tolist() if data.model.controlled else ()
     return Evaluation(
         time=float(t),
         state=state,
@@ -439,7 +439,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         rank=b.solution.rank,
         coupled_arms=coupled,
         message=ambiguity_text(data) if check.solved else contradiction_text(data),
-        effect_state_rates=b.inner_rate.copy(),
+        effect_state_rates=b.effects.state_rates.copy(),
         contact_states={},
         _held=snapshot,
         _all=snapshot,
@@ -460,7 +460,7 @@ def _coupled_arms(data: Data) -> tuple[str, ...]:
     """Arms that could not be eliminated as a whole in the last solution."""
     if not data.arrays.solution.coupled_arms:
         return ()
-    coupled = data.arrays.coupled_arms
+    coupled = data.arrays.deficient.coupled
     return tuple(name for name, is_so in zip(data.model.arm_names, coupled, strict=False) if is_so)
 
 

@@ -79,7 +79,7 @@ def ambiguity_text(data: Data) -> str:
     """That the last solution is one of several; empty where it is the only one."""
     if data.arrays.solution.motion_unique:
         return ""
-    owners = zip([*data.model.arm_names, SURROUNDINGS], data.arrays.loose_arms, strict=False)
+    owners = zip([*data.model.arm_names, SURROUNDINGS], data.arrays.deficient.loose, strict=False)
     loose = ", ".join(owner for owner, is_loose in owners if is_loose)
     return (
         "friction leaves the motion open: other accelerations meet the equations, too, with other "

@@ -3,8 +3,8 @@ r"""Derivatives of the forces of control and effects.
 They are what laws and effects state (:mod:`multiarm.dynamics.effect_kernels`,
 :mod:`multiarm.control.program`), and differences of the forces of those that state none.  Torques
 of the control come to the first actuator, and what this makes of them to the next one; so do their
-derivatives, ``data.torque_slopes``.  All other derivatives are those of one effect at a time,
-``data.force_slopes``.  Columns are those of the state, then the effects' states, the time, and the
+derivatives, ``data.slopes.torque``.  All other derivatives are those of one effect at a time,
+``data.slopes.force``.  Columns are those of the state, then the effects' states, the time, and the
 wrench s that gravity compensation distributes (:mod:`multiarm.integration.arm_blocks`).
 
 *Differences* are of order four, or of order one where many evaluations cost more than an error is
@@ -86,7 +86,7 @@ def begin_differences(model, data, differences, h):
 @inlined
 def torques_are_held(model, data):
     """Whether the control is sampled, and this is not the time of a sample."""
-    return model.sampled.shape[0] > 0 and data.sampling.due == HELD
+    return model.sampled.shape[0] > 0 and data.control.sampling.due == HELD
 
 
 def prepare_derivatives(data: Data) -> None:
@@ -105,8 +105,8 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     where nothing depends on these.  Without ``closed_loop`` the control's torques are held, and
     drives with states follow these.
     """
-    model, layout, e = data.model, data.model.layout, data.arrays.inner.size
-    constants, columns = model.constants, data.arrays.torque_slopes.shape[1]
+    model, layout, e = data.model, data.model.layout, data.arrays.effects.states.size
+    constants, columns = model.constants, data.arrays.slopes.torque.shape[1]
     follows = len(constants.control) > 0 and constants.control_reach > OPEN_LOOP
     follows &= closed_loop
     if not (follows or model.effects.kernels):
@@ -114,7 +114,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     if follows:
         prepare_derivatives(data)
     differences = Differences(laws=len(constants.control), follows=follows, order=4)
-    applied = np.zeros((layout.nv + e + data.arrays.power.size, columns))
+    applied = np.zeros((layout.nv + e + data.arrays.effects.power.size, columns))
     require_ok(data, write_applied(data.struct, differences, model.effects.powers, applied))
     return applied[: layout.nv + e, : 2 * layout.nv + e]
 
@@ -125,7 +125,7 @@ def write_applied(struct: INTS, differences: Differences, powers: INTS, applied:
 
     At the end the data are as they were.
     """
-    clear_table(open_data(struct).torque_slopes)
+    clear_table(open_data(struct).slopes.torque)
     status = differentiate_forces(struct, differences, powers, add_slopes, applied)
     if status == OK:
         status = update_kinematics(struct)
@@ -140,14 +140,14 @@ def differentiate_forces(struct, differences, powers, gather, out):
 
     The derivatives of the torques of the drives, and those of each effect, are handed to
     ``gather(out, data, work, power, of_drives)``, a kernel, as they stand in the data: in
-    ``torque_slopes`` (``of_drives``) or ``force_slopes``.  ``power`` is the place of the power of
+    ``slopes.torque`` (``of_drives``) or ``slopes.force``.  ``power`` is the place of the power of
     these forces, -1 without; ``powers`` are those of the effects, the last one is that of all.
-    What is in ``torque_slopes`` before belongs to the control laws beyond ``differences.laws``.
+    What is in ``slopes.torque`` before belongs to the control laws beyond ``differences.laws``.
     """
     model, data, work = open_system(struct)
-    controlled, status, total = model.control.shape[0] > 0, OK, data.power.size - 1
-    if data.passive_slopes.shape[0] > 0:
-        clear_slopes(model, data, work, differences.local, data.passive_slopes, 0)
+    controlled, status, total = model.control.shape[0] > 0, OK, data.effects.power.size - 1
+    if data.slopes.passive.shape[0] > 0:
+        clear_slopes(model, data, work, differences.local, data.slopes.passive, 0)
     for k in range(model.applied_end + 1):
         if k == model.passive_end and controlled:
             status = differentiate_control(struct, differences)
@@ -174,8 +174,8 @@ def actuates(model, k):
 def add_passive_slopes(data):
     """Add the derivatives of one effect to those of all that act on the joints before control."""
     first = chart_places(data).joints
-    for j in range(data.passive_slopes.shape[0]):
-        slopes, row = data.force_slopes[first + j], data.passive_slopes[j]
+    for j in range(data.slopes.passive.shape[0]):
+        slopes, row = data.slopes.force[first + j], data.slopes.passive[j]
         for c in range(row.size):
             row[c] += slopes[c]
 
@@ -187,7 +187,7 @@ def add_slopes(applied, data, _work, power, of_drives):
     Its rows are these; the powers are those of each effect and of all.
     """
     first, columns = chart_places(data).joints, force_columns(data)
-    slopes = data.torque_slopes if of_drives else data.force_slopes
+    slopes = data.slopes.torque if of_drives else data.slopes.force
     begin = first if of_drives else 0
     for i in range(slopes.shape[0]):
         row = applied[begin + i]
@@ -195,8 +195,8 @@ def add_slopes(applied, data, _work, power, of_drives):
             row[c] += slopes[i, c]
     if power < 0:
         return
-    powers, total = data.force_slopes.shape[0], data.power.size - 1
-    last = data.torque.size if of_drives else data.velocity.size
+    powers, total = data.slopes.force.shape[0], data.effects.power.size - 1
+    last = data.control.torque.size if of_drives else data.velocity.size
     for place in range(power, total + 1, max(total - power, 1)):
         row = applied[powers + place]
         for i in range(last):
@@ -204,7 +204,7 @@ def add_slopes(applied, data, _work, power, of_drives):
             for c in range(row.size):
                 row[c] += slopes[i, c] * data.velocity[l]
             rate = columns.twists + l if l < first else columns.rates + l - first
-            row[rate] += data.torque[i] if of_drives else data.generalised_forces[i]
+            row[rate] += data.control.torque[i] if of_drives else data.generalised_forces[i]
 
 
 @kernel
@@ -217,7 +217,7 @@ def differentiate_control(struct, differences):
     """
     model, data, work = open_system(struct)
     columns, status, differs = force_columns(data), OK, False
-    clear_slopes(model, data, work, differences.local, data.force_slopes, chart_places(data).joints)
+    clear_slopes(model, data, work, differences.local, data.slopes.force, chart_places(data).joints)
     act(struct, differences, CONTROL, model, data, work)
     if differences.follows:
         for k in range(differences.laws):
@@ -225,7 +225,7 @@ def differentiate_control(struct, differences):
         if not differs:
             status = differentiate_laws(struct, differences, model, data)
         if status == SINGULAR and not differences.local:
-            clear_table(data.torque_slopes)
+            clear_table(data.slopes.torque)
             status, differs = OK, True
     if differs:
         status = add_differences(struct, differences, CONTROL, True)
@@ -260,31 +260,31 @@ def failure(returned):
 def take_torque_slopes(data, begin, end):
     """Add columns of the differences of torques to the derivatives of the torques."""
     first = chart_places(data).joints
-    for j in range(data.torque.size):
+    for j in range(data.control.torque.size):
         for c in range(begin, end):
-            data.torque_slopes[j, c] += data.force_slopes[first + j, c]
+            data.slopes.torque[j, c] += data.slopes.force[first + j, c]
 
 
 @kernel
 def differentiate_effect(struct, differences, k):
     """Write the derivatives of effect number k, and let it act; returns a status.
 
-    Those of an actuator change ``data.torque_slopes``, as it changes ``data.torque``; else forces
-    of this effect alone are in ``data.generalised_forces``.
+    Those of an actuator change ``data.slopes.torque``, as it changes ``data.control.torque``; else
+    forces of this effect alone are in ``data.generalised_forces``.
     """
     model, data, work = open_system(struct)
     status, first = OK, chart_places(data).joints
     stated = model.effects[k, DERIVATIVE] != 0
-    clear_slopes(model, data, work, differences.local, data.force_slopes, first)
+    clear_slopes(model, data, work, differences.local, data.slopes.force, first)
     if stated:
         status = failure(call_listed(model.effects, k, DERIVATIVE, struct, data))
     by_time = differences.time_change > 0.0 and not actuates(model, k)
     if status == OK and (not stated or by_time):
         status = add_differences(struct, differences, k, not stated)
     if actuates(model, k) and not stated:
-        for j in range(data.torque.size):
-            copy(data.force_slopes[first + j], data.torque_slopes[j])
-            clear(data.force_slopes[first + j])
+        for j in range(data.control.torque.size):
+            copy(data.slopes.force[first + j], data.slopes.torque[j])
+            clear(data.slopes.force[first + j])
     act(struct, differences, k, model, data, work)
     return status
 
@@ -350,12 +350,12 @@ def act(struct, differences, k, model, data, work):
 def add_differences(struct, differences, k, by_state):
     """Add derivatives of one effect, or of the control, by the time, and ``by_state`` by all else.
 
-    They are written to ``data.force_slopes``, also those of torques.  Returns a status.
+    They are written to ``data.slopes.force``, also those of torques.  Returns a status.
     """
     model, data, work = open_system(struct)
     at, places = force_columns(data), chart_places(data)
     configuration, velocity = data.configuration.copy(), data.velocity.copy()
-    inner, torque, now = data.inner.copy(), data.torque.copy(), data.time.now
+    inner, torque, now = data.effects.states.copy(), data.control.torque.copy(), data.time.now
     of_torques = k != CONTROL and actuates(model, k)
     needs_kinematics = not knows_state_alone(model, data, k)
     direction, displacement = np.zeros(at.end), np.zeros(velocity.size)
@@ -406,14 +406,14 @@ def add_differences(struct, differences, k, by_state):
                     differences.evaluations += 1
                     status = update_kinematics(struct)
             elif column < at.time:
-                data.inner[column - at.states] = inner[column - at.states] + offset
+                data.effects.states[column - at.states] = inner[column - at.states] + offset
             elif of_time:
                 data.time.now = now + offset
             for j in range(torque.size):
                 row = columns[places.joints + j]
-                data.torque[j] = torque[j]
+                data.control.torque[j] = torque[j]
                 if of_torques and row >= 0:
-                    data.torque[j] += offset * data.torque_slopes[j, row]
+                    data.control.torque[j] += offset * data.slopes.torque[j, row]
             if status == OK:
                 act(struct, differences, k, model, data, work)
             if data.status.failed:
@@ -421,16 +421,16 @@ def add_differences(struct, differences, k, by_state):
             read_forces(data, of_torques or k == CONTROL, places.joints, value)
             for i in range(columns.size):
                 if columns[i] >= 0:
-                    data.force_slopes[i, columns[i]] += weight * (value[i] - base[i])
+                    data.slopes.force[i, columns[i]] += weight * (value[i] - base[i])
             if status != OK:
                 break
         copy(configuration, data.configuration)
         copy(velocity, data.velocity)
-        copy(inner, data.inner)
+        copy(inner, data.effects.states)
         data.time.now = now
         if status != OK:
             break
-    copy(torque, data.torque)
+    copy(torque, data.control.torque)
     if moved and status == OK:
         differences.evaluations += 1
         status = update_kinematics(struct)
@@ -450,9 +450,9 @@ def read_forces(data, torques, joints, out):
     for k in range(size):
         out[k] = data.generalised_forces[k]
         if torques:
-            out[k] = data.torque[k - joints] if k >= joints else 0.0
-    for k in range(data.inner_rate.size):
-        out[size + k] = data.inner_rate[k]
+            out[k] = data.control.torque[k - joints] if k >= joints else 0.0
+    for k in range(data.effects.state_rates.size):
+        out[size + k] = data.effects.state_rates[k]
 
 
 @inlined

@@ -270,12 +270,12 @@ RANGE_DEPTH, range_at = _kind(RangeDepth)
 def range_depth(guard, model, data):
     """The distance to the nearer end, and its rate; NaN where the component is not free."""
     i, component = guard.arm, guard.component
-    rates, coordinates = data.query[0:6], data.query[6:15]
+    rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
     for k in range(model.free_bounds[i], model.free_bounds[i + 1]):
         if model.free[k, 0] == component:
             write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
             place = model.free[k, 1]
-            x = unwrapped(coordinates[place], data.coordinates[i, component], place)
+            x = unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
             above, below = x - guard.lower, guard.upper - x
             return (above, rates[component]) if above < below else (below, -rates[component])
     return math.nan, math.nan

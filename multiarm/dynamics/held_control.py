@@ -10,8 +10,8 @@ sample there is no earlier one: the torques of the start act, as if the system h
 
 Laws that are held stand in ``Constants.sampled``; the only row of ``Constants.control`` is then
 :func:`hold_torques`.  So a model whose control is evaluated all the time does nothing else than
-before.  The time loop sets ``data.sampling.due`` at a sample: the first evaluation there calls the
-laws, with all terms that they need at hand, and the next ones use what it has stored.
+before.  The time loop sets ``data.control.sampling.due`` at a sample: the first evaluation there
+calls the laws, with all terms that they need at hand, and the next ones use what it has stored.
 """
 
 from __future__ import annotations
@@ -91,18 +91,18 @@ def hold_torques(address, size, _at, _t):
     """Write the held torques; where a sample is due, let the laws compute them."""
     struct = struct_at(address, size)
     model, data, _ = open_system(struct)
-    sampling, held = data.sampling, data.held
+    sampling, held = data.control.sampling, data.control.held_torques
     if sampling.due != HELD:
         for k in range(model.sampled.shape[0]):
             call_listed(model.sampled, k, ADDRESS, struct, data)
         at_once = not model.sample_delay or sampling.samples == 0
-        for j in range(data.torque.size):
-            held[0, j] = data.torque[j] if at_once else held[1, j]
-            held[1, j] = data.torque[j]
+        for j in range(data.control.torque.size):
+            held[0, j] = data.control.torque[j] if at_once else held[1, j]
+            held[1, j] = data.control.torque[j]
         sampling.samples += 1
         if sampling.due == ONCE:
             sampling.due = HELD
-    copy(held[0], data.torque)
+    copy(held[0], data.control.torque)
     return 0
 
 
@@ -112,7 +112,7 @@ def differentiate_held_torques(address, size, _at, _t):
     struct = struct_at(address, size)
     model, data, _ = open_system(struct)
     status = 0
-    for k in range(model.sampled.shape[0] if data.sampling.due != HELD else 0):
+    for k in range(model.sampled.shape[0] if data.control.sampling.due != HELD else 0):
         if status == 0:
             status = call_listed(model.sampled, k, DERIVATIVE, struct, data)
     return status

@@ -105,7 +105,7 @@ class Model:
     lazy_functions: Mapping[str, Kernel]
     # times at which control or effects are not smooth, so that steps end there [s]
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    # ``Variables.places`` at the start, (S, 3)
+    # ``Variables.pairs.starts`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     laws: tuple[ControlLaw, ...] = ()  # of a compiled control
     python_control: PythonControl | None = None  # None: control is compiled
@@ -332,20 +332,16 @@ class Data:
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
         self.guards = make_guards(model.guards, range(model.layout.contacts))
-        arrays = make_variables(
+        self.arrays = b = make_variables(
             model.constants,
             self._pointers(),
             layout=model.layout,
             pinocchio_size=self._backends.configuration,
             works=len(model.effects.works),
             states=model.effects.states,
+            link_poses=[self._backends.pose_address(*link) for link in model.links],
+            contact_states=0 if model.unilateral is None else len(model.unilateral.contacts),
         )
-        poses = [self._backends.pose_address(*link) for link in model.links]
-        shown = arrays.shown
-        if model.unilateral is not None:
-            shown = np.zeros(model.layout.contacts + len(model.unilateral.contacts))
-        self.arrays = arrays._replace(link_poses=np.array(poses, dtype=np.int64), shown=shown)
-        b = self.arrays
         arms = self._backends.connect(b.angles, b.v, b.q, b.arms, b.status)
         self.callbacks: dict[str, GuardedCall] = {**arms.callbacks}
         self.cache: dict[object, Any] = {}
@@ -355,7 +351,9 @@ class Data:
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         if self.surfaces:
-            answer = user_surface_callback(self.surfaces, self.arrays.query[RELATIVE_WIDTH:])
+            answer = user_surface_callback(
+                self.surfaces, self.arrays.pairs.scratch[RELATIVE_WIDTH:]
+            )
             self._add_callback("surface", PythonCallback(answer, self.arrays.status))
         self._connect_rows()
         self._connect_control()
@@ -388,7 +386,8 @@ class Data:
         else:
             count = model.layout.contacts
             rows: dict[str, Any] = row_variables(count, len(model.constants.codes) - count)
-            self.arrays = arrays._replace(**rows)
+            sample = arrays.sample._replace(forces=rows["force"])
+            self.arrays = arrays._replace(**rows, sample=sample)
             self._connect_rows()
         if model.python_control is not base.model.python_control:
             self._connect_control()
@@ -491,18 +490,18 @@ class Data:
         b = self.arrays
         b.time.now = t
         self.move_to(state)
-        b.torque[:] = 0.0  # those of another control
-        b.sampling.due, b.sampling.samples = b.sampling.mode, 0
-        b.inner[:] = b.inner_rate[:] = 0.0
-        b.places[:] = self.model.pair_places
-        b.coordinates[:] = np.nan
-        b.tips[:] = 0.0
+        b.control.torque[:] = 0.0  # those of another control
+        b.control.sampling.due, b.control.sampling.samples = b.control.sampling.mode, 0
+        b.effects.states[:] = b.effects.state_rates[:] = 0.0
+        b.pairs.starts[:] = self.model.pair_places
+        b.last_step.coordinates[:] = np.nan
+        b.sample.tips[:] = 0.0
         reset_guards(self.guards)
         b.solution.forget()
-        b.last_step.known = False
+        b.last_step.solution.known = False
         b.status.position_change = b.status.velocity_change = 0.0
-        b.lost[:] = 0
-        b.signs[:] = 0.0
+        b.last_step.lost_directions[:] = 0
+        b.last_step.determinant_signs[:] = 0.0
         for surface in self.surfaces:
             surface.reset()
 
@@ -516,10 +515,10 @@ class Data:
 
         None: its laws compute them, from the next sample or start on.
         """
-        sampling = self.arrays.sampling
+        sampling = self.arrays.control.sampling
         if torques is not None:
             sampling.mode = sampling.due = HELD
-            self.arrays.held[:] = torques
+            self.arrays.control.held_torques[:] = torques
         else:
             sampling.mode = ALWAYS if self.model.sampling is None else ONCE
             sampling.samples = 0

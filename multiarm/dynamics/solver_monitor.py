@@ -88,29 +88,29 @@ def compare_solution(address, size, _a, _b):
     """Compare the recorded solution with that of the previous step; returns the changes' number."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    solution, last, changes = data.solution, data.last_step, 0
-    if not last.known or last.rank != solution.rank:
-        last.known, last.rank = 1, solution.rank
+    solution, step, changes = data.solution, data.last_step, 0
+    if not step.solution.known or step.solution.rank != solution.rank:
+        step.solution.known, step.solution.rank = 1, solution.rank
         changes += 1
-    for i in range(data.passed.size):
-        data.passed[i] = 0
+    for i in range(step.sign_changes.size):
+        step.sign_changes[i] = 0
     if solution.elimination != WHOLE and solution.elimination != SPLIT:  # no directions of arms
         return changes
     coupled = open_coupled(struct)
-    for i in range(data.lost.size):
+    for i in range(step.lost_directions.size):
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
-            lost = count_lost(i, data.lost[i], work, coupled)
+            lost = count_lost(i, step.lost_directions[i], work, coupled)
         elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
-            lost = data.lost[i]
+            lost = step.lost_directions[i]
         elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
             sign = determinant_sign(i, work, coupled)
-            if sign * data.signs[i] < 0.0:
-                data.passed[i] = 1
+            if sign * step.determinant_signs[i] < 0.0:
+                step.sign_changes[i] = 1
                 changes += 1
-            data.signs[i] = sign
-        if lost != data.lost[i]:
-            data.lost[i] = lost
+            step.determinant_signs[i] = sign
+        if lost != step.lost_directions[i]:
+            step.lost_directions[i] = lost
             changes += 1
     return changes
 

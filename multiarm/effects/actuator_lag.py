@@ -34,12 +34,12 @@ def lag_torques(address, size, at, _t):
     """Write the torques that act, and their rates."""
     struct = struct_at(address, size)
     data, lag, state = open_data(struct), open_lag(struct, at), first_state(struct, at)
-    torque = data.torque
+    torque = data.control.torque
     for k in range(lag.joints.size):
         j = lag.joints[k]
         lag.commands[k] = torque[j]
-        torque[j] = data.inner[state + k]
-        data.inner_rate[state + k] = (lag.commands[k] - torque[j]) / lag.time_constants[k]
+        torque[j] = data.effects.states[state + k]
+        data.effects.state_rates[state + k] = (lag.commands[k] - torque[j]) / lag.time_constants[k]
     return 0
 
 
@@ -50,8 +50,8 @@ def differentiate_lag(address, size, at, _t):
     data, lag, state = open_data(struct), open_lag(struct, at), first_state(struct, at)
     states = force_columns(data).states
     for k in range(lag.joints.size):
-        command = data.torque_slopes[lag.joints[k]]
-        rate = data.force_slopes[data.velocity.size + state + k]
+        command = data.slopes.torque[lag.joints[k]]
+        rate = data.slopes.force[data.velocity.size + state + k]
         for c in range(command.size):
             rate[c] += command[c] / lag.time_constants[k]
         rate[states + state + k] -= 1.0 / lag.time_constants[k]

@@ -33,8 +33,8 @@ from multiarm.scene.registry import called
 class Link(NamedTuple):
     """A link of an arm on which an effect acts."""
 
-    # index in ``Variables.link_poses`` of the address of its joint's pose: 12 numbers, rotation by
-    # columns, origin
+    # index in ``EffectVariables.link_poses`` of the address of its joint's pose: 12 numbers,
+    # rotation by columns, origin
     number: int
     # the arm's number; ``Variables.pointers[arm, J_AT]`` is the address of its Jacobian (columns of
     # 6, world axes, about the world's origin)

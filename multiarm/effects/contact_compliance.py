@@ -100,14 +100,14 @@ def differentiate_contact_compliance(address, size, at, _t):
     first = chart_places(data).joints
     for l in range(first):
         for c in range(by.states):
-            data.force_slopes[l, c] -= equations.dF_o[l, c]
+            data.slopes.force[l, c] -= equations.dF_o[l, c]
     for i in range(work.dofs.size - 1):
         d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         columns = arm_columns(n, False)
         for j in range(n):
             for c in range(columns.end):
                 column = column_of_state(by, columns, d0, c)
-                data.force_slopes[first + d0 + j, column] -= equations.dF[i, j, c]
+                data.slopes.force[first + d0 + j, column] -= equations.dF[i, j, c]
         for s in range(work.rows[i], work.rows[i + 1]):
             if springs.active[s] != 0:
                 add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data)
@@ -130,9 +130,9 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
             change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
         column = column_of_state(by, columns, d0, c)
         for l in range(first):
-            data.force_slopes[l, column] -= rows.Wo[s, l] * change
+            data.slopes.force[l, column] -= rows.Wo[s, l] * change
         for j in range(n):
-            data.force_slopes[first + d0 + j, column] -= W[j] * change
+            data.slopes.force[first + d0 + j, column] -= W[j] * change
 
 
 def compliance_kernel(springs: CompliantContacts) -> EffectKernel:

@@ -93,7 +93,7 @@ def differentiate_drag(address, size, at, _t):
     """Add the derivatives of the wrench."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    R, slopes, twists = rotation(data.body, 0), data.force_slopes, force_columns(data).twists
+    R, slopes, twists = rotation(data.body, 0), data.slopes.force, force_columns(data).twists
     u, w = sub(vec(data.body, VELOCITY), vec(drag.wind, 0)), vec(data.body, SPIN)
     c, q, d = vec(drag.linear, 0), vec(drag.quadratic, 0), vec(drag.angular, 0)
     speed = norm(u)

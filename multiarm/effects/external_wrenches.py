@@ -122,8 +122,8 @@ def differentiate_external_wrenches(address, size, at, t):
             by_turn = cross(e, f) if follows else ZERO
             moment_by_turn = cross(e, m) if follows else cross(cross(e, lever), f)
             for a in range(3):
-                data.force_slopes[a, 3 + axis] += by_turn[a]
-                data.force_slopes[3 + a, 3 + axis] += moment_by_turn[a]
+                data.slopes.force[a, 3 + axis] += by_turn[a]
+                data.slopes.force[3 + a, 3 + axis] += moment_by_turn[a]
     return 0
 
 
@@ -148,7 +148,7 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
             if j > i:
                 moved = twist_product((v, w), twist)
                 slope += dot(moved[0], f) + dot(moved[1], m)
-            data.force_slopes[row + j, column + i] += slope
+            data.slopes.force[row + j, column + i] += slope
 
 
 @kernel
@@ -160,7 +160,7 @@ def place_wrench(wrenches, k, data, t):
     write_wrench(wrenches, k, t)
     R, origin = rotation(data.body, 0), ZERO
     if wrenches.on_link[k] != 0:
-        pose = floats_at(data.link_poses[wrenches.link[k]], 12)
+        pose = floats_at(data.effects.link_poses[wrenches.link[k]], 12)
         R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
     if wrenches.in_body[k] != 0:
         to_world(R, wrenches.frame[k], wrenches.wrench[k])

@@ -42,7 +42,7 @@ def differentiate_joint_damping(address, size, at, _t):
     data, damping = open_data(struct), open_damping(struct, at)
     joints, rates = chart_places(data).joints, force_columns(data).rates
     for j in range(data.f_j.size):
-        data.force_slopes[joints + j, rates + j] -= damping.coefficients[j]
+        data.slopes.force[joints + j, rates + j] -= damping.coefficients[j]
     return 0
 
 

@@ -70,7 +70,7 @@ def differentiate_joint_friction(address, size, at, _t):
     for j in range(data.f_j.size):
         part = math.tanh(data.v[j] / friction.smoothing_speed)
         slope = friction.torque[j] * (1.0 - part * part) / friction.smoothing_speed
-        data.force_slopes[joints + j, rates + j] -= slope
+        data.slopes.force[joints + j, rates + j] -= slope
     return 0
 
 

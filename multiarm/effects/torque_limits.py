@@ -37,7 +37,7 @@ open_limits = view_of_effect(TorqueLimits)
 def limit_torques(address, size, at, _t):
     """Limit the commands, and write their excess."""
     struct = struct_at(address, size)
-    torque, drives = open_data(struct).torque, open_limits(struct, at)
+    torque, drives = open_data(struct).control.torque, open_limits(struct, at)
     for j in range(torque.size):
         command, limit = abs(torque[j]), drives.limits[j]
         drives.excess[j] = command - limit
@@ -51,9 +51,9 @@ def differentiate_limits(address, size, at, _t):
     """Clear the derivatives of torques beyond their limits."""
     struct = struct_at(address, size)
     data, drives = open_data(struct), open_limits(struct, at)
-    for j in range(data.torque.size):
-        if abs(data.torque[j]) > drives.limits[j]:
-            clear(data.torque_slopes[j])
+    for j in range(data.control.torque.size):
+        if abs(data.control.torque[j]) > drives.limits[j]:
+            clear(data.slopes.torque[j])
     return 0
 
 

@@ -56,7 +56,7 @@ class ModeNumbers(Numbers):
     """Numbers of one mode."""
 
     slow: Float  # the speed ``s_0`` [m/s]
-    power: Int  # index of the power of sliding friction in ``data.power``
+    power: Int  # index of the power of sliding friction in ``data.effects.power``
     muted: Flag  # the current step ends at an event that has been located
     stressed: Flag  # there are forces ``lambda_0``
     begin: Float  # of the last step [s]
@@ -190,8 +190,8 @@ def solve_sliding(address, size, _a, _b):
     if mode.numbers.stressed:
         take_prestress(mode, data)
     power = friction_power(slides, data.force)
-    data.power[mode.numbers.power] = power
-    data.power[data.power.size - 1] += power
+    data.effects.power[mode.numbers.power] = power
+    data.effects.power[data.effects.power.size - 1] += power
     return OK
 
 
@@ -220,8 +220,8 @@ def write_reaction_solution(data, reactions):
     """
     dependent, coupled_arms = reactions.status.rows - reactions.status.rank, 0
     for i in range(reactions.coupled.size):
-        data.loose_arms[i] = reactions.undetermined[i]
-        data.coupled_arms[i] = reactions.coupled[i]
+        data.deficient.loose[i] = reactions.undetermined[i]
+        data.deficient.coupled[i] = reactions.coupled[i]
         coupled_arms += reactions.coupled[i]
     unique = 1 if reactions.status.motions == 0 else 0
     write_solution(
@@ -231,10 +231,10 @@ def write_reaction_solution(data, reactions):
 
 @cfunc
 def record_forces(address, size, _t, _b):
-    """Write the forces of all rows and the states of contacts, ``data.shown``, and the wrenches."""
+    """Write the forces of all rows, the states of contacts and the wrenches to ``data.sample``."""
     data = open_data(struct_at(address, size))
     of_mode = struct_at(data.modes.mode, 0)
-    mode, slides, shown = open_mode(of_mode), open_slides(of_mode), data.shown
+    mode, slides, shown = open_mode(of_mode), open_slides(of_mode), data.sample.forces
     shown[:] = 0.0
     for k in range(mode.held.size):
         shown[mode.held[k]] = data.force[k]
@@ -249,7 +249,7 @@ def record_forces(address, size, _t, _b):
     struct = struct_at(data.modes.full, 0)
     status = update_rows(struct)
     _, full, work = open_system(struct)
-    write_wrenches(full.Wo, work.rows, shown, data.wrenches)
+    write_wrenches(full.Wo, work.rows, shown, data.sample.wrenches)
     return status
 
 

@@ -73,7 +73,7 @@ class Modes:
         self.closed = full.with_contacts_closed()
         self.bare = self._always(unilateral.bilateral)
         self._structs = ModeStructs(active=True, closed=_address(self.closed), full=_address(full))
-        self.data = RowSelection(full, modes=self._structs, shown=full.arrays.shown)
+        self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
         self.data.of_laws = self.closed
         self._functions = functions = self.data.arrays.functions
         functions.contact_forces = address_of(record_forces)
@@ -145,7 +145,7 @@ class Modes:
         rows = np.array(sorted([*self.unilateral.bilateral, *mode.rows]), dtype=np.int64)
         self._sliding_constraints = sliding = mode.sliding(constraints)
         self.data.select(rows)
-        self.full.arrays.signs[:] = 0.0  # determinants of other rows
+        self.full.arrays.last_step.determinant_signs[:] = 0.0  # determinants of other rows
         struct[self._sizes.rows], struct[self._sizes.slides] = rows.size, len(sliding)
         self._write_rows(mode, rows)
         self._write_slides(mode, self._guards.place(rows, sliding))

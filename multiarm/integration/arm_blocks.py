@@ -246,7 +246,7 @@ def differentiate_arms(step, blocks, t, h):
         clear_table(blocks.derivatives[i])
         clear_table(blocks.on_object[i])
     clear_table(blocks.by_object)
-    clear_slopes(model, data, work, 1, data.torque_slopes, 0)
+    clear_slopes(model, data, work, 1, data.slopes.torque, 0)
     status = write_derivatives(step.system, blocks.equations)
     if status != OK:
         return status
@@ -327,7 +327,7 @@ def differentiate_carrying(struct, blocks):
                 slope = dF[j, c]
                 for k in range(m):
                     slope -= W[j, k] * equations.rates[r0 + k, c]
-                data.torque_slopes[d0 + j, column] += slope
+                data.slopes.torque[d0 + j, column] += slope
             for l in range(blocks.frames):
                 change = 0.0
                 for k in range(m):
@@ -341,7 +341,7 @@ def differentiate_carrying(struct, blocks):
             for l in range(blocks.frames):
                 for k in range(m):
                     change = W[j, k] * data.Wo[r0 + k, l]
-                    data.torque_slopes[d0 + j, columns.share + l] -= change
+                    data.slopes.torque[d0 + j, columns.share + l] -= change
     for l in range(blocks.frames):
         for c in range(blocks.frames):
             blocks.by_object[blocks.frames + l, c] -= equations.dF_o[l, c]
@@ -361,8 +361,8 @@ def gather(blocks, data, work, power, of_drives):
     total, frames = blocks.works - 1, blocks.frames
     of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
-    slopes = data.torque_slopes if of_drives else data.force_slopes
-    force, first = (data.torque, 0) if of_drives else (data.f_j, places.joints)
+    slopes = data.slopes.torque if of_drives else data.slopes.force
+    force, first = (data.control.torque, 0) if of_drives else (data.f_j, places.joints)
     for i in range(blocks.counts.size):
         A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
         joints, states = d1 - d0, blocks.counts[i]
@@ -414,7 +414,7 @@ def share_weight(struct, blocks):
     if blocks.shared == blocks.frames:
         return True
     data, s = open_data(struct), blocks.share
-    copy(data.weight, s)
+    copy(data.control.object_wrench, s)
     if not factor_wrench_products(data.Wo, blocks.node, blocks.alpha, blocks.node_pivots):
         return False
     solve_wrench_products(blocks.node, blocks.alpha, blocks.node_pivots, s)

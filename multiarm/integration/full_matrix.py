@@ -83,7 +83,7 @@ class FullMatrix(NamedTuple):
 
 def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatrix:
     """Allocate for a system; ``equations`` is the struct of the derivatives of its equations."""
-    layout, columns = data.model.layout, data.arrays.torque_slopes.shape[1]
+    layout, columns = data.model.layout, data.arrays.slopes.torque.shape[1]
     size, n = step.z.size, layout.nv
     m = step.tolerance.size - n
     return FullMatrix(
@@ -139,7 +139,7 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     if status != OK:
         return status
     begin_differences(model, data, differences, h)
-    clear_table(data.torque_slopes)
+    clear_table(data.slopes.torque)
     clear_table(full.applied)
     status = differentiate_forces(struct, differences, full.powers, add_slopes, full.applied)
     stage.evaluations += differences.evaluations
@@ -184,7 +184,7 @@ def respond_to_forces(data, full, time_slope):
             of_frame = l < places.joints
             full.by_position[i, l] = row[l if of_frame else at.positions + joint]
             full.by_velocity[i, l] = row[at.twists + l if of_frame else at.rates + joint]
-        for k in range(data.inner.size):
+        for k in range(data.effects.states.size):
             full.by_velocity[i, nv + k] = row[columns.states + k]
         time_slope[places.velocity + i] = row[columns.time]
 

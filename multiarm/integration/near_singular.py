@@ -47,7 +47,7 @@ def evaluate_on_branch(struct, gap_tolerance, alpha, beta):
     data = open_data(struct)
     if status != OK or gap_tolerance < 0.0 or data.solution.coupled_arms == 0:
         return status
-    data.interpolation.gap = gap_tolerance
+    data.interpolation.settings.gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)
 
 
@@ -57,7 +57,7 @@ def evaluate_near_singular(address, size, alpha, beta):
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     # before a run the rank elsewhere is unknown: the state may be exactly on the crossing
-    unknown = not data.last_step.known and data.solution.dependent > 0
+    unknown = not data.last_step.solution.known and data.solution.dependent > 0
     if not (data.solution.margin < ZONE or unknown) or model.calls_user:
         return OK
     rate = greatest(data.velocity)
@@ -79,13 +79,13 @@ def evaluate_near_singular(address, size, alpha, beta):
 
 @kernel
 def interpolate_accelerations(struct, alpha, beta, delay):
-    """Interpolate the accelerations into ``data.mixed``, from states at multiples of ``delay`` [s].
+    """Interpolate the accelerations from states at multiples of ``delay`` [s].
 
     Returns whether it succeeded: not when a state cannot be reached, or when the constraints are
     not further from losing rank there.
     """
     data = open_data(struct)
-    mixed, solution = data.mixed, data.solution
+    mixed, solution = data.interpolation.acceleration, data.solution
     here, there = solution.margin, 0.0
     redundant = fewest = solution.dependent
     clear(mixed)
@@ -93,9 +93,9 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         k = 1 + side // 2
         restore_state(data)
         ahead, frames = (k if side % 2 == 0 else -k) * delay, data.poses.shape[0]
-        retract(frames, data.kept_configuration, ahead, data.velocity, data.configuration)
+        retract(frames, data.interpolation.configuration, ahead, data.velocity, data.configuration)
         if (
-            project(struct, data.interpolation.gap) != OK
+            project(struct, data.interpolation.settings.gap) != OK
             or evaluate_state(struct, alpha, beta) != OK
         ):
             return False
@@ -111,8 +111,8 @@ def interpolate_accelerations(struct, alpha, beta, delay):
 
 @kernel
 def exchange_solution(data):
-    """Exchange the accelerations with those in ``data.mixed``."""
-    mixed, acceleration = data.mixed, data.acceleration
+    """Exchange the accelerations with those in ``data.interpolation``."""
+    mixed, acceleration = data.interpolation.acceleration, data.acceleration
     for j in range(mixed.size):
         mixed[j], acceleration[j] = acceleration[j], mixed[j]
 
@@ -120,12 +120,12 @@ def exchange_solution(data):
 @kernel
 def save_state(data):
     """Keep the state in ``data``."""
-    copy(data.configuration, data.kept_configuration)
-    copy(data.velocity, data.kept_velocity)
+    copy(data.configuration, data.interpolation.configuration)
+    copy(data.velocity, data.interpolation.velocity)
 
 
 @kernel
 def restore_state(data):
     """Return to the kept state."""
-    copy(data.kept_configuration, data.configuration)
-    copy(data.kept_velocity, data.velocity)
+    copy(data.interpolation.configuration, data.configuration)
+    copy(data.interpolation.velocity, data.velocity)

@@ -80,7 +80,7 @@ def write_reports(struct: INTS):
 def check_reports(struct: INTS, h: NUMBER):
     """Check these guards at the end of a step of length ``h``; returns how many report an event.
 
-    ``data.coordinates`` has the joints' coordinates at that end.
+    ``data.last_step.coordinates`` has the joints' coordinates at that end.
     """
     guards = open_reports(struct)
     if guards.kind.size == 0:

@@ -25,31 +25,31 @@ from multiarm.spatial import quaternion_of
 def write_sample(struct, t, works, row):
     """Write an evaluated state as a row with the columns of :func:`sample_columns`."""
     model, data, work = open_system(struct)
-    m, at = data.shown.size, 1
+    m, at = data.sample.forces.size, 1
     row[0] = t
     copy(data.configuration, row[at : at + data.configuration.size])
     at += data.configuration.size
     copy(data.velocity, row[at : at + data.velocity.size])
     at += data.velocity.size
-    copy(data.torque, row[at : at + data.torque.size])
-    at += data.torque.size
+    copy(data.control.torque, row[at : at + data.control.torque.size])
+    at += data.control.torque.size
     if model.control.shape[0] > 0:
-        copy(data.control_power, row[at : at + data.control_power.size])
-        at += data.control_power.size
+        copy(data.control.power, row[at : at + data.control.power.size])
+        at += data.control.power.size
     if data.functions.contact_forces != 0:
         call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
-        write_wrenches(data.Wo, work.rows, data.force, data.wrenches)
-    copy(data.shown, row[at : at + m])
+        write_wrenches(data.Wo, work.rows, data.force, data.sample.wrenches)
+    copy(data.sample.forces, row[at : at + m])
     at += m
     write_free(model, data, row[at:])
     at += 2 * model.free.shape[0]
-    for i in range(data.wrenches.shape[0]):
-        copy(data.wrenches[i], row[at : at + 6])
+    for i in range(data.sample.wrenches.shape[0]):
+        copy(data.sample.wrenches[i], row[at : at + 6])
         at += 6
     write_tips(model, data)
-    for i in range(data.tips.shape[0]):
-        copy(data.tips[i], row[at : at + TIP_WIDTH])
+    for i in range(data.sample.tips.shape[0]):
+        copy(data.sample.tips[i], row[at : at + TIP_WIDTH])
         at += TIP_WIDTH
     row[at] = kinetic_energy(data, work)
     row[at + 1] = potential_energy(model, data)
@@ -66,7 +66,7 @@ def write_sample(struct, t, works, row):
 @kernel
 def write_free(model, data, out):
     """Free relative rates of all joints, then their coordinates."""
-    rates, coordinates = data.query[0:6], data.query[6:15]
+    rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
     count = model.free.shape[0]
     for i in range(model.frames.shape[0]):
         first, last = model.free_bounds[i], model.free_bounds[i + 1]
@@ -80,9 +80,9 @@ def write_free(model, data, out):
 
 @kernel
 def write_tips(model, data):
-    """Origins, quaternions and twists of the tips, in world axes, into ``data.tips``."""
-    for i in range(data.tips.shape[0]):
-        frame, link, tip = model.tip_frames[i], data.arms[i], data.tips[i]
+    """Origins, quaternions and twists of the tips, in world axes, into ``data.sample.tips``."""
+    for i in range(data.sample.tips.shape[0]):
+        frame, link, tip = model.tip_frames[i], data.arms[i], data.sample.tips[i]
         R, omega = rotation(link, 0), vec(link, SPIN)
         lever = rotate(R, vec(frame, 9))
         x, y, z, w = quaternion_of(*compose(R, rotation(frame, 0)))
@@ -96,22 +96,24 @@ def write_tips(model, data):
 
 @kernel
 def follow_joints(model, data):
-    """Store the free coordinates of all joints at the end of a step in ``data.coordinates``."""
-    rates, coordinates = data.query[0:6], data.query[6:15]
+    """Store the free coordinates of all joints at the end of a step in ``data.last_step``."""
+    rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
     for i in range(model.frames.shape[0]):
         first, last = model.free_bounds[i], model.free_bounds[i + 1]
         if first == last:
             continue
         write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
         for k in range(first, last):
-            data.coordinates[i, model.free[k, 0]] = continued(model, data, i, k, coordinates)
+            data.last_step.coordinates[i, model.free[k, 0]] = continued(
+                model, data, i, k, coordinates
+            )
 
 
 @inlined
 def continued(model, data, i, k, coordinates):
     """Coordinate ``k``, of arm ``i``, as it continues that of the last step."""
     place = model.free[k, 1]
-    return unwrapped(coordinates[place], data.coordinates[i, model.free[k, 0]], place)
+    return unwrapped(coordinates[place], data.last_step.coordinates[i, model.free[k, 0]], place)
 
 
 def sample_columns(channels: Sequence[Channel]) -> Columns:

@@ -18,7 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data, open_reports
-from multiarm.dynamics.coordinates import load_chart, store_chart, write_chart_slope
+from multiarm.dynamics.coordinates import (
+    load_chart,
+    places_in_chart,
+    store_chart,
+    write_chart_slope,
+)
 from multiarm.dynamics.equations import finite
 from multiarm.dynamics.guards import follow_stage, open_guards
 from multiarm.dynamics.layout import Layout
@@ -134,7 +139,7 @@ def make_step(
     tableau: Tableau, layout: Layout, system: np.ndarray, states: int = 0, works: int = 1
 ) -> Step:
     """Allocate for a method and a system, its struct, its number of effects' states and works."""
-    size = 2 * layout.nv + states + works
+    size = places_in_chart(layout.nv, layout.joints, states).works + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
     base, stage = np.zeros(layout.nq), Stage()
     layout.poses(base)[:, 6] = 1.0  # upright

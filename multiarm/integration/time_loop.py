@@ -180,7 +180,7 @@ def sample_control(step, clock, settings):
     _, data, _ = open_system(struct)
     alpha, beta = gains(settings, max(clock.h_before, clock.step))
     load_chart(step.z, step.base, data)
-    data.sampling.due = data.sampling.mode
+    data.control.sampling.due = data.control.sampling.mode
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
         write_chart_slope(step.z, data, step.slope)
@@ -312,9 +312,9 @@ def complete_step(method, step, clock, settings, h, end):
     if data.functions.guards != 0 and call_cfunc(data.functions.guards, struct, t, end) != OK:
         status = prepare_dense(method, step, t, h)
         return EVENT if status == OK else status
-    if data.places.size > 0:
-        for i in range(data.places.shape[0]):
-            copy(data.located[i], data.places[i])
+    if data.pairs.starts.size > 0:
+        for i in range(data.pairs.starts.shape[0]):
+            copy(data.pairs.points[i], data.pairs.starts[i])
     follow_joints(model, data)
     clock.reports = check_reports(struct, h)
     count_solution(struct, clock)

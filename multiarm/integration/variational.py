@@ -316,6 +316,6 @@ def end_step(step, work, t, h):
     for k in range(work.xi.size):  # the chart's rotation vectors begin at zero
         new[k] = z[k] + h * work.xi[k]
         new[places.velocity + k] = data.acceleration[k]
-    for k in range(data.power.size):
-        new[places.works + k] = z[places.works + k] + h * data.power[k]
+    for k in range(data.effects.power.size):
+        new[places.works + k] = z[places.works + k] + h * data.effects.power[k]
     return OK

@@ -26,7 +26,8 @@ that kernels set are the fields of a :class:`Numbers`:
     view_clock = view(Clock)
     clock = Clock(time=0.5)  # in a kernel: view_clock(clock.struct).steps += 1; then clock.steps
 
-A field of a ``NamedTuple`` may be such numbers too: ``view_run(struct).clock.steps``.
+A field of a ``NamedTuple`` may be such numbers too, ``view_run(struct).clock.steps``, or another
+``NamedTuple``, whose entries stand among those of the outer one: ``view_run(struct).state.angle``.
 """
 
 from __future__ import annotations
@@ -73,6 +74,9 @@ N = TypeVar("N", bound="Numbers")
 
 # Integers an entry: an address and up to three sizes, or a number itself.
 WIDTH = 4
+# In place of the number of axes: a field's numbers are in a struct of their own, or its entries
+# stand in this struct.
+_NUMBERS, _GROUP = -1, -2
 _NO_SIZES = (1,) * (WIDTH - 1)
 _KINDS = (np.dtype(np.float64), np.dtype(np.int64))
 _NUMPY: dict[Any, Any] = {types.float64: np.float64, types.int64: np.int64}
@@ -107,9 +111,36 @@ def struct_of(*holders: tuple) -> np.ndarray:
     """
     entries: list[np.ndarray | float | Numbers] = []
     for holder in holders:
-        numbers = _numbers_of(type(holder))
-        entries += [numbers[k](entry) if k in numbers else entry for k, entry in enumerate(holder)]
+        entries += _entries(holder)
     return make_struct(entries)
+
+
+def _entries(holder: tuple) -> list[np.ndarray | float | Numbers]:
+    entries: list[np.ndarray | float | Numbers] = []
+    for (kind, axes), entry in zip(_fields_of(type(holder)), holder, strict=True):
+        if axes == _GROUP:
+            entries += _entries(entry)
+        elif axes == 0:
+            entries.append(float(entry) if kind is types.float64 else int(entry))
+        else:
+            entries.append(entry)
+    return entries
+
+
+def count_entries(holder: type) -> int:
+    """Entries of a ``NamedTuple`` in a struct, with those of its groups."""
+    return sum(_widths_of(holder))
+
+
+def place_of(holder: type, name: str) -> int:
+    """Place of a field's first entry among those of a ``NamedTuple``."""
+    fields: tuple[str, ...] = holder._fields  # type: ignore[attr-defined]
+    return sum(_widths_of(holder)[: fields.index(name)])
+
+
+def _widths_of(holder: type) -> list[int]:
+    """Entries of every field."""
+    return [count_entries(kind) if axes == _GROUP else 1 for kind, axes in _fields_of(holder)]
 
 
 def misfit(holder: tuple) -> str:
@@ -138,17 +169,9 @@ def size_places(holder: type, at: int, shapes: Mapping[str, tuple[int, ...]]) ->
     """
     places: list[int] = []
     for name, shape in shapes.items():
-        first = WIDTH * (at + holder._fields.index(name)) + 1  # type: ignore[attr-defined]
+        first = WIDTH * (at + place_of(holder, name)) + 1
         places += range(first, first + len(shape))
     return np.array(places, dtype=np.int64)
-
-
-@functools.cache
-def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
-    """Places of the fields that are numbers, and their constructors."""
-    kinds = [dtype if axes == 0 else None for dtype, axes in _fields_of(holder)]
-    python_types = {types.float64: float, types.int64: int}
-    return {k: python_types[kind] for k, kind in enumerate(kinds) if kind is not None}
 
 
 class Numbers:
@@ -209,13 +232,15 @@ def _number_property(place: int, real: bool) -> property:
 
 @functools.cache  # reading annotations takes longer than a call of a kernel
 def _fields_of(holder: type) -> list[tuple[Any, int]]:
-    """Number type and axes of every field, from its annotations; -1 axes: a view of numbers."""
+    """Number type and axes of every field, from its annotations; or its class and what it is."""
     hints = get_type_hints(holder, include_extras=True)
     fields = []
     for name in holder._fields:  # type: ignore[attr-defined]
         kind = hints[name]
-        of_numbers = isinstance(kind, type) and issubclass(kind, Numbers)
-        fields.append((View(kind, 0), -1) if of_numbers else kind.__metadata__[0])
+        if isinstance(kind, type):
+            fields.append((kind, _NUMBERS if issubclass(kind, Numbers) else _GROUP))
+        else:
+            fields.append(kind.__metadata__[0])
     return fields
 
 
@@ -223,11 +248,13 @@ class View(types.Type):
     """Numba's type of the arrays of a ``NamedTuple`` in a struct, the first one at place ``at``."""
 
     def __init__(self, holder: type, at: int) -> None:
-        names = holder._fields  # type: ignore[attr-defined]
-        self.fields = {
-            name: (at + k, dtype, axes)
-            for k, (name, (dtype, axes)) in enumerate(zip(names, _fields_of(holder), strict=True))
-        }
+        *places, self.end = np.cumsum([at, *_widths_of(holder)]).tolist()
+        self.fields: dict[str, tuple[int, Any, int]] = {}
+        names: tuple[str, ...] = holder._fields  # type: ignore[attr-defined]
+        for name, place, (kind, axes) in zip(names, places, _fields_of(holder), strict=True):
+            if axes < 0:
+                kind = View(kind, place if axes == _GROUP else 0)
+            self.fields[name] = place, kind, axes
         self.settable = issubclass(holder, Numbers)
         super().__init__(name=f"View({holder.__module__}.{holder.__qualname__}, {at})")
 
@@ -258,7 +285,9 @@ def _field_of_view(context, builder, view, struct, name):
     first = ir.IntType(64)(WIDTH * place)
     if axes > 0:
         return _array_in_struct(context, builder, dtype, axes, numbers, first)
-    if axes < 0:
+    if axes == _GROUP:
+        return struct
+    if axes == _NUMBERS:
         return _number(builder, numbers, first)  # where these numbers are
     if view.settable:  # it may have been set since it was read last
         number = builder.load(builder.gep(numbers, [first]))
@@ -271,7 +300,7 @@ def _field_of_view(context, builder, view, struct, name):
 def _set_field_of_view(context, builder, signature, arguments, name):
     view, (struct, value) = signature.args[0], arguments
     place, _, axes = view.fields[name]
-    if axes or not view.settable:
+    if axes != 0 or not view.settable:
         raise NumbaTypeError(f"field '{name}' of {view} cannot be set: it is not of a `Numbers`")
     numbers = builder.inttoptr(struct, ir.IntType(64).as_pointer())
     bits = builder.bitcast(value, ir.IntType(64))
@@ -354,13 +383,22 @@ class _PythonView:
 def _python_view(kind: View) -> type[_PythonView]:
     """Class of the views of one kind."""
     properties = {name: _view_property(kind, *field) for name, field in kind.fields.items()}
-    needed = WIDTH * (1 + max(place for place, *_ in kind.fields.values()))
-    return type(kind.name, (_PythonView,), {"__slots__": (), "needed": needed, **properties})
+    members = {"__slots__": (), "needed": WIDTH * kind.end, **properties}
+    return type(kind.name, (_PythonView,), members)
 
 
 def _view_property(kind: View, place: int, dtype: Any, axes: int) -> property:
     offset = 8 * WIDTH * place  # [bytes]
-    if axes < 0:
+    if axes == _GROUP:
+        group = _python_view(dtype)
+
+        def read_group(view: _PythonView) -> _PythonView:
+            fields = object.__new__(group)
+            fields._address = view._address
+            return fields
+
+        return property(read_group)
+    if axes == _NUMBERS:
         numbers, size = _python_view(dtype), WIDTH * len(dtype.fields)
 
         def read_numbers(view: _PythonView) -> _PythonView:

@@ -29,13 +29,16 @@ class SolverLog:
     def __init__(self, data: Data, log: EventLog) -> None:
         self._log, self._added = log, 0
         self._lost = np.zeros(len(data.model.arm_names), dtype=np.int64)
-        self._rank = data.arrays.last_step.rank
+        self._rank = data.arrays.last_step.solution.rank
 
     def collect(self, data: Data, t: float, state: State) -> None:
         """Log the changes in the step that ended at ``t``, in this state."""
         arrays = data.arrays
-        count, rank = len(data.model.arm_names), arrays.last_step.rank
-        lost, passed = arrays.lost[:count].copy(), arrays.passed[:count].copy()
+        count, rank = len(data.model.arm_names), arrays.last_step.solution.rank
+        lost, passed = (
+            arrays.last_step.lost_directions[:count].copy(),
+            arrays.last_step.sign_changes[:count].copy(),
+        )
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
@@ -61,8 +64,8 @@ class SolverLog:
 
     def reset(self, data: Data) -> None:
         """Compare later solutions with the last one, without logging anything."""
-        self._lost = data.arrays.lost[: self._lost.size].copy()
-        self._rank = data.arrays.last_step.rank
+        self._lost = data.arrays.last_step.lost_directions[: self._lost.size].copy()
+        self._rank = data.arrays.last_step.solution.rank
 
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
         if rank == self._rank:

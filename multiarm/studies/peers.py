@@ -283,7 +283,7 @@ def control_torque(system: System, t: float, state: State) -> np.ndarray:
         data.set_state(t, state)
         evaluate_state(data.struct, 0.0, 0.0)  # torques are there whatever the solver says
         data.forgive()
-        return data.arrays.torque.copy()
+        return data.arrays.control.torque.copy()
 
 
 def is_controlled(system: System) -> bool:

@@ -47,8 +47,8 @@ def push(address, size, at, _t):
     """Add the torques."""
     struct = struct_at(address, size)
     data, pushes = open_data(struct), open_pushes(struct, at)
-    for j in range(data.torque.size):
-        data.torque[j] += pushes.share * pushes.torques[j]
+    for j in range(data.control.torque.size):
+        data.control.torque[j] += pushes.share * pushes.torques[j]
     return 0
 
 

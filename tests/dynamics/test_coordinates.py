@@ -93,13 +93,13 @@ def test_columns_of_the_state_have_every_displacement_and_velocity_once(layout):
 def test_a_chart_begins_at_the_state_and_leads_back_to_it(layout):
     rng = np.random.default_rng(4)
     data, other = random_data(layout, rng), random_data(layout, rng)
-    z = rng.normal(size=chart_places(data).works + data.power.size)
+    z = rng.normal(size=chart_places(data).works + data.effects.power.size)
     works, base = z[chart_places(data).works :].copy(), np.zeros(layout.nq)
     store_chart.py_func(data, base, z)
     load_chart.py_func(z, base, other)
     assert np.allclose(other.configuration, data.configuration, atol=ROUNDING)
     assert np.array_equal(other.velocity, data.velocity)
-    assert np.array_equal(other.inner, data.inner)
+    assert np.array_equal(other.effects.states, data.effects.states)
     assert np.array_equal(z[chart_places(data).works :], works)
 
 
@@ -109,7 +109,7 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     rng, h = np.random.default_rng(5), 1e-5
     data = random_data(layout, rng)
     places = chart_places(data)
-    z = 0.4 * rng.normal(size=places.works + data.power.size)
+    z = 0.4 * rng.normal(size=places.works + data.effects.power.size)
     base = np.zeros(layout.nq)
     layout.poses(base)[:, 3:] = Rotation.random(layout.frames, random_state=rng).as_quat()
     load_chart.py_func(z, base, data)
@@ -125,5 +125,5 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     numeric = (positions(h) - positions(-h)) / (2.0 * h)
     assert np.allclose(slope[: layout.nv], numeric, atol=1e-8)
     assert np.array_equal(slope[places.velocity : places.states], data.acceleration)
-    assert np.array_equal(slope[places.states : places.works], data.inner_rate)
-    assert np.array_equal(slope[places.works :], data.power)
+    assert np.array_equal(slope[places.states : places.works], data.effects.state_rates)
+    assert np.array_equal(slope[places.works :], data.effects.power)

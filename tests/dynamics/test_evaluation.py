@@ -11,6 +11,7 @@ import pytest
 from event_scenes import arm, ball, ball_on_plate, box, on_floor
 from mechanics import (
     UR5_WRIST_SINGULAR,
+    arrays_by_name,
     data_of,
     two_arm_block_twice,
     ur5_pair,
@@ -63,12 +64,14 @@ def other_state(system):
 def overwrite(system) -> None:
     """Leave nothing in the arrays that an evaluation writes."""
     data = data_of(system)
-    for array in (*data.arrays, *data.coupled, data.work.M, data.work.W):
-        if isinstance(array, np.ndarray) and array is not data.arrays.pointers:
+    b = data.arrays
+    arrays = {**arrays_by_name(b, "arrays"), **arrays_by_name(data.coupled, "coupled")}
+    for array in (*arrays.values(), data.work.M, data.work.W):
+        if isinstance(array, np.ndarray) and array is not b.pointers:
             array[:] = 0 if array.dtype == np.int64 else np.nan
     addresses = data.arrays.functions.struct.copy()
-    b = data.arrays
-    for numbers in (b.time, b.status, b.solution, b.check, b.last_step, data.coupled.status):
+    solved = b.last_step.solution
+    for numbers in (b.time, b.status, b.solution, b.check, solved, data.coupled.status):
         numbers.struct[:] = 0
     np.testing.assert_array_equal(data.arrays.functions.struct, addresses)
 

@@ -84,12 +84,14 @@ def test_the_record_is_that_of_the_system(scene, solver):
     assert solution.rank == null_space(constraint_matrix(data)).rank
     assert (solution.coupled_arms > 0) == (not dense and scene != "regular")
     if scene == "wrist aligned" and not dense:
-        assert b.coupled_arms.tolist() == [1, 0]
+        assert b.deficient.coupled.tolist() == [1, 0]
     assert solution.motion_unique == (scene != "sliding")
 
 
 def test_both_solvers_name_the_contacts_that_leave_the_motion_open():
-    loose = {s: data_at_start("sliding", s).arrays.loose_arms.tolist() for s in ("node", "dense")}
+    loose = {
+        s: data_at_start("sliding", s).arrays.deficient.loose.tolist() for s in ("node", "dense")
+    }
     assert loose["node"] == loose["dense"] == [0] * (len(loose["node"]) - 1) + [1]
     ev = ma.evaluate(ma.compile_system(sliding_box()))
     assert "contact forces of floor" in ev.message

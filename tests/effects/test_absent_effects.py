@@ -68,8 +68,8 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
     constants = system.model.constants
     assert constants.passive_end == constants.actuator_end == constants.applied_end == 0
     assert array_count(system) == EFFECTS
-    assert data_of(system).arrays.inner.size == 0
-    assert data_of(system).arrays.power.size == 1, "of the control"
+    assert data_of(system).arrays.effects.states.size == 0
+    assert data_of(system).arrays.effects.power.size == 1, "of the control"
     assert set(data_of(system).callbacks) == {
         "pinocchio",
         "dense",

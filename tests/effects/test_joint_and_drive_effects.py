@@ -400,7 +400,10 @@ def test_a_scene_without_effects_has_nothing_of_them(sledge):
     system = sledge({})
     assert system.model.constants.effects.size == 0 and data_of(system).effects == []
     assert data_of(system).struct.size == 4 * EFFECTS
-    assert data_of(system).arrays.inner.size == 0 and data_of(system).arrays.power.size == 1
+    assert (
+        data_of(system).arrays.effects.states.size == 0
+        and data_of(system).arrays.effects.power.size == 1
+    )
     assert not system.model.guards
 
 

@@ -113,11 +113,11 @@ def test_the_signs_of_determinants_do_not_outlive_their_rows():
     contact = next(c for c in modes.unilateral.constraints if c.tangents)
     states = [ContactState.OPEN] * len(modes.unilateral.constraints)
     states[modes.unilateral.constraints.index(contact)] = ContactState.STICKING
-    modes.data.arrays.signs[:] = 1.0
+    modes.data.arrays.last_step.determinant_signs[:] = 1.0
     modes.enter(modes.mode)
-    assert np.all(modes.data.arrays.signs == 1.0)
+    assert np.all(modes.data.arrays.last_step.determinant_signs == 1.0)
     modes.enter(Mode(tuple(states), (contact.row, *contact.tangents)))
-    assert np.all(modes.data.arrays.signs == 0.0)
+    assert np.all(modes.data.arrays.last_step.determinant_signs == 0.0)
 
 
 @pytest.mark.parametrize("speed", [1e-9, 1e-3])

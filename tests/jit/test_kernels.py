@@ -31,7 +31,9 @@ from multiarm.jit.structs import (
     Floats2,
     Int,
     Ints1,
+    count_entries,
     make_struct,
+    place_of,
     struct_of,
     view,
 )
@@ -91,6 +93,32 @@ def test_what_a_kernel_writes_through_a_view_is_in_the_array():
     struct = make_struct([*first, *things()])
     write_into(struct)
     assert first.table[1, 0] == 7.0
+
+
+class Groups(NamedTuple):
+    first: Things
+    between: Float
+    second: Things
+
+
+open_groups = view(Groups, len(Things._fields))
+
+
+@kernel
+def sum_of_groups(struct):
+    """What is between two groups, and the last numbers of both; writes into the second one."""
+    groups = open_groups(struct)
+    groups.second.table[1, 2] = groups.first.table[1, 2] + 1.0
+    return groups.between + groups.first.numbers[1] + 10.0 * groups.second.numbers[0]
+
+
+def test_the_fields_of_groups_stand_one_after_the_other_in_a_struct():
+    groups = Groups(things(), 0.5, things())
+    assert count_entries(Groups) == 2 * len(Things._fields) + 1
+    assert place_of(Groups, "second") == len(Things._fields) + 1
+    struct = struct_of(things(), groups)
+    assert sum_of_groups(struct) == 0.5 + 40 + 50
+    assert (groups.first.table[1, 2], groups.second.table[1, 2]) == (5.0, 6.0)
 
 
 def test_views_do_not_exist_in_python():

@@ -366,9 +366,9 @@ def leaking_pressure(address, size, at, _t):
     """A pump whose pressure leaks."""
     struct = struct_at(address, size)
     data, pump, state = open_data(struct), open_pump(struct, at), first_state(struct, at)
-    data.torque[0] += data.inner[state]
+    data.control.torque[0] += data.effects.states[state]
     pressure = pump.parts[0] + pump.parts[1]
-    data.inner_rate[state] = (pressure - data.inner[state]) / pump.time_constant
+    data.effects.state_rates[state] = (pressure - data.effects.states[state]) / pump.time_constant
     return 0
 
 

@@ -176,7 +176,7 @@ def test_the_remembered_side_is_the_sign_of_the_determinant(bend, turn):
     posture = [turn, -0.9, bend, -0.6 + turn, 1.2 * turn, 0.3]
     system = ma.compile_system(single_arm("ur5", "tool0", posture, {"kind": "weld"}))
     trajectory = ma.simulate(system, 1e-4, integrator="rk4", step=1e-4)
-    remembered = float(data_of(system).arrays.signs[0])
+    remembered = float(data_of(system).arrays.last_step.determinant_signs[0])
     assert ma.evaluate(system).conditioning["arm"] > COUPLED_BELOW
     expected = np.sign(np.linalg.det(arm_matrix(system, trajectory, "arm", 0)))
     assert remembered == expected != 0.0

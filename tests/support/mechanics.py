@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -522,6 +523,15 @@ def object_terms(
     full[3:, 3:] = world
     omega = twist[3:]
     return full, np.concatenate([-mass * gravity, np.cross(omega, world @ omega)])
+
+
+def arrays_by_name(group: tuple, name: str) -> dict[str, Any]:
+    """The arrays and numbers of a ``NamedTuple``, and of the groups in it."""
+    arrays: dict[str, Any] = {}
+    for field, part in group._asdict().items():
+        of_field = f"{name}.{field}"
+        arrays |= arrays_by_name(part, of_field) if isinstance(part, tuple) else {of_field: part}
+    return arrays
 
 
 def data_of(system):

@@ -65,7 +65,7 @@ class Slope:
 
     def __init__(self, system, state, alpha=0.0, beta=0.0):
         self.data = data_at(system, state)
-        inner, works = self.data.effect_states(), np.zeros(self.data.arrays.power.size)
+        inner, works = self.data.effect_states(), np.zeros(self.data.arrays.effects.power.size)
         position = [state.object_position, np.zeros(3), state.position[7:]]
         self.z = np.concatenate([*position, state.velocity, inner, works])
         self.base = np.zeros(system.model.layout.nq)

@@ -10,6 +10,7 @@ import pytest
 from event_scenes import arm, ball, ball_on_plate, box, on_floor
 from many_runs import assert_same_run, random_states
 from mechanics import (
+    arrays_by_name,
     ur5_pair,
 )
 
@@ -190,19 +191,16 @@ def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_s
 
 def written_arrays(data) -> dict[str, np.ndarray]:
     """All arrays that kernels may write, by name."""
-    parts = {
-        "arrays": data.arrays._asdict(),
-        "work": data.work._asdict(),
-        "coupled": data.coupled._asdict(),
-        "effects": {
-            f"{k} {i}": np.asarray(part)
-            for k, (slots, arrays) in enumerate(data.effects)
-            for i, part in enumerate((slots, *arrays))
-            if isinstance(part, np.ndarray)  # numbers never change
-        },
+    arrays = {
+        **arrays_by_name(data.arrays, "arrays"),
+        **arrays_by_name(data.work, "work"),
+        **arrays_by_name(data.coupled, "coupled"),
     }
-    found = {f"{p}.{name}": a for p, own in parts.items() for name, a in own.items()}
-    memory = {n: a.struct if isinstance(a, Numbers) else a for n, a in found.items()}
+    for k, (slots, of_effect) in enumerate(data.effects):
+        for i, part in enumerate((slots, *of_effect)):
+            if isinstance(part, np.ndarray):  # numbers never change
+                arrays[f"effects.{k} {i}"] = part
+    memory = {n: a.struct if isinstance(a, Numbers) else a for n, a in arrays.items()}
     return {name: array for name, array in memory.items() if array.size}
 
 
