@@ -242,9 +242,9 @@ def total_energy(system: System, state: State) -> float:
         data.set_state(0.0, state)
         update_kinematics(data.struct)
         twist, b = state.object_twist, data.arrays
-        kinetic = twist @ b.inertia @ twist
+        kinetic = twist @ b.bodies.object_inertia @ twist
         for i, v in enumerate(state.joint_velocities.values()):
-            kinetic += v @ read_inertia(b.pointers[i], v.size) @ v
+            kinetic += v @ read_inertia(b.bodies.pointers[i], v.size) @ v
         return 0.5 * float(kinetic) + data.potential_energy()
 
 

@@ -53,11 +53,11 @@ def pull(address, size, at, _t):
     data, magnet, power = open_data(struct), open_magnet(struct, at), 0.0
     squared = magnet.softening**2
     for k in range(3):
-        squared += (magnet.place[k] - data.position[k]) ** 2
+        squared += (magnet.place[k] - data.state.object_pose[k]) ** 2
     for k in range(3):
-        force = magnet.strength * (magnet.place[k] - data.position[k]) / squared**1.5
-        data.f_o[k] += force
-        power += force * data.twist[k]
+        force = magnet.strength * (magnet.place[k] - data.state.object_pose[k]) / squared**1.5
+        data.forces.f_o[k] += force
+        power += force * data.state.object_twist[k]
     set_power(struct, at, power)
     return 0
 

@@ -59,8 +59,8 @@ FARTHEST = 0.5
 def scene_size(data: Data) -> float:
     """Characteristic length of the scene [m]: of its lever arms, its object and its arms."""
     arrays, constants = data.arrays, data.model.constants
-    levers = arrays.contacts[:, :3] - arrays.position[:3]
-    reaches = arrays.arms[: len(data.model.bases), 9:12] - data.model.bases
+    levers = arrays.rows.kinematics[:, :3] - arrays.state.object_pose[:3]
+    reaches = arrays.bodies.links[: len(data.model.bases), 9:12] - data.model.bases
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
     gyration = constants.object_inertia.trace() / constants.object_mass
     return math.sqrt(max(*squares, gyration))
@@ -71,7 +71,7 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
 
     ``size`` is the scene's, if it is known already.
     """
-    contacts = data.arrays.contacts[:, :3]
+    contacts = data.arrays.rows.kinematics[:, :3]
     far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, data.model.bases)))
     return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
@@ -242,18 +242,18 @@ class Linkage:
         L = np.zeros((self.unit.size, self.unit.size))
         if self.with_object:
             frames = self._layout.of_frames
-            J[:, frames] = b.Wo[self.rows]
-            L[frames, frames] = np.linalg.cholesky(b.inertia)
+            J[:, frames] = b.rows.Wo[self.rows]
+            L[frames, frames] = np.linalg.cholesky(b.bodies.object_inertia)
         for i, held, (r, c) in zip(self._arms, self._held_rows, self.blocks, strict=True):
             J[r, c] = work.W[i, : c.stop - c.start, held]
             L[c, c] = self._factor(i, c.stop - c.start)
-        gaps = b.contacts[self.rows, GAP].copy()
-        return Posture(b.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)
+        gaps = b.rows.kinematics[self.rows, GAP].copy()
+        return Posture(b.state.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)
 
     def _factor(self, i: int, n: int) -> np.ndarray:
         data = self._data
         try:
-            return np.linalg.cholesky(read_inertia(data.arrays.pointers[i], n))
+            return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
         except np.linalg.LinAlgError:
             raise SolverError(
                 f"the inertia matrix of arm '{data.model.arm_names[i]}' is not positive definite: "
@@ -264,12 +264,12 @@ class Linkage:
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""
         b = self._data.arrays
-        b.configuration[:] = posture.configuration
+        b.state.configuration[:] = posture.configuration
         if u is not None:
             displacement = np.zeros(self._layout.nv)
             displacement[self._moving] = self.unit * u
-            b.configuration[:] = retracted(self._layout, posture.configuration, displacement)
-            self._snap(b.angles)
+            b.state.configuration[:] = retracted(self._layout, posture.configuration, displacement)
+            self._snap(b.state.joint_positions)
         require_ok(self._data, update_kinematics(self._data.struct))
 
     def moved(self, posture: Posture, u: np.ndarray) -> Posture | None:
@@ -279,7 +279,7 @@ class Linkage:
         except MultiarmError:  # a surface ends there
             self._data.forgive()
             return None
-        if not np.all(np.isfinite(self._data.arrays.contacts)):
+        if not np.all(np.isfinite(self._data.arrays.rows.kinematics)):
             return None
         return self.here()
 

@@ -163,7 +163,7 @@ def follow_object(
             quaternion[:] = retract(base, part * turn)
             if not _arms_close(data, heavy, state, tolerance):
                 raise _cannot_follow(data, segment, part)
-            state.position[:] = data.arrays.configuration
+            state.position[:] = data.arrays.state.configuration
         before = fraction
         angles.append(data.model.layout.joint_positions(state.position).copy())
     return np.array(angles), state
@@ -190,7 +190,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
 
 
 def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:
-    gaps = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, GAP]))
+    gaps = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, GAP]))
     arm, gap = max(((arm, float(np.max(gap))) for arm, gap in gaps.items()), key=lambda a: a[1])
     return ControlError(
         f"control.path: on the way to waypoint {segment} the arms cannot follow the object beyond "

@@ -70,7 +70,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     """
     written, layout = data.get_state(), data.model.layout
     require_ok(data, update_kinematics(data.struct))
-    lost = np.flatnonzero(~np.isfinite(data.arrays.contacts).all(axis=1))
+    lost = np.flatnonzero(~np.isfinite(data.arrays.rows.kinematics).all(axis=1))
     if lost.size:
         raise SceneError(
             [f"{lost_contact(data, int(row))}; correct its placement at the start" for row in lost]
@@ -190,7 +190,7 @@ def check_unilateral(data: Data, start: State) -> None:
     assert data.model.unilateral is not None
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
-    allowed, gaps = TOUCHING * scene_size(data), data.arrays.contacts[:, GAP]
+    allowed, gaps = TOUCHING * scene_size(data), data.arrays.rows.kinematics[:, GAP]
     faults = []
     for constraint in data.model.unilateral.constraints:
         gap = float(gaps[constraint.row])
@@ -204,7 +204,7 @@ def check_unilateral(data: Data, start: State) -> None:
 
 def gaps_by_arm(data: Data, column: int = GAP) -> dict[str, float]:
     """Largest magnitude of one column of the contact kinematics, by arm."""
-    parts = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, column]))
+    parts = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, column]))
     return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
 
 
@@ -216,7 +216,7 @@ def joint_names(model: Model) -> list[str]:
 def joints_at_limit(data: Data) -> tuple[str, ...]:
     """Joints at one of their limits in the data."""
     limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
-    near = np.min(np.abs(limits - data.arrays.angles[:, None]), axis=1) <= 1e-9
+    near = np.min(np.abs(limits - data.arrays.state.joint_positions[:, None]), axis=1) <= 1e-9
     return tuple(name for name, at in zip(joint_names(data.model), near, strict=True) if at)
 
 
@@ -255,8 +255,8 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
     Contacts are rows of distances, and those of a weld or a slide vanish too where the joint's
     frames on arm and object differ by half a turn.
     """
-    faults, R_O = [], data.arrays.body[:9].reshape(3, 3)
-    links = dict(zip(data.model.arm_names, data.arrays.arms[:, :9], strict=False))
+    faults, R_O = [], data.arrays.bodies.object[:9].reshape(3, 3)
+    links = dict(zip(data.model.arm_names, data.arrays.bodies.links[:, :9], strict=False))
     for joint in scene.joints:
         turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
         if turns is None or len(turns) > 1:
@@ -295,12 +295,12 @@ def _close_rates(data: Data, size: float) -> float:
     free = np.full((joints, 2), [-np.inf, np.inf])
     linkage = Linkage(data, list(range(len(data.model.arm_names))), True, free, True, size)
     place, lost = linkage.here(), 0.0
-    v = b.velocity / linkage.unit
+    v = b.state.velocity / linkage.unit
     # 100 roundings of the terms that cancel in a rate
     terms = float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))
     closed = 100 * np.finfo(float).eps * terms
     for _ in range(3):
-        if not np.max(np.abs(b.contacts[:, GAP_RATE]), initial=0.0) > closed:
+        if not np.max(np.abs(b.rows.kinematics[:, GAP_RATE]), initial=0.0) > closed:
             break
         A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 + n)
         _, s, Vt = np.linalg.svd(A, full_matrices=False)
@@ -308,7 +308,7 @@ def _close_rates(data: Data, size: float) -> float:
         taken = Vt @ (place.factor.T @ v)
         v -= np.linalg.solve(place.factor.T, Vt.T @ taken)
         lost += 0.5 * float(taken @ taken)
-        b.velocity[:] = linkage.unit * v
+        b.state.velocity[:] = linkage.unit * v
         require_ok(data, update_kinematics(data.struct))
     return lost
 
@@ -323,7 +323,7 @@ def _inside(data: Data, constraint: Constraint, depth: float) -> str:
     first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
     limit = data.model.records[constraint.row]
     assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
-    at = data.arrays.angles[first + limit.joint]
+    at = data.arrays.state.joint_positions[first + limit.joint]
     end = "below its lower end" if limit.side > 0.0 else "above its upper end"
     name = f"{constraint.arm}/{data.model.joint_name(constraint.joint)}"
     return (
@@ -337,7 +337,7 @@ def _too_far(
 ) -> list[str]:
     """One fault for every joint whose gap in the data exceeds the limit [m]."""
     kinds = {joint.arm: joint.kind for joint in scene.joints}
-    phi = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, GAP]))
+    phi = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, GAP]))
     faults, near = [], {}
     for arm, gap in gaps.items():
         if gap <= limit:
@@ -398,15 +398,15 @@ def _listed(gaps: dict[str, float]) -> str:
 
 
 def _worst_contact(data: Data, arm: str) -> str:
-    phi = data.model.layout.split_contacts(data.arrays.contacts[:, GAP])[arm]
+    phi = data.model.layout.split_contacts(data.arrays.rows.kinematics[:, GAP])[arm]
     return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name
 
 
 def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
     """Joints whose own contacts cannot all be closed, wherever the arm is."""
     b, faults, tolerance = data.arrays, [], projection_tolerance(data)
-    wrenches = b.Wo[linkage.rows] * linkage.unit[:6]
-    phi = b.contacts[linkage.rows, GAP]
+    wrenches = b.rows.Wo[linkage.rows] * linkage.unit[:6]
+    phi = b.rows.kinematics[linkage.rows, GAP]
     for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
         U, s, _ = np.linalg.svd(wrenches[of_arm])
         dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U

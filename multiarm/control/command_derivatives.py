@@ -137,7 +137,7 @@ def begin_command(data, by):
     for l in range(6):
         clear(by.wrench[l])
         clear(by.acceleration[l])
-    if not factor_wrench_products(data.Wo, by.products, by.scale, by.product_pivots):
+    if not factor_wrench_products(data.rows.Wo, by.products, by.scale, by.product_pivots):
         return False
     solve_wrench_products(by.products, by.scale, by.product_pivots, by.twist)
     return True
@@ -162,14 +162,14 @@ def differentiate_shares(data, work, motion, rest, by):
                 rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
                 by.forces[k, column] = rate
                 for l in range(6):
-                    by.wrench[l, column] -= data.Wo[k, l] * rate
+                    by.wrench[l, column] -= data.rows.Wo[k, l] * rate
     for l in range(6):
         for c in range(states):
             by.wrench[l, c] = by.scale[l] * (by.wrench[l, c] + motion.dF_o[l, c])
     solve_rows(by.products, 6, by.product_pivots, by.wrench)
-    for k in range(data.Wo.shape[0]):
+    for k in range(data.rows.Wo.shape[0]):
         for l in range(6):
-            share = data.Wo[k, l] * by.scale[l]
+            share = data.rows.Wo[k, l] * by.scale[l]
             for c in range(states):
                 by.forces[k, c] += share * by.wrench[l, c]
     for i in range(work.dofs.size - 1):
@@ -212,7 +212,7 @@ def add_motion_derivatives(data, work, i, motion, excess, by):
             X[n + k, c] = -motion.dF[i, n + k, c]
         for l in range(6):
             for c in range(own.positions):
-                X[n + k, c] -= data.Wo[r0 + k, l] * by.acceleration[l, c]
+                X[n + k, c] -= data.rows.Wo[r0 + k, l] * by.acceleration[l, c]
     if not factor_lu(motion.K[i], n + m, by.pivots) > 0.0:
         return SINGULAR
     solve_rows(motion.K[i], n + m, by.pivots, X)

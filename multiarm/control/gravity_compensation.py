@@ -77,7 +77,7 @@ def add_holding_torques(model, data, work):
     for k in range(3):
         weight[k] = -model.object_mass * model.gravity[k]
         weight[3 + k] = 0.0
-    static_forces(data.Wo, weight, data.static_force)
+    static_forces(data.rows.Wo, weight, data.rows.static_force)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
     subtract_contact_forces(data, work)
@@ -101,7 +101,7 @@ def write_gravity_compensation_derivatives(address, size, at, _t):
     if not begin_command(data, by):
         return SINGULAR
     clear(motion.a_j)
-    copy(data.static_force, motion.force)
+    copy(data.rows.static_force, motion.force)
     status = write_derivatives_at_rest(struct, by.motion, by.twist)
     if status == OK:
         differentiate_shares(data, work, motion, motion, by)

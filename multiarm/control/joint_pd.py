@@ -59,8 +59,8 @@ def differentiate_joint_pd(address, size, at, _t):
 @inlined
 def add_spring(gains, j, reference, rate, data):
     """Add the torque of the spring and the damper in joint ``j``."""
-    data.control.torque[j] += gains.stiffness[j] * (reference - data.angles[j])
-    data.control.torque[j] += gains.damping[j] * (rate - data.v[j])
+    data.control.torque[j] += gains.stiffness[j] * (reference - data.state.joint_positions[j])
+    data.control.torque[j] += gains.damping[j] * (rate - data.state.joint_rates[j])
 
 
 @inlined

@@ -112,7 +112,7 @@ def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, 
         Of the object.
     """
     n = work.dofs[i + 1] - work.dofs[i]
-    frame, link, body = model.frames[i], data.arms[i], data.body
+    frame, link, body = model.frames[i], data.bodies.links[i], data.bodies.object
     rates, places, target = np.empty(6), np.empty(9), np.empty(6)
     write_relative(frame, link, body, rates, places)
     R_J = compose(rotation(body, 0), rotation(frame, ON_OBJECT))
@@ -135,7 +135,7 @@ def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, 
         alpha = sub(alpha, alpha_m)
     put(target, 0, a)
     put(target, 3, alpha)
-    J, W, result = floats_at(data.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
+    J, W, result = floats_at(data.bodies.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
     for column in range(n):  # Pinocchio's Jacobian is about the world's origin
         v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
         put(W[column], 0, add_cross(v, w, p))

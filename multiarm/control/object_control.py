@@ -75,19 +75,19 @@ def computed_torque(address, size, at, t):
         data.control.object_wrench,
     )
     desired, target = command.acceleration, command.target
-    write_object_acceleration(t, law, data.position, data.twist, desired)
+    write_object_acceleration(t, law, data.state.object_pose, data.state.object_twist, desired)
     for a in range(6):
-        wrench[a] = -data.f_o[a]
+        wrench[a] = -data.forces.f_o[a]
         for b in range(6):
-            wrench[a] += data.inertia[a, b] * desired[b]
+            wrench[a] += data.bodies.object_inertia[a, b] * desired[b]
     write_contact_forces(law, data, work)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
     for j in range(data.control.torque.size):
-        data.control.torque[j] -= data.f_j[j]
+        data.control.torque[j] -= data.forces.f_j[j]
     for k in range(target.size):
-        target[k] = -data.contacts[k, GAP_BIAS]
+        target[k] = -data.rows.kinematics[k, GAP_BIAS]
         for a in range(6):
-            target[k] -= data.Wo[k, a] * desired[a]
+            target[k] -= data.rows.Wo[k, a] * desired[a]
     add_motion_forces(law, command, True, model, data, work)
     subtract_contact_forces(data, work)
     return 0
@@ -103,7 +103,7 @@ def object_impedance(address, size, at, t):
         open_command(struct, at),
         data.control.object_wrench,
     )
-    write_spring_wrench(t, law, data.position, data.twist, wrench)
+    write_spring_wrench(t, law, data.state.object_pose, data.state.object_twist, wrench)
     for k in range(3):
         wrench[k] -= model.object_mass * model.gravity[k]
     write_contact_forces(law, data, work)
@@ -147,14 +147,15 @@ def write_spring_wrench(t, law, position, velocity, wrench):
 
 @kernel
 def write_contact_forces(law, data, work):
-    """Distribute ``data.control.object_wrench`` over the contacts; writes ``data.static_force``."""
+    """Distribute the wrench on the object over the contacts; writes ``data.rows.static_force``."""
+    wrench, rows = data.control.object_wrench, data.rows
     if law.squeezes:
         share_load(
-            data.control.object_wrench, data.Wo, work.rows, data.body, law.forces_of_contacts,
-            law.wrenches_of_arms, data.static_force,
+            wrench, rows.Wo, work.rows, data.bodies.object, law.forces_of_contacts,
+            law.wrenches_of_arms, rows.static_force,
         )  # fmt: skip
     else:
-        static_forces(data.Wo, data.control.object_wrench, data.static_force)
+        static_forces(rows.Wo, wrench, rows.static_force)
 
 
 @kernel
@@ -164,8 +165,8 @@ def add_motion_forces(law, command, feedforward, model, data, work):
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
     """
     command.independent[0] = 1
-    for j in range(data.v.size):
-        command.preferred[j] = -law.free_rate * data.v[j]
+    for j in range(data.state.joint_rates.size):
+        command.preferred[j] = -law.free_rate * data.state.joint_rates[j]
     for i in range(work.rows.size - 1):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
@@ -228,7 +229,7 @@ def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
     data, start = context.data, context.start
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
-    W_o = data.arrays.Wo.copy()
+    W_o = data.arrays.rows.Wo.copy()
     _require_hold(W_o, control.kind)
     desired = desired_forces(data, control, W_o)
     at_rest = Waypoint(time=1.0, **pose_of(start).model_dump())

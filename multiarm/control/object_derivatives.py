@@ -66,13 +66,15 @@ def write_computed_torque_derivatives(address, size, at, t):
     for l in range(6):
         for k in range(6):
             for c in range(by.acceleration.shape[1]):
-                by.wrench[l, c] += data.inertia[l, k] * by.acceleration[k, c]
-    copy(data.v, motion.v)
+                by.wrench[l, c] += data.bodies.object_inertia[l, k] * by.acceleration[k, c]
+    copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
-    copy(data.static_force, motion.force)
-    write_body(data, data.twist, command.acceleration, motion)
+    copy(data.rows.static_force, motion.force)
+    write_body(data, data.state.object_twist, command.acceleration, motion)
     status = differentiate_bodies(struct, by.motion)
-    add_object_equation(data.inertia, data.twist, command.acceleration, motion)
+    add_object_equation(
+        data.bodies.object_inertia, data.state.object_twist, command.acceleration, motion
+    )
     if status == OK:
         status = differentiate_torques(law, command, struct, data, work, by)
         subtract_passive_slopes(data)
@@ -91,7 +93,7 @@ def write_object_impedance_derivatives(address, size, at, t):
         return SINGULAR
     differentiate_spring_wrench(t, law, data, by.wrench)
     copy(command.a_j, motion.a_j)
-    copy(data.static_force, motion.force)
+    copy(data.rows.static_force, motion.force)
     status = write_derivatives_at_rest(struct, by.motion, AT_REST)
     if status == OK:
         status = differentiate_torques(law, command, struct, data, work, by)
@@ -138,9 +140,9 @@ def begin(law, command, data, by):
     if not has_closed_form(law, command):
         return False
     copy(data.control.object_wrench, by.twist)
-    for k in range(data.Wo.shape[0]):
+    for k in range(data.rows.Wo.shape[0]):
         for l in range(6):
-            by.twist[l] -= data.Wo[k, l] * law.forces_of_contacts[k]
+            by.twist[l] -= data.rows.Wo[k, l] * law.forces_of_contacts[k]
     return begin_command(data, by)
 
 
@@ -148,7 +150,7 @@ def begin(law, command, data, by):
 def differentiate_acceleration(t, law, data, by):
     """Write the derivatives of the object's acceleration by its pose and twist."""
     _, quaternion, _, _, _, _ = reference_pose(t, law)
-    turned, by_turn = rotation_between(data.position[3:7], quaternion), np.empty((3, 3))
+    turned, by_turn = rotation_between(data.state.object_pose[3:7], quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     for k in range(3):
         by.acceleration[k, k] = -law.stiffness[k]
@@ -162,7 +164,7 @@ def differentiate_acceleration(t, law, data, by):
 def differentiate_spring_wrench(t, law, data, wrench):
     """Write the derivatives of the wrench of the impedance's spring and damper into ``wrench``."""
     _, quaternion, _, _, _, _ = reference_pose(t, law)
-    turned, by_turn = rotation_between(data.position[3:7], quaternion), np.empty((3, 3))
+    turned, by_turn = rotation_between(data.state.object_pose[3:7], quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     pull, change, of_change, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
     for k in range(3):

@@ -71,7 +71,7 @@ def desired_forces(
 
 def _require_pressing(data: Data, W_o: np.ndarray, of_arms: np.ndarray) -> None:
     """Raise an error for a squeeze along a joint's free motion."""
-    model, R = data.model, data.arrays.body[:9].reshape(3, 3)
+    model, R = data.model, data.arrays.bodies.object[:9].reshape(3, 3)
     rows = model.layout.rows
     for i, arm in enumerate(model.arm_names):
         of_arm = W_o[rows[i] : rows[i + 1]]

@@ -42,6 +42,8 @@ from multiarm.jit.structs import (
 # whether it is a user's that knows the state alone.
 ADDRESS, NUMBERS_AT, DERIVATIVE, STATE_ALONE = range(4)
 
+Shapes = Mapping[str, tuple[int, ...]]
+
 # Numbers of a tip in ``Sample.tips``.
 TIP_WIDTH = 13
 # What the torques of an arm's drives depend on: the time, also the state of this arm, also its
@@ -116,6 +118,64 @@ class Check(Numbers):
     gap: Float  # [m]
     gap_rate: Float  # [m/s]
     solved: Flag  # whether the result is a solution
+
+
+class StateVectors(NamedTuple):
+    """The state: two vectors (:mod:`multiarm.dynamics.layout`), and parts of the same memory."""
+
+    configuration: Floats1
+    poses: Floats2  # (F, 7) of the frames
+    object_pose: Floats1  # (7,)
+    joint_positions: Floats1  # (joints,)
+    velocity: Floats1
+    object_twist: Floats1  # (6,)
+    joint_rates: Floats1  # (joints,)
+
+
+class BodyVariables(NamedTuple):
+    """Motion and inertia of the bodies, of ``n`` arms."""
+
+    pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
+    pinocchio_configuration: Floats1
+    # motion of the links that carry the tips (n, 24), and of the object (24,); scratch for their
+    # relative motion (15,)
+    links: Floats2
+    object: Floats1
+    relative: Floats1
+    object_inertia: Floats2  # (6, 6)
+
+
+class GeneralisedForces(NamedTuple):
+    """Right-hand sides of the equations of motion."""
+
+    f: Floats1  # (6 F + joints,), and parts of the same memory, on the object (6,), on the joints
+    f_o: Floats1
+    f_j: Floats1
+    total: (
+        Floats1  # with those of the contacts; the check of an evaluation writes the object's only
+    )
+    # while a mode with forces that are given is solved, see multiarm.events.kernels
+    without_prestress: Floats1
+
+
+class Accelerations(NamedTuple):
+    """Their solution."""
+
+    a: Floats1  # (6 F + joints,), and parts of the same memory, of the object (6,), of the joints
+    a_o: Floats1
+    a_j: Floats1
+
+
+class Rows(NamedTuple):
+    """The N rows of W."""
+
+    kinematics: Floats2  # (N, 18) of the contacts, see multiarm.contacts.kernel
+    parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
+    Wo: Floats2  # (N, 6) ``[e; (P - x_o) x e]``
+    c: Floats1  # (N,) right-hand sides of the constraints
+    force: Floats1  # (N,) contact forces, positive = pushing
+    static_force: Floats1  # (N,) contact forces for the wrench that the control commands
+    arm_wrenches: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
 
 
 class LastSolution(Numbers):
@@ -270,14 +330,19 @@ class ModeStructs(Numbers):
 
 
 class Variables(NamedTuple):
-    """Variables of one evaluation, world axes; ``n`` arms, ``N`` rows."""
+    """Variables of one evaluation, world axes."""
 
     time: Time
     status: Status
     functions: Functions
     modes: ModeStructs
+    state: StateVectors
+    bodies: BodyVariables
+    rows: Rows
     control: ControlVariables
     effects: EffectVariables
+    forces: GeneralisedForces
+    accelerations: Accelerations
     solution: Solution
     deficient: DeficientArms
     check: Check
@@ -287,46 +352,6 @@ class Variables(NamedTuple):
     interpolation: Interpolation
     pairs: SurfacePairs
     joint_motion: JointMotion
-    pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
-    # the state, see multiarm.dynamics.layout, and parts of the same memory: poses of the frames
-    # (F, 7), of the object (7,), joint positions (joints,); twist of the object (6,), joint
-    # velocities (joints,)
-    configuration: Floats1
-    poses: Floats2
-    position: Floats1
-    angles: Floats1
-    velocity: Floats1
-    twist: Floats1
-    v: Floats1
-    q: Floats1  # configuration for Pinocchio
-    # (n, 24), (24,), (15,): motion of the links that carry the tips, and of the object; scratch for
-    # their relative motion
-    arms: Floats2
-    body: Floats1
-    relative: Floats1
-    contacts: Floats2  # (N, 18) contact kinematics of the rows of W
-    parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
-    Wo: Floats2  # (N, 6) rows ``[e; (P - x_o) x e]``
-    wrench: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
-    inertia: Floats2  # (6, 6) of the object
-    # right-hand sides: generalised forces, and parts of the same memory, on the object (6,) and on
-    # the joints (joints,); of the constraints (N,)
-    generalised_forces: Floats1
-    f_o: Floats1
-    f_j: Floats1
-    c: Floats1
-    # generalised forces with those of the contacts; the check of an evaluation writes those on the
-    # object only
-    total_forces: Floats1
-    # while a mode with forces that are given is solved, see multiarm.events.kernels
-    forces_without_prestress: Floats1
-    # accelerations, and parts of the same memory, of the object and of the joints; contact forces
-    # (N,), positive = pushing
-    acceleration: Floats1
-    a_o: Floats1
-    a_j: Floats1
-    force: Floats1
-    static_force: Floats1  # (N,) contact forces for this wrench
 
 
 def make_variables(
@@ -346,18 +371,23 @@ def make_variables(
     arms, joints, pairs = len(pointers), layout.joints, len(constants.shapes)
     tips = len(constants.tip_frames)  # without the surroundings, which are an arm
     columns = columns_of_forces(layout.nv, joints, states).end
-    rows = row_variables(layout.contacts, len(constants.codes) - layout.contacts)
-    shapes = {
-        "q": pinocchio_size,
-        "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
-        "inertia": (6, 6),
-        "total_forces": layout.nv, "forces_without_prestress": layout.nv,
-    }  # fmt: skip
+    rows = make_rows(layout.contacts, len(constants.codes) - layout.contacts)
+    state, forces, accelerations = stacked_vectors(layout)
     return Variables(
         time=Time(),
         status=Status(),
         functions=Functions(),
         modes=ModeStructs(),
+        state=state,
+        bodies=BodyVariables(
+            pointers=pointers,
+            pinocchio_configuration=np.zeros(pinocchio_size),
+            links=np.zeros((arms, BODY_WIDTH)),
+            object=np.zeros(BODY_WIDTH),
+            relative=np.zeros(RELATIVE_WIDTH),
+            object_inertia=np.zeros((6, 6)),
+        ),
+        rows=rows,
         control=ControlVariables(
             torque=np.zeros(joints),
             power=np.zeros(tips),
@@ -372,6 +402,8 @@ def make_variables(
             power=np.zeros(1 + works),
             link_poses=np.array(link_poses, dtype=np.int64),
         ),
+        forces=forces,
+        accelerations=accelerations,
         solution=UNSOLVED.copy(),
         deficient=DeficientArms(
             coupled=np.zeros(arms, dtype=np.int64), loose=np.zeros(arms, dtype=np.int64)
@@ -385,7 +417,7 @@ def make_variables(
             coordinates=np.full((arms, 6), np.nan),
         ),
         sample=Sample(
-            forces=np.zeros(layout.contacts + contact_states) if contact_states else rows["force"],
+            forces=np.zeros(layout.contacts + contact_states) if contact_states else rows.force,
             wrenches=np.zeros((arms, 6)),
             tips=np.zeros((tips, TIP_WIDTH)),
         ),
@@ -406,36 +438,44 @@ def make_variables(
             scratch=np.zeros(RELATIVE_WIDTH + QUERY_WIDTH),
         ),
         joint_motion=JointMotion(rates=np.zeros(6), coordinates=np.zeros(9)),
-        pointers=pointers,
-        **{name: np.zeros(shape) for name, shape in shapes.items()},
-        **stacked_vectors(layout),
-        **rows,
     )
 
 
-def stacked_vectors(layout: Layout) -> dict[str, np.ndarray]:
-    """Configuration, velocity, accelerations and generalised forces, with views of their parts."""
+def stacked_vectors(layout: Layout) -> tuple[StateVectors, GeneralisedForces, Accelerations]:
+    """Configuration, velocity, forces and accelerations, with views of their parts."""
     q, v, a, f = (np.zeros(size) for size in (layout.nq, *[layout.nv] * 3))
-    return {
-        "configuration": q, "poses": layout.poses(q), "position": layout.poses(q)[0],
-        "angles": layout.joint_positions(q),
-        "velocity": v, "twist": layout.twists(v)[0], "v": layout.joint_rates(v),
-        "acceleration": a, "a_o": layout.twists(a)[0], "a_j": layout.joint_rates(a),
-        "generalised_forces": f, "f_o": layout.twists(f)[0], "f_j": layout.joint_rates(f),
-    }  # fmt: skip
+    return (
+        StateVectors(
+            configuration=q,
+            poses=layout.poses(q),
+            object_pose=layout.poses(q)[0],
+            joint_positions=layout.joint_positions(q),
+            velocity=v,
+            object_twist=layout.twists(v)[0],
+            joint_rates=layout.joint_rates(v),
+        ),
+        GeneralisedForces(
+            f=f,
+            f_o=layout.twists(f)[0],
+            f_j=layout.joint_rates(f),
+            total=np.zeros(layout.nv),
+            without_prestress=np.zeros(layout.nv),
+        ),
+        Accelerations(a=a, a_o=layout.twists(a)[0], a_j=layout.joint_rates(a)),
+    )
 
 
-def row_variables(rows: int, parts: int) -> dict[str, np.ndarray]:
-    """The variables with an entry for every row of W, and for the parts of combined rows."""
+def make_rows(rows: int, parts: int) -> Rows:
+    """Allocate for numbers of rows and of parts of combined rows."""
     arrays = {name: np.zeros(shape) for name, shape in row_shapes(rows).items()}
-    return {**arrays, "parts": np.zeros((parts, CONTACT_WIDTH))}
+    return Rows(parts=np.zeros((parts, CONTACT_WIDTH)), **arrays)
 
 
 def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of the variables with an entry for every row."""
+    """Shapes of the arrays of :class:`Rows` with an entry for every row."""
     return {
-        "contacts": (rows, CONTACT_WIDTH), "Wo": (rows, 6), "wrench": (6, rows), "c": (rows,),
-        "force": (rows,), "static_force": (rows,),
+        "kinematics": (rows, CONTACT_WIDTH), "Wo": (rows, 6), "c": (rows,), "force": (rows,),
+        "static_force": (rows,), "arm_wrenches": (6, rows),
     }  # fmt: skip
 
 
@@ -470,13 +510,20 @@ STATUS = _FIRST[1] + place_of(Variables, "status")
 EFFECTS = _FIRST[5]
 
 
-def row_places(*shapes: Mapping[str, tuple[int, ...]]) -> np.ndarray:
+def row_places(of_joints: Shapes, rows: Shapes, work: Shapes, coupled: Shapes) -> np.ndarray:
     """Places in a system's struct of the sizes of arrays, in the order of their shapes.
 
-    The arrays are some of the ``Constants, Variables, NodeWork, CoupledWork``.
+    The arrays are some of ``Constants``, of ``Rows``, ``NodeWork`` and ``CoupledWork``.
     """
-    parts = zip(_PARTS, _FIRST, shapes, strict=False)
-    return np.concatenate([size_places(*part) for part in parts])
+    rows_at = _FIRST[1] + place_of(Variables, "rows")
+    return np.concatenate(
+        [
+            size_places(Constants, _FIRST[0], of_joints),
+            size_places(Rows, rows_at, rows),
+            size_places(NodeWork, _FIRST[2], work),
+            size_places(CoupledWork, _FIRST[3], coupled),
+        ]
+    )
 
 
 @inlined

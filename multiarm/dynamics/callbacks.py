@@ -103,7 +103,7 @@ class UserCallback(PythonCallback):
     def _write(self) -> None:
         b = self._variables
         t = b.time.now
-        state = State(b.configuration.copy(), b.velocity.copy(), self._layout)
+        state = State(b.state.configuration.copy(), b.state.velocity.copy(), self._layout)
         self._count += 1
         record = self._count & (self._count - 1) == 0  # a power of two
         before = state.copy() if record else None  # the function may write into its own
@@ -209,27 +209,29 @@ class DenseSolver:
         b, work = self._data.arrays, self._data.work
         dofs = work.dofs
         arms = range(len(dofs) - 1)
-        inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
-        _require_usable(inertias, (b.f_j, b.c, b.f_o, work.W))
-        W_o, W = _by_arm(work, b.Wo, work.W)
+        inertias = [read_inertia(b.bodies.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
+        _require_usable(inertias, (b.forces.f_j, b.rows.c, b.forces.f_o, work.W))
+        W_o, W = _by_arm(work, b.rows.Wo, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
             reaction_o, reaction = _by_arm(work, *self.reactions)
         solution = solve_dense(
-            M_o=b.inertia,
-            f_o=b.f_o,
+            M_o=b.bodies.object_inertia,
+            f_o=b.forces.f_o,
             M=inertias,
-            f_j=[b.f_j[dofs[i] : dofs[i + 1]] for i in arms],
+            f_j=[b.forces.f_j[dofs[i] : dofs[i + 1]] for i in arms],
             W_o=W_o,
             W=W,
-            c=[b.c[work.rows[i] : work.rows[i + 1]] for i in arms],
+            c=[b.rows.c[work.rows[i] : work.rows[i + 1]] for i in arms],
             reaction_o=reaction_o,
             reaction=reaction,
         )
-        b.a_o[:] = solution.object_acceleration
-        b.a_j[:] = np.concatenate(solution.joint_accelerations)
-        b.force[:] = np.concatenate(solution.contact_forces)
-        write_solution(b, DENSE, 0, b.force.size - solution.rank, math.inf, solution.motion_unique)
+        b.accelerations.a_o[:] = solution.object_acceleration
+        b.accelerations.a_j[:] = np.concatenate(solution.joint_accelerations)
+        b.rows.force[:] = np.concatenate(solution.contact_forces)
+        write_solution(
+            b, DENSE, 0, b.rows.force.size - solution.rank, math.inf, solution.motion_unique
+        )
         b.deficient.loose[:] = 0
         b.deficient.loose[list(solution.loose_arms)] = 1
 

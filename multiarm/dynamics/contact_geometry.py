@@ -68,7 +68,7 @@ def place_state(data: Data, t: float, state: State) -> None:
     if not len(constants.shapes) or not (constants.codes[:, KIND] == PAIR).any():
         return
     status = update_kinematics(data.struct)
-    if status == OK and np.all(np.isfinite(data.arrays.contacts)):
+    if status == OK and np.all(np.isfinite(data.arrays.rows.kinematics)):
         return
     data.forgive()
     places = locate_pairs(data, state)
@@ -131,7 +131,7 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 
     At the kinematics in the data.
     """
-    constants, contacts = data.model.constants, data.arrays.contacts[rows]
+    constants, contacts = data.model.constants, data.arrays.rows.kinematics[rows]
     normals = contacts[:, NORMAL : NORMAL + 3].copy()
     codes, geometry = constants.codes[: data.model.layout.contacts], constants.geometry
     tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
@@ -144,15 +144,15 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
     """Contact matrices of every arm at the kinematics in the data."""
     b, constants = data.arrays, data.model.constants
-    every_row = np.vstack([b.contacts, b.parts])
+    every_row = np.vstack([b.rows.kinematics, b.rows.parts])
     terms = {}
     for i, name in enumerate(data.model.arm_names):
         rows = slice(data.model.layout.rows[i], data.model.layout.rows[i + 1])
         matrices = contact_matrices(
             constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
-            b.arms[i], b.body, _tip_kinematics(data, name, b.arms[i]),
+            b.bodies.links[i], b.bodies.object, _tip_kinematics(data, name, b.bodies.links[i]),
         )  # fmt: skip
-        contacts = b.contacts[rows]
+        contacts = b.rows.kinematics[rows]
         points, normals = points_and_normals(data, rows)
         terms[name] = ContactTerms(
             *matrices,
@@ -187,8 +187,8 @@ def wrench_matrix(data: Evaluated) -> np.ndarray:
     b, work = data.arrays, data.work
     layout = data.model.layout
     matrix, scale = np.zeros((layout.nv, layout.contacts)), np.empty(layout.nv)
-    matrix[layout.of_frames] = b.Wo.T
-    scale[layout.of_frames] = np.sqrt(np.diag(b.inertia))
+    matrix[layout.of_frames] = b.rows.Wo.T
+    scale[layout.of_frames] = np.sqrt(np.diag(b.bodies.object_inertia))
     for i in range(len(data.model.arm_names)):
         d, r = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
@@ -223,9 +223,9 @@ def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
     have none, and are left out.
     """
     i = data.model.arm_names.index(arm)
-    body, x = data.arrays.body, joint_origin(data, arm)
+    body, x = data.arrays.bodies.object, joint_origin(data, arm)
     R = body[:9].reshape(3, 3) @ data.model.frames[arm].on_object[:3, :3]
-    rows = data.arrays.Wo[data.model.layout.rows[i] : data.model.layout.rows[i + 1]]
+    rows = data.arrays.rows.Wo[data.model.layout.rows[i] : data.model.layout.rows[i + 1]]
     rows = rows[np.any(rows != 0.0, axis=1)]
     force = rows[:, :3]
     moment = rows[:, 3:] - np.cross(x - body[9:12], force)
@@ -236,7 +236,7 @@ def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
 
 def joint_origin(data: Evaluated, arm: str) -> np.ndarray:
     """Origin of a joint's frame on the arm, world axes, shape (3,) [m]."""
-    tip, link = data.model.arms[arm], data.arrays.arms[data.model.arm_names.index(arm)]
+    tip, link = data.model.arms[arm], data.arrays.bodies.links[data.model.arm_names.index(arm)]
     at = tip.tip_rotation @ data.model.frames[arm].on_tip[:3, 3] + tip.tip_translation
     return link[9:12] + link[:9].reshape(3, 3) @ at
 
@@ -294,7 +294,7 @@ def depth_of_contact(struct: INTS, patch: NUMBERS, body: INT, row: INT):
 def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
     """Point of the guiding surface, in its body, where two surfaces touch, shape (3,)."""
     constants, arrays = data.model.constants, data.arrays
-    link, body = arrays.arms[data.model.arm_names.index(arm)], arrays.body
+    link, body = arrays.bodies.links[data.model.arm_names.index(arm)], arrays.bodies.object
     on_object = constants.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT
     a, b = (link, body) if on_object else (body, link)
     first, calls = int(constants.codes[row, LINK]), arrays.functions.surface
@@ -335,7 +335,7 @@ def _guesses(data: Data, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     assert isinstance(contact, Contact), "two surfaces are a contact's"
     frame, tip = data.model.frames[arm], data.model.arms[arm]
     i = data.model.arm_names.index(arm)
-    link, body = data.arrays.arms[i], data.arrays.body
+    link, body = data.arrays.bodies.links[i], data.arrays.bodies.object
     on_link = contact.moved_on_arm(tip.tip_rotation, tip.tip_translation)
     centres = [
         body[9:12] + body[:9].reshape(3, 3) @ contact.object.origin,

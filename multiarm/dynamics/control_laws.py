@@ -17,7 +17,7 @@ constants of the model, which stand at the end of the system's struct; it opens 
         struct = struct_at(address, size)
         data, spring = open_data(struct), open_spring(struct, at)
         for j in range(data.control.torque.size):
-            data.control.torque[j] -= spring.stiffness[j] * data.angles[j]
+            data.control.torque[j] -= spring.stiffness[j] * data.state.joint_positions[j]
         return 0
 
     ControlLaw(pull, Spring(stiffness))

@@ -101,7 +101,7 @@ class StateColumns(NamedTuple):
 @plain
 def state_columns(data):
     """The columns for the sizes of these data, see ``Layout.columns``."""
-    return columns_of_state(data.velocity.size, data.angles.size)
+    return columns_of_state(data.state.velocity.size, data.state.joint_positions.size)
 
 
 @plain
@@ -127,7 +127,9 @@ class ForceColumns(NamedTuple):
 @plain
 def force_columns(data):
     """The columns for the sizes of these data: those of the state, and what follows them."""
-    return columns_of_forces(data.velocity.size, data.angles.size, data.effects.states.size)
+    return columns_of_forces(
+        data.state.velocity.size, data.state.joint_positions.size, data.effects.states.size
+    )
 
 
 @plain
@@ -157,7 +159,9 @@ class Places(NamedTuple):
 @plain
 def chart_places(data):
     """The places for the sizes of these data."""
-    return places_in_chart(data.velocity.size, data.angles.size, data.effects.states.size)
+    return places_in_chart(
+        data.state.velocity.size, data.state.joint_positions.size, data.effects.states.size
+    )
 
 
 @plain
@@ -177,9 +181,9 @@ def read_chart(frames, z, base, configuration):
 def load_chart(z, base, data):
     """Write the state of a chart into the data, without the works."""
     places = chart_places(data)
-    read_chart(data.poses.shape[0], z, base, data.configuration)
-    for k in range(data.velocity.size):
-        data.velocity[k] = z[places.velocity + k]
+    read_chart(data.state.poses.shape[0], z, base, data.state.configuration)
+    for k in range(data.state.velocity.size):
+        data.state.velocity[k] = z[places.velocity + k]
     for k in range(data.effects.states.size):
         data.effects.states[k] = z[places.states + k]
 
@@ -187,16 +191,16 @@ def load_chart(z, base, data):
 @inlined
 def store_chart(data, base, z):
     """Begin a chart at the state in the data: ``theta = 0``; the works in ``z`` stay."""
-    places, poses = chart_places(data), data.poses
+    places, poses = chart_places(data), data.state.poses
     for f in range(poses.shape[0]):
         for k in range(3):
             z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], 0.0
         for k in range(3, 7):
             base[7 * f + k] = poses[f, k]
-    for j in range(data.angles.size):
-        z[places.joints + j] = data.angles[j]
-    for k in range(data.velocity.size):
-        z[places.velocity + k] = data.velocity[k]
+    for j in range(data.state.joint_positions.size):
+        z[places.joints + j] = data.state.joint_positions[j]
+    for k in range(data.state.velocity.size):
+        z[places.velocity + k] = data.state.velocity[k]
     for k in range(data.effects.states.size):
         z[places.states + k] = data.effects.states[k]
 
@@ -205,19 +209,19 @@ def store_chart(data, base, z):
 def write_chart_slope(z, data, slope):
     """Rate of ``z`` from velocity, accelerations, rates of effects' states, and powers."""
     places = chart_places(data)
-    for f in range(data.poses.shape[0]):
+    for f in range(data.state.poses.shape[0]):
         first = 6 * f
         for k in range(3):
-            slope[first + k] = data.velocity[first + k]
+            slope[first + k] = data.state.velocity[first + k]
         write_chart_rate(
             z[first + 3 : first + 6],
-            data.velocity[first + 3 : first + 6],
+            data.state.velocity[first + 3 : first + 6],
             slope[first + 3 : first + 6],
         )
-    for j in range(data.v.size):
-        slope[places.joints + j] = data.v[j]
-    for k in range(data.acceleration.size):
-        slope[places.velocity + k] = data.acceleration[k]
+    for j in range(data.state.joint_rates.size):
+        slope[places.joints + j] = data.state.joint_rates[j]
+    for k in range(data.accelerations.a.size):
+        slope[places.velocity + k] = data.accelerations.a[k]
     for k in range(data.effects.state_rates.size):
         slope[places.states + k] = data.effects.state_rates[k]
     for k in range(data.effects.power.size):

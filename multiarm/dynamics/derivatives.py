@@ -178,8 +178,11 @@ class _Equations:
     def motions(self, independent: bool) -> Callable[[], Motions]:
         """What makes the inertia and the derivatives of the gaps, when they are needed."""
         b, own = self._data.arrays, self._work
-        arrays = (part.copy() for part in (b.inertia, own.M, self._data.work.W, b.Wo, own.rates))
-        codes = self._data.model.constants.codes[: len(b.Wo)]
+        arrays = (
+            part.copy()
+            for part in (b.bodies.object_inertia, own.M, self._data.work.W, b.rows.Wo, own.rates)
+        )
+        codes = self._data.model.constants.codes[: len(b.rows.Wo)]
         closed, layout = codes[:, KIND] != TANGENT, self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)
 
@@ -190,10 +193,10 @@ class _Equations:
         dF_o[:, self.wrench] = _PUSH
         if not self._parameters:
             return
-        falling = b.a_o[:3] - self._data.model.constants.gravity
+        falling = b.accelerations.a_o[:3] - self._data.model.constants.gravity
         dF_o[:3, self._columns["object_mass"].start] = falling
-        R, first = b.body[:9].reshape(3, 3), self._columns["object_inertia"].start
-        spin, turning = b.twist[3:], b.a_o[3:]
+        R, first = b.bodies.object[:9].reshape(3, 3), self._columns["object_inertia"].start
+        spin, turning = b.state.object_twist[3:], b.accelerations.a_o[3:]
         for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
             unit = np.zeros((3, 3))
             unit[i, j] = unit[j, i] = 1.0

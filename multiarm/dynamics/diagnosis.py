@@ -171,13 +171,13 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
     arrays, layout = data.arrays, data.model.layout
     d = slice(layout.dofs[i], layout.dofs[i + 1])
     r = slice(layout.rows[i], layout.rows[i + 1])
-    rows, W = arrays.Wo[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
+    rows, W = arrays.rows.Wo[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None
     place = joint_origin(data, arm)
-    axes = _axes(data, arm, arrays.angles[d])
+    axes = _axes(data, arm, arrays.state.joint_positions[d])
     length = _length(axes, place)
-    moments = rows[:, 3:] - np.cross(place - arrays.body[9:12], rows[:, :3])
+    moments = rows[:, 3:] - np.cross(place - arrays.bodies.object[9:12], rows[:, :3])
     wrenches = np.hstack([rows[:, :3], moments / length]).T
     rank = null_space(joint_wrenches(data, arm).T).rank
     basis, sizes, turned = np.linalg.svd(wrenches, full_matrices=False)

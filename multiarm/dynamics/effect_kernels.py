@@ -22,10 +22,10 @@ arrays of a ``NamedTuple``, which it opens by :func:`view_of_effect`.
     def pull(address, size, at, t):
         struct = struct_at(address, size)
         data, spring, power = open_data(struct), open_spring(struct, at), 0.0
-        for j in range(data.f_j.size):
-            force = -spring.stiffness[j] * data.angles[j]
-            data.f_j[j] += force
-            power += force * data.v[j]
+        for j in range(data.forces.f_j.size):
+            force = -spring.stiffness[j] * data.state.joint_positions[j]
+            data.forces.f_j[j] += force
+            power += force * data.state.joint_rates[j]
         set_power(struct, at, power)
         return 0
 
@@ -43,7 +43,7 @@ and, below these, of the rates of effects' states, by the columns of
         struct = struct_at(address, size)
         data, spring = open_data(struct), open_spring(struct, at)
         first, columns = chart_places(data).joints, force_columns(data)
-        for j in range(data.f_j.size):
+        for j in range(data.forces.f_j.size):
             data.slopes.force[first + j, columns.positions + j] -= spring.stiffness[j]
         return 0
 

@@ -110,7 +110,7 @@ open_equations = view(EquationWork, len(ArmLinks._fields))
 
 
 def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
-    layout, parts = data.model.layout, data.arrays.parts
+    layout, parts = data.model.layout, data.arrays.rows.parts
     n, N = len(layout.dofs) - 1, layout.contacts
     d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
     C = arm_columns(d, placements >= 0).end
@@ -173,12 +173,14 @@ def write_derivatives(struct: INTS, own: INTS):
     ``own`` is the struct of :func:`equation_work`.
     """
     data, work = open_data(struct), open_equations(own)
-    copy(data.v, work.v)
-    copy(data.a_j, work.a_j)
-    copy(data.force, work.force)
-    write_body(data, data.twist, data.a_o, work)
+    copy(data.state.joint_rates, work.v)
+    copy(data.accelerations.a_j, work.a_j)
+    copy(data.rows.force, work.force)
+    write_body(data, data.state.object_twist, data.accelerations.a_o, work)
     status = differentiate_bodies(struct, own)
-    add_object_equation(data.inertia, data.twist, data.a_o, work)
+    add_object_equation(
+        data.bodies.object_inertia, data.state.object_twist, data.accelerations.a_o, work
+    )
     return status
 
 
@@ -198,16 +200,16 @@ def write_derivatives_at_rest(struct, own, twist):
 
 @kernel
 def write_load_derivatives(struct, own):
-    """Write the derivatives of what contacts with forces ``data.static_force`` do to the bodies.
+    """Write the derivatives of what contacts do to the bodies, with ``data.rows.static_force``.
 
     ``own`` has massless links.  The rows of joints in ``dF``, and ``dF_o``, are those of
     ``-W force`` and ``-W_o force``; ``rates`` those of the gap rates.  Returns a status.
     """
     data, work = open_data(struct), open_equations(own)
-    copy(data.v, work.v)
+    copy(data.state.joint_rates, work.v)
     clear(work.a_j)
-    copy(data.static_force, work.force)
-    write_body(data, data.twist, AT_REST, work)
+    copy(data.rows.static_force, work.force)
+    write_body(data, data.state.object_twist, AT_REST, work)
     return differentiate_bodies(struct, own)
 
 
@@ -230,9 +232,9 @@ def differentiate_bodies(struct, own):
 def write_body(data, twist, acceleration, work):
     """Write the object's pose in the data, and a twist and an acceleration (6,)."""
     for k in range(9):
-        work.body[k] = data.body[k]
+        work.body[k] = data.bodies.object[k]
     motion = work.body[MOTION:]
-    put(motion, PLACE, vec(data.position, 0))
+    put(motion, PLACE, vec(data.state.object_pose, 0))
     for k in range(6):
         motion[LINEAR + k], motion[LINEAR_RATE + k] = twist[k], acceleration[k]
 
@@ -269,7 +271,9 @@ def differentiate_arm(i, model, data, system, links, work):
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
-        write_motions(links, i, data.angles, work.v, work.a_j, work.links, link, work.moved)
+        write_motions(
+            links, i, data.state.joint_positions, work.v, work.a_j, work.links, link, work.moved
+        )
     else:  # the surroundings are at rest
         clear(link)
         link[0] = link[4] = link[8] = 1.0
@@ -283,7 +287,7 @@ def differentiate_arm(i, model, data, system, links, work):
         dF[j, C + j] = -1.0
     for k in range(first, last):
         for l in range(6):
-            dF[n + k - first, C + n + l] = data.Wo[k, l]
+            dF[n + k - first, C + n + l] = data.rows.Wo[k, l]
     for c in range(C):
         if columns.twist <= c < columns.positions or columns.velocities <= c < columns.placement:
             continue  # wrenches of contacts do not depend on velocities
@@ -331,7 +335,7 @@ def add_drift_feedback(struct, own, alpha, beta):
         for k in range(first, system.rows[i + 1]):
             dF, by_gap = work.dF[i, n + k - first], beta * beta * gap_weight(model, k)
             for c in range(columns.twist):
-                rate = data.Wo[k, c]
+                rate = data.rows.Wo[k, c]
                 dF[c] += by_gap * rate + 2.0 * alpha * work.rates[k, c]
                 dF[columns.twist + c] += 2.0 * alpha * rate
             for j in range(n):
@@ -365,7 +369,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
         for c in range(dF.shape[1]):
             dF[l, c] += work.dF_o[l, c]
         for c in range(places.joints):
-            K[l, c] += data.inertia[l, c]
+            K[l, c] += data.bodies.object_inertia[l, c]
     for i in range(system.dofs.size - 1):
         d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
         first, last = system.rows[i], system.rows[i + 1]
@@ -378,8 +382,8 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
                 K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
         for k in range(first, last):
             for l in range(places.joints):
-                K[l, places.velocity + k] -= data.Wo[k, l]
-                K[places.velocity + k, l] += data.Wo[k, l]
+                K[l, places.velocity + k] -= data.rows.Wo[k, l]
+                K[places.velocity + k, l] += data.rows.Wo[k, l]
 
 
 @allocating
@@ -439,7 +443,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     links, work = _open_links(own), open_equations(own)
     S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
     for l in range(6):
-        copy(data.inertia[l], S[l])
+        copy(data.bodies.object_inertia[l], S[l])
         row, dF_o = matrix[l], work.dF_o[l]
         for c in range(row.size):
             row[c] = -dF_o[c]
@@ -455,10 +459,10 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
             forces = X[n + k - first]
             for l in range(6):
                 subtract_own(
-                    data.Wo[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
+                    data.rows.Wo[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
                 )
                 for c in range(6):
-                    S[l, c] += data.Wo[k, l] * forces[C + n + c]
+                    S[l, c] += data.rows.Wo[k, l] * forces[C + n + c]
     if not factor_lu(S, 6, work.pivots) > 0.0:
         return SINGULAR
     solve_rows(S, 6, work.pivots, matrix)

@@ -104,7 +104,7 @@ def kinematics(address, size, _a, _b):
     if data.status.failed:
         return CALLBACK_FAILED
     object_terms(model, data)
-    for i in range(data.pointers.shape[0]):
+    for i in range(data.bodies.pointers.shape[0]):
         arm_rows(i, struct, model, data, work)
         load_inertia(i, data, work)
     write_joint_rows(model, data, work)
@@ -146,7 +146,7 @@ def control_of_closed(model, data):
     """Let the laws write ``data.control.torque`` as if all contacts of the joints were closed."""
     closed = struct_at(data.modes.closed, 0)
     constants, of_closed, work = open_system(closed)
-    for i in range(of_closed.pointers.shape[0]):
+    for i in range(of_closed.bodies.pointers.shape[0]):
         arm_rows(i, closed, constants, of_closed, work)
         load_inertia(i, of_closed, work)
     load_gravity_torque(of_closed, work)
@@ -156,20 +156,20 @@ def control_of_closed(model, data):
 @inlined
 def passive_forces(struct, model, data, work):
     """``f_j = -b`` and the passive effects of the joints."""
-    for i in range(data.pointers.shape[0]):
+    for i in range(data.bodies.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        bias = floats_at(data.pointers[i, BIAS_AT], d)
+        bias = floats_at(data.bodies.pointers[i, BIAS_AT], d)
         for j in range(d):
-            data.f_j[d0 + j] = -bias[j]
+            data.forces.f_j[d0 + j] = -bias[j]
     call_effects(0, model.passive_end, struct, model, data)
 
 
 @inlined
 def load_gravity_torque(data, work):
     """Copy the joints' gravity forces, which backends compute only for control that needs them."""
-    for i in range(data.pointers.shape[0]):
+    for i in range(data.bodies.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        g = floats_at(data.pointers[i, GRAVITY_AT], d)
+        g = floats_at(data.bodies.pointers[i, GRAVITY_AT], d)
         for j in range(d):
             data.control.gravity_torque[d0 + j] = g[j]
 
@@ -193,8 +193,8 @@ def add_torques(struct, model, data, work):
     for i in range(data.control.power.size):
         power = 0.0
         for j in range(work.dofs[i], work.dofs[i + 1]):
-            data.f_j[j] += data.control.torque[j]
-            power += data.control.torque[j] * data.v[j]
+            data.forces.f_j[j] += data.control.torque[j]
+            power += data.control.torque[j] * data.state.joint_rates[j]
         data.control.power[i] = power
         total += power
     return total
@@ -220,9 +220,9 @@ def call_effects(first, end, struct, model, data):
 @inlined
 def drift_terms(data, alpha, beta):
     """``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2)."""
-    for k in range(data.c.size):
-        row = data.contacts[k]
-        data.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
+    for k in range(data.rows.c.size):
+        row = data.rows.kinematics[k]
+        data.rows.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
 
 
 @cfunc
@@ -232,15 +232,16 @@ def solve(address, size, _a, _b):
     model, data, work = open_system(struct)
     if model.dense:
         call_python(data.functions.dense)
-        data.solution.imbalance = imbalance(data, data.Wo)
+        data.solution.imbalance = imbalance(data, data.rows.Wo)
         return CALLBACK_FAILED if data.status.failed else OK
+    rows, forces, accelerations = data.rows, data.forces, data.accelerations
     result = solve_batched(
-        work, data.Wo, data.inertia, data.f_o, data.f_j, data.c, data.a_o,
-        data.a_j, data.force,
+        work, rows.Wo, data.bodies.object_inertia, forces.f_o, forces.f_j, rows.c,
+        accelerations.a_o, accelerations.a_j, rows.force,
     )  # fmt: skip
     if result == OK:
         write_solution(data, WHOLE, 0, 0, math.inf, 1)
-        data.solution.imbalance = imbalance(data, data.Wo)
+        data.solution.imbalance = imbalance(data, data.rows.Wo)
         if data.solution.imbalance <= IMBALANCE_BOUND:
             return OK
     return call_cfunc(data.functions.coupled, struct, 0.0, 0.0)
@@ -259,7 +260,7 @@ def solve_deficient(address, size, decompose_all, _b):
     status = solve_by_arms(data, work, coupled, decompose_all != 0.0)
     if status != OK or data.solution.imbalance <= IMBALANCE_BOUND:
         return status
-    if decompose_all != 0.0 or data.solution.coupled_arms == data.pointers.shape[0]:
+    if decompose_all != 0.0 or data.solution.coupled_arms == data.bodies.pointers.shape[0]:
         return status
     return solve_by_arms(data, work, coupled, True)
 
@@ -267,16 +268,20 @@ def solve_deficient(address, size, decompose_all, _b):
 @kernel
 def solve_by_arms(data, work, coupled, decompose_all):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
-    failed = eliminate_arms(work, data.Wo)
+    rows, forces, accelerations = data.rows, data.forces, data.accelerations
+    failed = eliminate_arms(work, rows.Wo)
     if failed != OK:
         return failed
-    pivot = couple(work, coupled, data.Wo, data.inertia, decompose_all)
-    work.pivot[data.pointers.shape[0]] = pivot
+    pivot = couple(work, coupled, rows.Wo, data.bodies.object_inertia, decompose_all)
+    work.pivot[data.bodies.pointers.shape[0]] = pivot
     if not pivot > 0.0:
-        return data.pointers.shape[0] if pivot == pivot else NOT_FINITE
-    solve_coupled(work, coupled, data.f_o, data.f_j, data.c, data.a_o, data.a_j, data.force)
+        return data.bodies.pointers.shape[0] if pivot == pivot else NOT_FINITE
+    solve_coupled(
+        work, coupled, forces.f_o, forces.f_j, rows.c,
+        accelerations.a_o, accelerations.a_j, rows.force,
+    )  # fmt: skip
     write_coupled_solution(data, coupled)
-    data.solution.imbalance = imbalance(data, data.Wo)
+    data.solution.imbalance = imbalance(data, data.rows.Wo)
     return OK
 
 
@@ -299,7 +304,7 @@ def update_rows(struct: INTS):
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     model, data, work = open_system(struct)
-    for i in range(data.pointers.shape[0]):
+    for i in range(data.bodies.pointers.shape[0]):
         arm_rows(i, struct, model, data, work)
     write_joint_rows(model, data, work)
     return CALLBACK_FAILED if data.status.failed else OK
@@ -309,10 +314,10 @@ def update_rows(struct: INTS):
 def write_general_row(address, size, row, arm):
     """Write a row of an arm that is not a tip on a plane, a sphere or a cylinder."""
     model, data, _ = open_system(struct_at(address, size))
-    pairs = data.pairs
+    bodies, rows, pairs = data.bodies, data.rows, data.pairs
     write_row(
-        int(row), data.arms[int(arm)], data.body, model.codes, model.geometry, model.shapes,
-        data.functions.surface, data.contacts, data.parts,
+        int(row), bodies.links[int(arm)], bodies.object, model.codes, model.geometry, model.shapes,
+        data.functions.surface, rows.kinematics, rows.parts,
         pairs.scratch, pairs.starts, pairs.points,
     )  # fmt: skip
     return OK
@@ -323,7 +328,7 @@ def potential_energy(model, data):
     """Potential energy of arms and object [J] at the last evaluated state, zero at the origin."""
     functions, energy = data.functions, 0.0
     for k in range(3):
-        energy -= model.object_mass * model.gravity[k] * data.position[k]
+        energy -= model.object_mass * model.gravity[k] * data.state.object_pose[k]
     if functions.arms != 0:
         arms = struct_at(functions.arms_struct, functions.arms_size)
         energy += energy_of_arms(arms)

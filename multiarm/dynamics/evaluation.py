@@ -89,12 +89,6 @@ def _residuals(check: Check) -> Residuals:
     return Residuals(check.arm, check.on_object, check.constraint)
 
 
-# What a snapshot copies of the variables: always, and where some arm could not be eliminated as a
-# whole or the dense solver was used.
-_MOTION = ("arms", "body", "contacts", "parts", "Wo")
-_COORDINATES = ("angles", "inertia")
-
-
 class Snapshot:
     """Copies of the arrays of a Data after an evaluation, for results that are computed later.
 
@@ -109,8 +103,11 @@ class Snapshot:
         self.model, solution = data.model, data.arrays.solution
         self.dense = solution.elimination == Elimination.DENSE
         self.regular = not (self.dense or solution.coupled_arms)
-        self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
+        self.arrays, b = SimpleNamespace(), data.arrays
+        self.arrays.bodies = _copied(b.bodies, ("links", "object", "object_inertia"))
+        self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "Wo"))
         if not self.regular:
+            self.arrays.state = _copied(b.state, ("joint_positions",))
             self.work = _copied(data.work, ("rows", "M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
@@ -276,7 +273,7 @@ class Evaluation:
 
         Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
         """
-        rows = rows_by_owner(self._all.model.layout, self._all.arrays.Wo)
+        rows = rows_by_owner(self._all.model.layout, self._all.arrays.rows.Wo)
         return {owner: rows[owner].T @ force for owner, force in self.contact_forces.items()}
 
     @cached_property
@@ -417,15 +414,15 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         b.effects.states[:] = data.effect_states()
     require_ok(data, evaluate_and_check(data.struct))
     check = b.check
-    a_j, torques, snapshot = b.a_j.copy(), b.control.torque.copy(), Snapshot(data)
-    forces = layout.split_contacts(b.force.copy())
+    a_j, torques, snapshot = b.accelerations.a_j.copy(), b.control.torque.copy(), Snapshot(data)
+    forces = layout.split_contacts(b.rows.force.copy())
     coupled = _coupled_arms(data)
     pivots = () if snapshot.dense else data.work.pivot.tolist()
     powers = b.control.power.tolist() if data.model.controlled else ()
     return Evaluation(
         time=float(t),
         state=state,
-        object_acceleration=b.a_o.copy(),
+        object_acceleration=b.accelerations.a_o.copy(),
         joint_accelerations=layout.split_joints(a_j),
         joint_torques=layout.split_joints(torques),
         control_power=dict(zip(layout.names, powers, strict=False)),

@@ -41,7 +41,7 @@ def failure_text(data: Data, status: int) -> str:
             f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
             f"links without mass or inertia; give them some in the URDF, or lock the joint"
         )
-    if status == len(data.arrays.pointers):
+    if status == len(data.arrays.bodies.pointers):
         return (
             "the object's node matrix is not positive definite; check the object's mass and "
             "inertia and that all numbers of the state are finite"
@@ -90,8 +90,10 @@ def ambiguity_text(data: Data) -> str:
 def lost_contact_text(data: Data) -> str:
     """Message when a contact has no normal at the state in the data; else empty."""
     b = data.arrays
-    lost = np.flatnonzero(~np.isfinite(b.contacts).all(axis=1))
-    if not lost.size or not (np.isfinite(b.position).all() and np.isfinite(b.angles).all()):
+    lost = np.flatnonzero(~np.isfinite(b.rows.kinematics).all(axis=1))
+    if not lost.size or not (
+        np.isfinite(b.state.object_pose).all() and np.isfinite(b.state.joint_positions).all()
+    ):
         return ""
     return (
         f"{lost_contact(data, int(lost[0]))}; look where the motion takes it, take smaller steps, "

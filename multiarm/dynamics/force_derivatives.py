@@ -196,15 +196,15 @@ def add_slopes(applied, data, _work, power, of_drives):
     if power < 0:
         return
     powers, total = data.slopes.force.shape[0], data.effects.power.size - 1
-    last = data.control.torque.size if of_drives else data.velocity.size
+    last = data.control.torque.size if of_drives else data.state.velocity.size
     for place in range(power, total + 1, max(total - power, 1)):
         row = applied[powers + place]
         for i in range(last):
             l = begin + i
             for c in range(row.size):
-                row[c] += slopes[i, c] * data.velocity[l]
+                row[c] += slopes[i, c] * data.state.velocity[l]
             rate = columns.twists + l if l < first else columns.rates + l - first
-            row[rate] += data.control.torque[i] if of_drives else data.generalised_forces[i]
+            row[rate] += data.control.torque[i] if of_drives else data.forces.f[i]
 
 
 @kernel
@@ -270,7 +270,7 @@ def differentiate_effect(struct, differences, k):
     """Write the derivatives of effect number k, and let it act; returns a status.
 
     Those of an actuator change ``data.slopes.torque``, as it changes ``data.control.torque``; else
-    forces of this effect alone are in ``data.generalised_forces``.
+    forces of this effect alone are in ``data.forces.f``.
     """
     model, data, work = open_system(struct)
     status, first = OK, chart_places(data).joints
@@ -305,9 +305,9 @@ def clear_slopes(model, data, work, local, table, first):
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i], work.dofs[i + 1]):
             clear_columns(at, work.dofs[i], work.dofs[i + 1], table[first + j])
-        for s in range(table.shape[0] - first - data.v.size):
+        for s in range(table.shape[0] - first - data.state.joint_rates.size):
             if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
-                row = table[first + data.v.size + s]
+                row = table[first + data.state.joint_rates.size + s]
                 clear_columns(at, work.dofs[i], work.dofs[i + 1], row)
 
 
@@ -331,7 +331,7 @@ def clear_table(table):
 def act(struct, differences, k, model, data, work):
     """Let one effect write its forces alone, an actuator its torques, or the control these."""
     if k != CONTROL:
-        clear(data.generalised_forces)
+        clear(data.forces.f)
         call_listed(model.effects, k, ADDRESS, struct, data)
         return
     object_terms(model, data)  # laws may compensate the forces before them
@@ -354,7 +354,7 @@ def add_differences(struct, differences, k, by_state):
     """
     model, data, work = open_system(struct)
     at, places = force_columns(data), chart_places(data)
-    configuration, velocity = data.configuration.copy(), data.velocity.copy()
+    configuration, velocity = data.state.configuration.copy(), data.state.velocity.copy()
     inner, torque, now = data.effects.states.copy(), data.control.torque.copy(), data.time.now
     of_torques = k != CONTROL and actuates(model, k)
     needs_kinematics = not knows_state_alone(model, data, k)
@@ -374,7 +374,7 @@ def add_differences(struct, differences, k, by_state):
             continue
         for l in range(places.joints):
             displacement[l] = direction[l]
-        for j in range(data.angles.size):
+        for j in range(data.state.joint_positions.size):
             displacement[places.joints + j] = direction[at.positions + j]
         change, points = CHANGE, 1
         if of_time:
@@ -395,11 +395,15 @@ def add_differences(struct, differences, k, by_state):
             if column < at.states:
                 moved = needs_kinematics
                 retract(
-                    data.poses.shape[0], configuration, offset, displacement, data.configuration
+                    data.state.poses.shape[0],
+                    configuration,
+                    offset,
+                    displacement,
+                    data.state.configuration,
                 )
                 for l in range(velocity.size):
                     rate = at.twists + l if l < places.joints else at.rates + l - places.joints
-                    data.velocity[l] = velocity[l] + offset * direction[rate]
+                    data.state.velocity[l] = velocity[l] + offset * direction[rate]
                 if needs_kinematics and differences.local and column < at.positions:
                     object_terms(model, data)
                 elif needs_kinematics:
@@ -424,8 +428,8 @@ def add_differences(struct, differences, k, by_state):
                     data.slopes.force[i, columns[i]] += weight * (value[i] - base[i])
             if status != OK:
                 break
-        copy(configuration, data.configuration)
-        copy(velocity, data.velocity)
+        copy(configuration, data.state.configuration)
+        copy(velocity, data.state.velocity)
         copy(inner, data.effects.states)
         data.time.now = now
         if status != OK:
@@ -446,9 +450,9 @@ def knows_state_alone(model, data, k):
 @inlined
 def read_forces(data, torques, joints, out):
     """Copy generalised forces, or torques in their place, and the rates of effects' states."""
-    size = data.velocity.size
+    size = data.state.velocity.size
     for k in range(size):
-        out[k] = data.generalised_forces[k]
+        out[k] = data.forces.f[k]
         if torques:
             out[k] = data.control.torque[k - joints] if k >= joints else 0.0
     for k in range(data.effects.state_rates.size):

@@ -100,20 +100,20 @@ def packed_patch(patch: Patch) -> np.ndarray:
 @inlined
 def touch(guard, rows):
     """``allowance - |phi|``."""
-    return guard.allowance - abs(rows.contacts[guard.row, GAP])
+    return guard.allowance - abs(rows.rows.kinematics[guard.row, GAP])
 
 
 @inlined
 def spring_extension(guard, rows):
     """The extension; gap and its rate, since the extension is the gap while the gap falls."""
-    gap, rate = rows.contacts[guard.row, GAP], rows.contacts[guard.row, GAP_RATE]
+    gap, rate = rows.rows.kinematics[guard.row, GAP], rows.rows.kinematics[guard.row, GAP_RATE]
     return spring_length(gap, rate, guard.lag), gap, rate
 
 
 @inlined
 def spring_compression(guard, rows):
     """Minus the extension."""
-    contact = rows.contacts[guard.row]
+    contact = rows.rows.kinematics[guard.row]
     return -spring_length(contact[GAP], contact[GAP_RATE], guard.lag)
 
 
@@ -130,13 +130,13 @@ def spring_length(gap, rate, lag):
 @kernel
 def depth_on_body(patch, body, row, model, data):
     """How far inside its patch (18,) on a body the contact of a row is [m]."""
-    contact = data.contacts[row]
+    contact = data.rows.kinematics[row]
     # the contact point lies a tip's radius from its centre, against the guide's outward normal
     away = model.geometry[row, TIP_RADIUS]
     if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
         away = -away
     touching = add_scaled(vec(contact, AT), -away, vec(contact, NORMAL))
-    carrier = data.body if body == ON_OBJECT else data.arms[body]
+    carrier = data.bodies.object if body == ON_OBJECT else data.bodies.links[body]
     return depth_in_patch(patch, rotate_back(rotation(carrier, 0), sub(touching, vec(carrier, 9))))
 
 
@@ -239,7 +239,7 @@ JOINT_SPEED, joint_speed_at = _kind(JointSpeed)
 def slip(guard, slides, rows):
     """``d . s``; ``slides`` are the numbers of the sliding contacts, by constraint."""
     t, direction = guard.tangent, guard.directions[slides[guard.constraint]]
-    first, second = rows.contacts[t, GAP_RATE], rows.contacts[t + 1, GAP_RATE]
+    first, second = rows.rows.kinematics[t, GAP_RATE], rows.rows.kinematics[t + 1, GAP_RATE]
     return first * direction[0] + second * direction[1]
 
 
@@ -247,7 +247,7 @@ def slip(guard, slides, rows):
 def slip_onset(guard, rows):
     """``still - |s|``."""
     t = guard.tangent
-    first, second = rows.contacts[t, GAP_RATE], rows.contacts[t + 1, GAP_RATE]
+    first, second = rows.rows.kinematics[t, GAP_RATE], rows.rows.kinematics[t + 1, GAP_RATE]
     return guard.still - math.sqrt(first * first + second * second)
 
 
@@ -273,7 +273,9 @@ def range_depth(guard, model, data):
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
     for k in range(model.free_bounds[i], model.free_bounds[i + 1]):
         if model.free[k, 0] == component:
-            write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
+            write_relative(
+                model.frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+            )
             place = model.free[k, 1]
             x = unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
             above, below = x - guard.lower, guard.upper - x
@@ -312,7 +314,7 @@ def guard_function(guards, g, struct, data, model, rows):
     """
     kind, records, at = guards.kind[g], guards.records, guards.place[g]
     if kind == OPEN_GAP:
-        contact = rows.contacts[gap_at(records, at).row]
+        contact = rows.rows.kinematics[gap_at(records, at).row]
         return contact[GAP], contact[GAP], contact[GAP_RATE]
     if kind == SPRING_EXTENSION:
         return spring_extension(extension_at(records, at), rows)
@@ -320,7 +322,7 @@ def guard_function(guards, g, struct, data, model, rows):
         depth, rate = range_depth(range_at(records, at), model, data)
         return depth, depth, rate
     if is_force_function(kind):
-        value = force_function(guards, g, struct, data.force)
+        value = force_function(guards, g, struct, data.rows.force)
     elif kind == TOUCH:
         value = touch(touch_at(records, at), rows)
     elif kind == SPRING_COMPRESSION:
@@ -333,5 +335,5 @@ def guard_function(guards, g, struct, data, model, rows):
     elif kind == SLIP_ONSET:
         value = slip_onset(onset_at(records, at), rows)
     else:
-        value = data.v[joint_speed_at(records, at).joint]
+        value = data.state.joint_rates[joint_speed_at(records, at).joint]
     return value, value, 0.0

@@ -136,8 +136,8 @@ def write_values(guards, struct, data, model, rows):
     ``model`` and ``rows`` are those of the system with all rows, with their kinematics.
     """
     largest = 1.0
-    for k in range(data.force.size):
-        largest = max(largest, abs(data.force[k]))
+    for k in range(data.rows.force.size):
+        largest = max(largest, abs(data.rows.force[k]))
     for g in range(guards.kind.size):
         sign = guards.sign[g]
         value, course, rate = guard_function(guards, g, struct, data, model, rows)

@@ -132,13 +132,13 @@ def _solve(
 ) -> InverseDynamics:
     """Torques for a desired motion, at a state that has just been evaluated."""
     b, layout = data.arrays, data.model.layout
-    free, f_o, c = b.f_j.copy(), b.f_o.copy(), b.c.copy()
+    free, f_o, c = b.forces.f_j.copy(), b.forces.f_o.copy(), b.rows.c.copy()
     require_ok(data, update_kinematics(data.struct))
-    force = _contact_forces(ev, b.inertia @ desired - f_o, internal_forces, basis)
+    force = _contact_forces(ev, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
     a_j, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
     for i, name in enumerate(layout.names):
         d, r = (slice(at[i], at[i + 1]) for at in (layout.dofs, layout.rows))
-        M = read_inertia(b.pointers[i], d.stop - d.start)
+        M = read_inertia(b.bodies.pointers[i], d.stop - d.start)
         W = data.work.W[i, : d.stop - d.start, : r.stop - r.start]
         A, a = _desired_motion(data.model, name, ev, desired, relative[name])
         a_j[d], left = _nearest(M, A, a, posture[name])

@@ -57,15 +57,15 @@ from multiarm.spatial import write_matrix
 @inlined
 def fill_configuration(model, data):
     """Write Pinocchio's configuration from the positions of its arms' joints."""
-    for j in range(data.angles.size):
+    for j in range(data.state.joint_positions.size):
         slot = model.q_slots[j]
         if slot < 0:
             continue
         if model.circular[j] != 0:
-            data.q[slot] = np.cos(data.angles[j])
-            data.q[slot + 1] = np.sin(data.angles[j])
+            data.bodies.pinocchio_configuration[slot] = np.cos(data.state.joint_positions[j])
+            data.bodies.pinocchio_configuration[slot + 1] = np.sin(data.state.joint_positions[j])
         else:
-            data.q[slot] = data.angles[j]
+            data.bodies.pinocchio_configuration[slot] = data.state.joint_positions[j]
 
 
 @inlined
@@ -78,29 +78,29 @@ def arm_terms(model, data):
     if functions.pinocchio != 0:
         fill_configuration(model, data)
         call_python(functions.pinocchio)
-    for i in range(data.pointers.shape[0]):
-        if data.pointers[i, TWIST_AT] != 0:
-            link_motion(data.pointers[i], model.gravity, data.arms[i])
+    for i in range(data.bodies.pointers.shape[0]):
+        if data.bodies.pointers[i, TWIST_AT] != 0:
+            link_motion(data.bodies.pointers[i], model.gravity, data.bodies.links[i])
 
 
 @inlined
 def object_terms(model, data):
     """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
-    body, mass = data.body, model.object_mass
-    write_matrix(data.position[3:7], body)
-    R, omega = rotation(body, 0), vec(data.twist, 3)
+    body, mass = data.bodies.object, model.object_mass
+    write_matrix(data.state.object_pose[3:7], body)
+    R, omega = rotation(body, 0), vec(data.state.object_twist, 3)
     A = model.object_inertia
     I = rotate_symmetric(R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]))
-    put(body, ORIGIN_AT, vec(data.position, 0))
-    put(body, VELOCITY, vec(data.twist, 0))
+    put(body, ORIGIN_AT, vec(data.state.object_pose, 0))
+    put(body, VELOCITY, vec(data.state.object_twist, 0))
     put(body, SPIN, omega)
     for k in range(3):
-        data.inertia[k, k] = mass
-    put(data.inertia[3], 3, I[0:3])
-    put(data.inertia[4], 3, (I[1], I[3], I[4]))
-    put(data.inertia[5], 3, (I[2], I[4], I[5]))
-    put(data.f_o, 0, scale(mass, vec(model.gravity, 0)))
-    put(data.f_o, 3, cross(times(I, omega), omega))
+        data.bodies.object_inertia[k, k] = mass
+    put(data.bodies.object_inertia[3], 3, I[0:3])
+    put(data.bodies.object_inertia[4], 3, (I[1], I[3], I[4]))
+    put(data.bodies.object_inertia[5], 3, (I[2], I[4], I[5]))
+    put(data.forces.f_o, 0, scale(mass, vec(model.gravity, 0)))
+    put(data.forces.f_o, 3, cross(times(I, omega), omega))
 
 
 @inlined
@@ -134,14 +134,15 @@ def arm_rows(i, struct, model, data, work):
     d = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
-    J = floats_at(data.pointers[i, J_AT], 6 * d)  # column by column
-    x_o, W, wrench = vec(data.body, ORIGIN_AT), work.W[i], data.wrench
+    bodies = data.bodies
+    J = floats_at(bodies.pointers[i, J_AT], 6 * d)  # column by column
+    x_o, W, wrench = vec(bodies.object, ORIGIN_AT), work.W[i], data.rows.arm_wrenches
     write_rows(
-        first, m, data.arms[i], data.body, data.relative, model.codes, model.geometry,
-        data.contacts, struct, i, data.functions.row,
+        first, m, bodies.links[i], bodies.object, bodies.relative, model.codes, model.geometry,
+        data.rows.kinematics, struct, i, data.functions.row,
     )  # fmt: skip
     for k in range(m):
-        row, Wo = data.contacts[first + k], data.Wo[first + k]
+        row, Wo = data.rows.kinematics[first + k], data.rows.Wo[first + k]
         e, p = vec(row, NORMAL), vec(row, AT)
         couple = vec(row, COUPLE) if model.codes[first + k, KIND] == COMBINED else ZERO
         put(Wo, 0, e)
@@ -191,8 +192,10 @@ def write_joint_rows(model, data, work):
     for k in range(model.joint_rows.shape[0]):
         i, row, joint = model.joint_rows[k, 0], model.joint_rows[k, 1], model.joint_rows[k, 2]
         side, geometry = model.geometry[row, SIDE], model.geometry[row]
-        data.contacts[row, GAP] = geometry[WEIGHT] * side * (data.angles[joint] - geometry[RADIUS])
-        data.contacts[row, GAP_RATE] = side * data.v[joint]
+        data.rows.kinematics[row, GAP] = (
+            geometry[WEIGHT] * side * (data.state.joint_positions[joint] - geometry[RADIUS])
+        )
+        data.rows.kinematics[row, GAP_RATE] = side * data.state.joint_rates[joint]
         work.W[i, joint - work.dofs[i], row - work.rows[i]] = side
 
 
@@ -200,8 +203,8 @@ def write_joint_rows(model, data, work):
 def load_inertia(i, data, work):
     """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.M``."""
     d = work.dofs[i + 1] - work.dofs[i]
-    stride = data.pointers[i, M_STRIDE]
-    inertia, M = floats_at(data.pointers[i, M_AT], d * stride), work.M[i]
+    stride = data.bodies.pointers[i, M_STRIDE]
+    inertia, M = floats_at(data.bodies.pointers[i, M_AT], d * stride), work.M[i]
     for a in range(d):
         for b in range(a + 1):
             M[a, b] = inertia[a * stride + b]

@@ -48,8 +48,8 @@ from multiarm.dynamics.arrays import (
     Functions,
     Status,
     Variables,
+    make_rows,
     make_variables,
-    row_variables,
     system_struct,
 )
 from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
@@ -342,7 +342,13 @@ class Data:
             link_poses=[self._backends.pose_address(*link) for link in model.links],
             contact_states=0 if model.unilateral is None else len(model.unilateral.contacts),
         )
-        arms = self._backends.connect(b.angles, b.v, b.q, b.arms, b.status)
+        arms = self._backends.connect(
+            b.state.joint_positions,
+            b.state.joint_rates,
+            b.bodies.pinocchio_configuration,
+            b.bodies.links,
+            b.status,
+        )
         self.callbacks: dict[str, GuardedCall] = {**arms.callbacks}
         self.cache: dict[object, Any] = {}
         self._set_addresses(arms.addresses)
@@ -385,9 +391,9 @@ class Data:
             self._struct = self._make_struct()
         else:
             count = model.layout.contacts
-            rows: dict[str, Any] = row_variables(count, len(model.constants.codes) - count)
-            sample = arrays.sample._replace(forces=rows["force"])
-            self.arrays = arrays._replace(**rows, sample=sample)
+            rows = make_rows(count, len(model.constants.codes) - count)
+            sample = arrays.sample._replace(forces=rows.force)
+            self.arrays = arrays._replace(rows=rows, sample=sample)
             self._connect_rows()
         if model.python_control is not base.model.python_control:
             self._connect_control()
@@ -427,7 +433,7 @@ class Data:
         self.law_works = [() if law.work is None else law.work.of(self) for law in laws]
 
     def _pointers(self) -> np.ndarray:
-        """``Variables.pointers``; the surroundings are an arm without joints."""
+        """``Variables.bodies.pointers``; the surroundings are an arm without joints."""
         owners, pointers = len(self.model.layout.dofs) - 1, self._backends.pointers
         if owners == len(pointers):
             return pointers
@@ -508,7 +514,7 @@ class Data:
     def move_to(self, state: State) -> None:
         """Write positions and velocities; memory of the previous state is kept."""
         b = self.arrays
-        b.configuration[:], b.velocity[:] = state.position, state.velocity
+        b.state.configuration[:], b.state.velocity[:] = state.position, state.velocity
 
     def hold(self, torques: np.ndarray | None) -> None:
         """Hold torques (n,) from now on, in a model whose control can be held.
@@ -526,7 +532,7 @@ class Data:
     def get_state(self) -> State:
         """A copy of the state."""
         b = self.arrays
-        return State(b.configuration.copy(), b.velocity.copy(), self.model.layout)
+        return State(b.state.configuration.copy(), b.state.velocity.copy(), self.model.layout)
 
     def effect_states(self) -> np.ndarray:
         """States of the effects at the start of a run, which has just been evaluated."""
@@ -543,7 +549,7 @@ class Data:
     def potential_energy(self) -> float:
         """Potential energy of arms and object [J] at the state, zero at the origin."""
         constants = self.model.constants
-        height = float(constants.gravity @ self.arrays.position[:3])
+        height = float(constants.gravity @ self.arrays.state.object_pose[:3])
         return -constants.object_mass * height + self._backends.potential_energy()
 
     def coriolis(self) -> Coriolis:

@@ -17,7 +17,7 @@ def times_object_inertia(k, data, x):
     """Entry ``k`` of ``M_o x``."""
     product = 0.0
     for l in range(6):
-        product += data.inertia[k, l] * x[l]
+        product += data.bodies.object_inertia[k, l] * x[l]
     return product
 
 
@@ -34,12 +34,14 @@ def times_arm_inertia(i, j, work, x):
 def write_momenta(struct: INTS, momenta: NUMBERS):
     """Write ``M v`` of object and joints, in the order of a velocity [N s, N m s]."""
     _, data, work = open_system(struct)
-    first = momenta.size - data.v.size
+    first = momenta.size - data.state.joint_rates.size
     for k in range(6):
-        momenta[k] = times_object_inertia(k, data, data.twist)
+        momenta[k] = times_object_inertia(k, data, data.state.object_twist)
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
-            momenta[first + work.dofs[i] + j] = times_arm_inertia(i, j, work, data.v)
+            momenta[first + work.dofs[i] + j] = times_arm_inertia(
+                i, j, work, data.state.joint_rates
+            )
 
 
 @kernel
@@ -47,9 +49,17 @@ def kinetic_energy(data, work):
     """Kinetic energy of arms and object [J] at the last evaluated state."""
     energy = 0.0
     for k in range(6):
-        energy += 0.5 * data.twist[k] * times_object_inertia(k, data, data.twist)
+        energy += (
+            0.5
+            * data.state.object_twist[k]
+            * times_object_inertia(k, data, data.state.object_twist)
+        )
     for i in range(work.dofs.size - 1):
         d0 = work.dofs[i]
         for j in range(work.dofs[i + 1] - d0):
-            energy += 0.5 * data.v[d0 + j] * times_arm_inertia(i, j, work, data.v)
+            energy += (
+                0.5
+                * data.state.joint_rates[d0 + j]
+                * times_arm_inertia(i, j, work, data.state.joint_rates)
+            )
     return energy

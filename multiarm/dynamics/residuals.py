@@ -38,10 +38,10 @@ def write_residuals(
     ``generalised_forces`` (6 + n,) and ``c`` (N,).
     """
     _, data, work = open_system(struct)
-    first = acceleration.size - data.v.size
-    a_o, a, forces = acceleration[:first], acceleration[first:], data.total_forces
+    first = acceleration.size - data.state.joint_rates.size
+    a_o, a, forces = acceleration[:first], acceleration[first:], data.forces.total
     copy(generalised_forces, forces)
-    add_contact_forces(work, data.Wo, work.W, force, forces[:first], forces[first:])
+    add_contact_forces(work, data.rows.Wo, work.W, force, forces[:first], forces[first:])
     check = data.check
     check.arm = check.on_object = check.constraint = 0.0
     for k in range(first):
@@ -61,7 +61,7 @@ def rate_by_object(row, data, a_o):
     """``W_o^T a_o`` of a row."""
     rate = 0.0
     for k in range(6):
-        rate += data.Wo[row, k] * a_o[k]
+        rate += data.rows.Wo[row, k] * a_o[k]
     return rate
 
 
@@ -101,8 +101,8 @@ def constraint_residual(model, data, work):
         scale = max(scale, free_rate(work))
     for i in range(work.dofs.size - 1):
         for row in range(work.rows[i], work.rows[i + 1]):
-            by_object = rate_by_object(row, data, data.a_o)
-            by_arm, c = rate_by_arm(i, row, work, data.a_j), data.c[row]
+            by_object = rate_by_object(row, data, data.accelerations.a_o)
+            by_arm, c = rate_by_arm(i, row, work, data.accelerations.a_j), data.rows.c[row]
             residual = abs(by_object + by_arm - c)
             if residual != residual:
                 return residual
@@ -116,8 +116,8 @@ def free_acceleration(data):
     """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
     force = 0.0
     for k in range(3):
-        force = max(force, abs(data.f_o[k]))
-    return force / data.inertia[0, 0]
+        force = max(force, abs(data.forces.f_o[k]))
+    return force / data.bodies.object_inertia[0, 0]
 
 
 @inlined
@@ -144,11 +144,16 @@ def imbalance(data, Wo):
     result is zero where a bound that takes no root and no norm of a row shows that it is less than
     ``IMBALANCE_BOUND``; it is NaN where the solution is not finite.
     """
-    inertia, f_o, a_o, m = data.inertia, data.f_o, data.a_o, data.inertia[0, 0]
-    total = data.total_forces
+    inertia, f_o, a_o, m = (
+        data.bodies.object_inertia,
+        data.forces.f_o,
+        data.accelerations.a_o,
+        data.bodies.object_inertia[0, 0],
+    )
+    total = data.forces.total
     front, back = load_pack(f_o, 0), load_pack(f_o, 2)  # six numbers, two of them twice
-    for a in range(data.force.size):
-        force = broadcast(data.force[a])
+    for a in range(data.rows.force.size):
+        force = broadcast(data.rows.force[a])
         front = front + force * load_pack(Wo, 6 * a)
         back = back + force * load_pack(Wo, 6 * a + 2)
     store_pack(total, 0, front)
@@ -171,12 +176,12 @@ def imbalance(data, Wo):
 @kernel
 def relative_imbalance(data, Wo, forces, moments):
     """Residuals of forces [N] and moments [N m] relative to the largest terms."""
-    inertia = data.inertia
+    inertia = data.bodies.object_inertia
     radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
-    push = max(AT_REST * inertia[0, 0], norm(data.f_o[:3], 3))
-    turn = norm(data.f_o[3:6], 3)
-    for a in range(data.force.size):
-        force = abs(data.force[a])
+    push = max(AT_REST * inertia[0, 0], norm(data.forces.f_o[:3], 3))
+    turn = norm(data.forces.f_o[3:6], 3)
+    for a in range(data.rows.force.size):
+        force = abs(data.rows.force[a])
         push = max(push, force * norm(Wo[a, :3], 3))
         turn = max(turn, force * norm(Wo[a, 3:6], 3))
     # NaN stays NaN

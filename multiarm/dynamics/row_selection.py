@@ -9,7 +9,6 @@ selected while compiled code runs: it may have read the sizes.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -27,7 +26,7 @@ from multiarm.contacts.table import (
     select_joint_rows,
     select_rows,
 )
-from multiarm.dynamics.arrays import Variables, open_system, row_places, row_shapes
+from multiarm.dynamics.arrays import Shapes, Variables, open_system, row_places, row_shapes
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.node import (
     NodeWork,
@@ -40,7 +39,6 @@ from multiarm.dynamics.solver.node import (
 from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.jit.kernels import INTS, clear, copy, kernel
 
-Shapes = Mapping[str, tuple[int, ...]]
 # Selections whose caches are kept.
 MOST_RECENT = 32
 
@@ -88,7 +86,7 @@ class RowSelection(Data):
             work=work._replace(
                 packs=packs, **{name: getattr(grouped, name) for name in group_shapes([1], [0])}
             ),
-            parts=np.zeros((parts, CONTACT_WIDTH)),
+            rows=self.arrays.rows._replace(parts=np.zeros((parts, CONTACT_WIDTH))),
             **variables,
         )
         # with room for all rows; the struct has their addresses
@@ -132,7 +130,8 @@ class RowSelection(Data):
     @cached_property
     def arrays(self) -> Variables:  # type: ignore[override]
         """The variables of the selected rows."""
-        return beginnings(self._arrays, row_shapes(self.rows.size))
+        rows = beginnings(self._arrays.rows, row_shapes(self.rows.size))
+        return self._arrays._replace(rows=rows)
 
     @cached_property
     def work(self) -> NodeWork:  # type: ignore[override]
@@ -174,15 +173,15 @@ def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: I
     write_groups(order, work)
     # no result of other rows is left; columns of W beyond an arm's rows are zero
     for k in range(rows.size):
-        clear(data.contacts[k])
-        clear(data.Wo[k])
+        clear(data.rows.kinematics[k])
+        clear(data.rows.Wo[k])
     for k in range(6):
-        clear(data.wrench[k])
-    for k in range(data.parts.shape[0]):
-        clear(data.parts[k])
-    clear(data.c)
-    clear(data.force)
-    clear(data.static_force)
+        clear(data.rows.arm_wrenches[k])
+    for k in range(data.rows.parts.shape[0]):
+        clear(data.rows.parts[k])
+    clear(data.rows.c)
+    clear(data.rows.force)
+    clear(data.rows.static_force)
     for i in range(work.W.shape[0]):
         for j in range(work.W.shape[1]):
             clear(work.W[i, j])

@@ -47,8 +47,11 @@ def evaluate_and_check(struct: INTS):
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
     check = data.check
     check.solved = 1 if believable(data.solution, data.solution.residual) else 0
-    write_residuals(struct, data.acceleration, data.generalised_forces, data.force, data.c)
-    check.gap, check.gap_rate = largest(data.contacts, GAP), largest(data.contacts, GAP_RATE)
+    write_residuals(struct, data.accelerations.a, data.forces.f, data.rows.force, data.rows.c)
+    check.gap, check.gap_rate = (
+        largest(data.rows.kinematics, GAP),
+        largest(data.rows.kinematics, GAP_RATE),
+    )
     return status
 
 
@@ -60,7 +63,7 @@ def record_solution(address, size, _a, _b):
     """
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    solution, arms = data.solution, data.pointers.shape[0]
+    solution, arms = data.solution, data.bodies.pointers.shape[0]
     solution.residual = residual_of_all(model, data, work)
     # modes have solutions of their own
     repeatable = solution.elimination != DENSE and not data.modes.active

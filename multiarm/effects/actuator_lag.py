@@ -51,7 +51,7 @@ def differentiate_lag(address, size, at, _t):
     states = force_columns(data).states
     for k in range(lag.joints.size):
         command = data.slopes.torque[lag.joints[k]]
-        rate = data.slopes.force[data.velocity.size + state + k]
+        rate = data.slopes.force[data.state.velocity.size + state + k]
         for c in range(command.size):
             rate[c] += command[c] / lag.time_constants[k]
         rate[states + state + k] -= 1.0 / lag.time_constants[k]

@@ -126,8 +126,8 @@ def add_loads(address, size, at, _t):
         return 0  # another function failed
     call_python(user.function[0])
     for k in range(user.loads.size):
-        data.generalised_forces[k] += user.loads[k]
-        power += user.loads[k] * data.velocity[k]
+        data.forces.f[k] += user.loads[k]
+        power += user.loads[k] * data.state.velocity[k]
     set_power(struct, at, power)
     return 0
 

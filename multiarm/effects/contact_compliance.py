@@ -62,8 +62,8 @@ def add_contact_compliance(address, size, at, _t):
     _, rows, work = update_springs(springs)
     force, power = springs.force, 0.0
     for s in range(force.size):
-        power += force[s] * rows.contacts[s, GAP_RATE]
-    add_contact_forces(work, rows.Wo, work.W, force, data.f_o, data.f_j)
+        power += force[s] * rows.rows.kinematics[s, GAP_RATE]
+    add_contact_forces(work, rows.rows.Wo, work.W, force, data.forces.f_o, data.forces.f_j)
     set_power(struct, at, power)
     return 0
 
@@ -73,7 +73,7 @@ def update_springs(springs):
     """Update rows and forces of all springs; the views of the system with these rows."""
     system = open_system(struct_at(springs.rows[0], springs.rows[1]))
     update_rows(struct_at(springs.rows[0], springs.rows[1]))
-    write_spring_forces(springs, system[1].contacts)
+    write_spring_forces(springs, system[1].rows.kinematics)
     return system
 
 
@@ -94,7 +94,7 @@ def differentiate_contact_compliance(address, size, at, _t):
     data, springs = open_data(struct), open_springs(struct, at)
     derivatives = struct_at(springs.derivatives[0], springs.derivatives[1])
     _, rows, work = update_springs(springs)
-    copy(springs.force, rows.static_force)
+    copy(springs.force, rows.rows.static_force)
     status = write_load_derivatives(struct_at(springs.rows[0], springs.rows[1]), derivatives)
     equations, by = open_equations(derivatives), force_columns(data)
     first = chart_places(data).joints
@@ -121,7 +121,7 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
     for c in range(columns.end):
         of_rate = columns.twist <= c < columns.positions or c >= columns.velocities
         if c < columns.positions:
-            rate = rows.Wo[s, c % first]
+            rate = rows.rows.Wo[s, c % first]
         else:
             rate = W[(c - columns.positions) % n]
         # of the gap's rate by a velocity as of the gap by a displacement
@@ -130,7 +130,7 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
             change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
         column = column_of_state(by, columns, d0, c)
         for l in range(first):
-            data.slopes.force[l, column] -= rows.Wo[s, l] * change
+            data.slopes.force[l, column] -= rows.rows.Wo[s, l] * change
         for j in range(n):
             data.slopes.force[first + d0 + j, column] -= W[j] * change
 

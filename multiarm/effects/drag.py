@@ -67,7 +67,7 @@ def add_drag(address, size, at, _t):
     """Add the wrench of the medium."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    body, f_o, power = data.body, data.f_o, 0.0
+    body, f_o, power = data.bodies.object, data.forces.f_o, 0.0
     square = 0.0
     for a in range(3):
         square += (body[VELOCITY + a] - drag.wind[a]) ** 2
@@ -93,8 +93,12 @@ def differentiate_drag(address, size, at, _t):
     """Add the derivatives of the wrench."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    R, slopes, twists = rotation(data.body, 0), data.slopes.force, force_columns(data).twists
-    u, w = sub(vec(data.body, VELOCITY), vec(drag.wind, 0)), vec(data.body, SPIN)
+    R, slopes, twists = (
+        rotation(data.bodies.object, 0),
+        data.slopes.force,
+        force_columns(data).twists,
+    )
+    u, w = sub(vec(data.bodies.object, VELOCITY), vec(drag.wind, 0)), vec(data.bodies.object, SPIN)
     c, q, d = vec(drag.linear, 0), vec(drag.quadratic, 0), vec(drag.angular, 0)
     speed = norm(u)
     push = add_scaled(c, speed, q)

@@ -27,10 +27,10 @@ def add_joint_damping(address, size, at, _t):
     """Add the torques."""
     struct = struct_at(address, size)
     data, damping, power = open_data(struct), open_damping(struct, at), 0.0
-    for j in range(data.f_j.size):
-        torque = -damping.coefficients[j] * data.v[j]
-        data.f_j[j] += torque
-        power += torque * data.v[j]
+    for j in range(data.forces.f_j.size):
+        torque = -damping.coefficients[j] * data.state.joint_rates[j]
+        data.forces.f_j[j] += torque
+        power += torque * data.state.joint_rates[j]
     set_power(struct, at, power)
     return 0
 
@@ -41,7 +41,7 @@ def differentiate_joint_damping(address, size, at, _t):
     struct = struct_at(address, size)
     data, damping = open_data(struct), open_damping(struct, at)
     joints, rates = chart_places(data).joints, force_columns(data).rates
-    for j in range(data.f_j.size):
+    for j in range(data.forces.f_j.size):
         data.slopes.force[joints + j, rates + j] -= damping.coefficients[j]
     return 0
 

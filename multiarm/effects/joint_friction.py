@@ -53,10 +53,12 @@ def add_joint_friction(address, size, at, _t):
     """Add the torques of smooth friction."""
     struct = struct_at(address, size)
     data, friction, power = open_data(struct), open_smooth(struct, at), 0.0
-    for j in range(data.f_j.size):
-        torque = -friction.torque[j] * math.tanh(data.v[j] / friction.smoothing_speed)
-        data.f_j[j] += torque
-        power += torque * data.v[j]
+    for j in range(data.forces.f_j.size):
+        torque = -friction.torque[j] * math.tanh(
+            data.state.joint_rates[j] / friction.smoothing_speed
+        )
+        data.forces.f_j[j] += torque
+        power += torque * data.state.joint_rates[j]
     set_power(struct, at, power)
     return 0
 
@@ -67,8 +69,8 @@ def differentiate_joint_friction(address, size, at, _t):
     struct = struct_at(address, size)
     data, friction = open_data(struct), open_smooth(struct, at)
     joints, rates = chart_places(data).joints, force_columns(data).rates
-    for j in range(data.f_j.size):
-        part = math.tanh(data.v[j] / friction.smoothing_speed)
+    for j in range(data.forces.f_j.size):
+        part = math.tanh(data.state.joint_rates[j] / friction.smoothing_speed)
         slope = friction.torque[j] * (1.0 - part * part) / friction.smoothing_speed
         data.slopes.force[joints + j, rates + j] -= slope
     return 0
@@ -79,9 +81,9 @@ def add_coulomb_friction(address, size, at, _t):
     """Add the torques of Coulomb friction."""
     struct = struct_at(address, size)
     data, friction, power = open_data(struct), open_coulomb(struct, at), 0.0
-    for j in range(data.f_j.size):
-        data.f_j[j] += friction.torque[j]
-        power += friction.torque[j] * data.v[j]
+    for j in range(data.forces.f_j.size):
+        data.forces.f_j[j] += friction.torque[j]
+        power += friction.torque[j] * data.state.joint_rates[j]
     set_power(struct, at, power)
     return 0
 

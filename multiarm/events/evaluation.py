@@ -129,7 +129,7 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     """Forces of all rows [N], and which of them are unique."""
     count = modes.full.model.layout.contacts
     forces, unique = np.zeros(count), np.ones(count, dtype=bool)
-    held, slides, of_held = modes.data.rows, modes.slides, modes.data.arrays.force
+    held, slides, of_held = modes.data.rows, modes.slides, modes.data.arrays.rows.force
     forces[held] = of_held
     require_ok(modes.full, update_kinematics(modes.full.struct))
     columns = wrench_matrix(modes.full)
@@ -150,9 +150,11 @@ def _residuals(modes: Modes, forces: np.ndarray, constraint: float) -> Residuals
     """Residuals of the equations of motion with the forces of all rows."""
     full, b = modes.full, modes.data.arrays
     require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
-    forces_without_contacts = b.generalised_forces.copy()
+    forces_without_contacts = b.forces.f.copy()
     require_ok(full, update_kinematics(full.struct))
     pushing = forces.copy()
     pushing[modes.arrays.springs] = 0.0  # these are among the generalised forces already
-    residuals = residuals_of(full, b.acceleration, forces_without_contacts, pushing, full.arrays.c)
+    residuals = residuals_of(
+        full, b.accelerations.a, forces_without_contacts, pushing, full.arrays.rows.c
+    )
     return replace(residuals, constraint=constraint)  # open contacts move as they like

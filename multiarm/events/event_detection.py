@@ -45,7 +45,7 @@ def touching_constraints(
 
 def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
     """Contacts that cannot open, and contacts and limits whose gaps are closed."""
-    gaps = modes.full.arrays.contacts[:, GAP]
+    gaps = modes.full.arrays.rows.kinematics[:, GAP]
     return {
         u
         for u, constraint in enumerate(modes.unilateral.constraints)
@@ -65,7 +65,7 @@ def pressed_constraints(modes: Modes, before: Mode, fired: Set[int]) -> set[int]
     for u, constraint in enumerate(modes.unilateral.constraints):
         if not constraint.compliant:
             continue
-        gap, rate = modes.full.arrays.contacts[constraint.row, [GAP, GAP_RATE]]
+        gap, rate = modes.full.arrays.rows.kinematics[constraint.row, [GAP, GAP_RATE]]
         length = spring_length(gap, rate, constraint.lag)
         pushes = length < 0.0
         if abs(length) <= GAP_THRESHOLD:
@@ -96,7 +96,7 @@ def off_patch_constraints(modes: Modes, before: Mode, crossed: Set[int]) -> froz
 def below_patch_constraints(full: Data, above: Set[int]) -> frozenset[int]:
     """Constraints whose contacts are below their patches; those ``above`` are known not to be."""
     assert full.model.unilateral is not None
-    gaps = full.arrays.contacts[:, GAP]
+    gaps = full.arrays.rows.kinematics[:, GAP]
     return frozenset(
         u
         for u, constraint in enumerate(full.model.unilateral.constraints)

@@ -143,7 +143,7 @@ def solve_held(address, size, _a, _b):
     _, data, work = open_system(struct)
     mode = open_mode(struct_at(data.modes.mode, 0))
     if mode.numbers.stressed:
-        add_prestress(mode, data.Wo, work.W, data, work)
+        add_prestress(mode, data.rows.Wo, work.W, data, work)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.numbers.stressed:
         take_prestress(mode, data)
@@ -153,16 +153,16 @@ def solve_held(address, size, _a, _b):
 @kernel
 def add_prestress(mode, Wo, W, data, work):
     """Let the forces of ``mode.prestress``, along ``Wo`` and ``W``, act on object and joints."""
-    copy(data.generalised_forces, data.forces_without_prestress)
-    add_contact_forces(work, Wo, W, mode.prestress, data.f_o, data.f_j)
+    copy(data.forces.f, data.forces.without_prestress)
+    add_contact_forces(work, Wo, W, mode.prestress, data.forces.f_o, data.forces.f_j)
 
 
 @kernel
 def take_prestress(mode, data):
     """Make the forces of ``mode.prestress`` forces of the contacts: a part of the solution."""
-    copy(data.forces_without_prestress, data.generalised_forces)
-    for k in range(data.force.size):
-        data.force[k] += mode.prestress[k]
+    copy(data.forces.without_prestress, data.forces.f)
+    for k in range(data.rows.force.size):
+        data.rows.force[k] += mode.prestress[k]
 
 
 @cfunc
@@ -189,7 +189,7 @@ def solve_sliding(address, size, _a, _b):
             return status
     if mode.numbers.stressed:
         take_prestress(mode, data)
-    power = friction_power(slides, data.force)
+    power = friction_power(slides, data.rows.force)
     data.effects.power[mode.numbers.power] = power
     data.effects.power[data.effects.power.size - 1] += power
     return OK
@@ -198,14 +198,17 @@ def solve_sliding(address, size, _a, _b):
 @kernel
 def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
+    rows, forces, accelerations = data.rows, data.forces, data.accelerations
     work.by_arm[0] = 1
-    failed = eliminate_with_reactions(reactions, data.Wo, mode.Wr, data.inertia, couple_all)
+    failed = eliminate_with_reactions(
+        reactions, rows.Wo, mode.Wr, data.bodies.object_inertia, couple_all
+    )
     copy(reactions.pivot, work.pivot)
     if failed >= 0:
         return failed
     solve_for_reactions(
-        reactions, data.Wo, mode.Wr, data.f_o, data.f_j, data.c, data.a_o,
-        data.a_j, data.force,
+        reactions, rows.Wo, mode.Wr, forces.f_o, forces.f_j, rows.c,
+        accelerations.a_o, accelerations.a_j, rows.force,
     )  # fmt: skip
     write_reaction_solution(data, reactions)
     data.solution.imbalance = imbalance(data, mode.Wr)
@@ -237,9 +240,9 @@ def record_forces(address, size, _t, _b):
     mode, slides, shown = open_mode(of_mode), open_slides(of_mode), data.sample.forces
     shown[:] = 0.0
     for k in range(mode.held.size):
-        shown[mode.held[k]] = data.force[k]
+        shown[mode.held[k]] = data.rows.force[k]
     for s in range(slides.row.size):
-        drag, t = -slides.mu[s] * data.force[slides.row[s]], slides.tangent_of_all[s]
+        drag, t = -slides.mu[s] * data.rows.force[slides.row[s]], slides.tangent_of_all[s]
         shown[t], shown[t + 1] = drag * slides.turning[s, 0], drag * slides.turning[s, 1]
     for k in range(mode.springs.size):
         shown[mode.springs[k]] = mode.spring_force[k]
@@ -249,7 +252,7 @@ def record_forces(address, size, _t, _b):
     struct = struct_at(data.modes.full, 0)
     status = update_rows(struct)
     _, full, work = open_system(struct)
-    write_wrenches(full.Wo, work.rows, shown, data.sample.wrenches)
+    write_wrenches(full.rows.Wo, work.rows, shown, data.sample.wrenches)
     return status
 
 
@@ -280,7 +283,7 @@ def check_guards(address, size, begin, end):
     if judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted:
         return FIRED
     numbers.muted = False
-    begin_mode_step(of_mode, open_data(struct_at(data.modes.full, 0)).contacts)
+    begin_mode_step(of_mode, open_data(struct_at(data.modes.full, 0)).rows.kinematics)
     return OK
 
 
@@ -301,5 +304,5 @@ def start_guards(struct: INTS):
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
     status = write_mode_guards(struct)
     rows = open_data(struct_at(data.modes.full, 0))
-    begin_mode_step(struct_at(data.modes.mode, 0), rows.contacts)
+    begin_mode_step(struct_at(data.modes.mode, 0), rows.rows.kinematics)
     return status

@@ -40,13 +40,13 @@ class RowDynamics:
     @property
     def rates(self) -> np.ndarray:
         """Rates of all gaps [m/s, rad/s]."""
-        return self.full.arrays.contacts[:, GAP_RATE]
+        return self.full.arrays.rows.kinematics[:, GAP_RATE]
 
     @property
     def rest_rate(self) -> float:
         """Rates below this are rest [m/s, rad/s]."""
         arrays = self.full.arrays
-        fastest = np.max(np.abs(arrays.velocity))
+        fastest = np.max(np.abs(arrays.state.velocity))
         return 1e-9 * (1.0 + float(fastest))
 
     def jacobian(self, rows: list[int]) -> np.ndarray:
@@ -55,7 +55,7 @@ class RowDynamics:
         layout, matrix = full.model.layout, np.zeros((len(rows), full.model.layout.nv))
         for k, row in enumerate(rows):
             i = int(np.searchsorted(layout.rows, row, side="right")) - 1
-            matrix[k, :6] = full.arrays.Wo[row]
+            matrix[k, :6] = full.arrays.rows.Wo[row]
             joints = layout.of_arm(i)
             matrix[k, joints] = full.work.W[i, : joints.stop - joints.start, row - layout.rows[i]]
         return matrix
@@ -77,9 +77,9 @@ class RowDynamics:
     def mobility(self, jacobian: np.ndarray) -> np.ndarray:
         """Rate of each row due to a unit force on it without held rows, shape (len(jacobian),)."""
         full = self.full
-        bodies = [full.arrays.inertia]
+        bodies = [full.arrays.bodies.object_inertia]
         for i, name in enumerate(full.model.arm_names):
-            bodies.append(read_inertia(full.arrays.pointers[i], full.model.arms[name].dof))
+            bodies.append(read_inertia(full.arrays.bodies.pointers[i], full.model.arms[name].dof))
         total, first = np.zeros(len(jacobian)), 0
         for inertia in bodies:
             columns = jacobian[:, first : first + len(inertia)].T
@@ -93,16 +93,19 @@ class RowDynamics:
         There is no force on the other rows.
         """
         b = data.arrays
-        now, here = b.time.now, b.configuration.copy()
+        now, here = b.time.now, b.state.configuration.copy()
         if ahead > 0.0:
             b.time.now += ahead
-            b.configuration[:] = retracted(data.model.layout, here, ahead * b.velocity)
+            b.state.configuration[:] = retracted(data.model.layout, here, ahead * b.state.velocity)
         try:
             require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
             require_ok(self.full, update_rows(self.full.struct))
-            free = self.jacobian(rows) @ b.acceleration + self.full.arrays.contacts[rows, GAP_BIAS]
+            free = (
+                self.jacobian(rows) @ b.accelerations.a
+                + self.full.arrays.rows.kinematics[rows, GAP_BIAS]
+            )
         finally:
-            b.time.now, b.configuration[:] = now, here
+            b.time.now, b.state.configuration[:] = now, here
         if ahead > 0.0:
             self.update()
         return free
@@ -133,6 +136,6 @@ def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
     """Accelerations (velocities) of object and joints due to forces (impulses), (6 + n,)."""
     b = data.arrays
     require_ok(data, update_kinematics(data.struct))
-    b.generalised_forces[:], b.c[:] = force, 0.0
+    b.forces.f[:], b.rows.c[:] = force, 0.0
     require_ok(data, solve_constrained(data.struct))
-    return b.acceleration.copy()
+    return b.accelerations.a.copy()

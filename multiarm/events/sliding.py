@@ -71,20 +71,20 @@ def write_reactions(data, work, Wr, slides, slow, reactions):
     struct = struct_at(data.modes.tangents, 0)
     status = update_rows(struct)
     _, sideways, tangents = open_system(struct)
-    for k in range(data.Wo.shape[0]):
+    for k in range(data.rows.Wo.shape[0]):
         for l in range(6):
-            Wr[k, l] = data.Wo[k, l]
+            Wr[k, l] = data.rows.Wo[k, l]
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             for a in range(work.rows[i + 1] - work.rows[i]):
                 reactions.Wr[i, j, a] = work.W[i, j, a]
     for s in range(slides.row.size):
         row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
-        rates = sideways.contacts[t, GAP_RATE], sideways.contacts[t + 1, GAP_RATE]
+        rates = sideways.rows.kinematics[t, GAP_RATE], sideways.rows.kinematics[t + 1, GAP_RATE]
         write_direction(slides, s, slow, rates[0], rates[1])
         first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
         for k in range(6):
-            Wr[row, k] -= first * sideways.Wo[t, k] + second * sideways.Wo[t + 1, k]
+            Wr[row, k] -= first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
         column, tangent = row - work.rows[i], t - tangents.rows[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             pull = first * tangents.W[i, j, tangent] + second * tangents.W[i, j, tangent + 1]

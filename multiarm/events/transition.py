@@ -183,7 +183,7 @@ class Transition:
             elastic = {u: e for u, e in elastic.items() if u not in rested}
             solution, after = self._collide(involved, rows, response, before, elastic, rested - hit)
         change = moved @ solution.forces
-        self._modes.full.arrays.velocity[:] += change
+        self._modes.full.arrays.state.velocity[:] += change
         hits = [
             Hit(u, float(rates[constraints[u].row]), float(after[k]), float(solution.forces[k]))
             for u, k in ((u, rows.index(constraints[u].row)) for u in hit)

@@ -263,7 +263,7 @@ class Parameter:
         if system.model.unilateral is None:
             with system.borrow() as data:
                 accelerations = evaluation.evaluate(data, t, state).accelerations
-                codes, contacts = data.model.constants.codes, data.arrays.contacts
+                codes, contacts = data.model.constants.codes, data.arrays.rows.kinematics
                 gaps = contacts[codes[:, KIND] != TANGENT, GAP]
                 return accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
         evaluated = evaluate(system, t, state)

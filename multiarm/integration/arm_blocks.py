@@ -286,7 +286,7 @@ def add_equations(step, blocks):
             for j in range(n):
                 blocks.on_object[i, l, j] += equations.dF_o[l, of_state.positions + d0 + j]
             for k in range(m):
-                blocks.Wo[r0 + k, l] = A[n + k, at.accelerations + l] = data.Wo[r0 + k, l]
+                blocks.Wo[r0 + k, l] = A[n + k, at.accelerations + l] = data.rows.Wo[r0 + k, l]
 
 
 @inlined
@@ -305,11 +305,11 @@ def differentiate_carrying(struct, blocks):
     """
     _, data, work = open_system(struct)
     equations, columns = open_equations(blocks.equations), force_columns(data)
-    for k in range(data.static_force.size):
-        data.static_force[k] = 0.0
+    for k in range(data.rows.static_force.size):
+        data.rows.static_force[k] = 0.0
         for l in range(blocks.frames):
-            data.static_force[k] += data.Wo[k, l] * blocks.share[l]
-    copy(data.static_force, equations.force)
+            data.rows.static_force[k] += data.rows.Wo[k, l] * blocks.share[l]
+    copy(data.rows.static_force, equations.force)
     clear(equations.a_j)
     status = write_derivatives_at_rest(struct, blocks.equations, blocks.share)
     if status != OK:
@@ -331,7 +331,7 @@ def differentiate_carrying(struct, blocks):
             for l in range(blocks.frames):
                 change = 0.0
                 for k in range(m):
-                    change += data.Wo[r0 + k, l] * equations.rates[r0 + k, c]
+                    change += data.rows.Wo[r0 + k, l] * equations.rates[r0 + k, c]
                 if of_object:
                     blocks.by_object[blocks.frames + l, c] += change
                 else:
@@ -340,7 +340,7 @@ def differentiate_carrying(struct, blocks):
         for j in range(n):
             for l in range(blocks.frames):
                 for k in range(m):
-                    change = W[j, k] * data.Wo[r0 + k, l]
+                    change = W[j, k] * data.rows.Wo[r0 + k, l]
                     data.slopes.torque[d0 + j, columns.share + l] -= change
     for l in range(blocks.frames):
         for c in range(blocks.frames):
@@ -362,7 +362,7 @@ def gather(blocks, data, work, power, of_drives):
     of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     slopes = data.slopes.torque if of_drives else data.slopes.force
-    force, first = (data.control.torque, 0) if of_drives else (data.f_j, places.joints)
+    force, first = (data.control.torque, 0) if of_drives else (data.forces.f_j, places.joints)
     for i in range(blocks.counts.size):
         A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
         joints, states = d1 - d0, blocks.counts[i]
@@ -386,7 +386,7 @@ def gather(blocks, data, work, power, of_drives):
             for j in range(joints):
                 slope = slopes[first + d0 + j, source]
                 A[j, column] -= slope
-                power_slope += slope * data.v[d0 + j]
+                power_slope += slope * data.state.joint_rates[d0 + j]
             if joints <= c < 2 * joints:
                 power_slope += force[d0 + c - joints]
             for k in range(0 if of_drives else states):
@@ -397,11 +397,11 @@ def gather(blocks, data, work, power, of_drives):
                 A[powers + power, column] += power_slope
     for c in range(0 if of_drives else 2 * frames + 1):
         source = c if c < 2 * frames else of_forces.time
-        power_slope = data.f_o[c - frames] if frames <= c < 2 * frames else 0.0
+        power_slope = data.forces.f_o[c - frames] if frames <= c < 2 * frames else 0.0
         for l in range(frames):
             slope = slopes[l, source]
             blocks.by_object[l, c] -= slope
-            power_slope += slope * data.twist[l]
+            power_slope += slope * data.state.object_twist[l]
         if power >= 0:
             blocks.by_object[blocks.shared + total, c] += power_slope
         if 0 <= power < total:
@@ -415,7 +415,7 @@ def share_weight(struct, blocks):
         return True
     data, s = open_data(struct), blocks.share
     copy(data.control.object_wrench, s)
-    if not factor_wrench_products(data.Wo, blocks.node, blocks.alpha, blocks.node_pivots):
+    if not factor_wrench_products(data.rows.Wo, blocks.node, blocks.alpha, blocks.node_pivots):
         return False
     solve_wrench_products(blocks.node, blocks.alpha, blocks.node_pivots, s)
     return True
@@ -435,9 +435,9 @@ def factor_arms(blocks, data, work):
     for l in range(blocks.shared):
         clear(S[l])
         for c in range(frames):
-            S[l, c] = data.inertia[l, c] if l < frames else 0.0
-            for k in range(data.Wo.shape[0] if l >= frames else 0):
-                S[l, frames + c] += data.Wo[k, l - frames] * data.Wo[k, c]
+            S[l, c] = data.bodies.object_inertia[l, c] if l < frames else 0.0
+            for k in range(data.rows.Wo.shape[0] if l >= frames else 0):
+                S[l, frames + c] += data.rows.Wo[k, l - frames] * data.rows.Wo[k, c]
     for i in range(blocks.counts.size):
         size = work.dofs[i + 1] - work.dofs[i] + work.rows[i + 1] - work.rows[i]
         usable = usable and factor_lu(K[i], size, blocks.K_pivots[i]) > 0.0

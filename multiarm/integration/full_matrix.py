@@ -165,7 +165,7 @@ def solve_equations(struct, full):
 def respond_to_forces(data, full, time_slope):
     """Write what the derivatives of the equations and of the forces amount to."""
     at, columns, places = state_columns(data), force_columns(data), chart_places(data)
-    nv, row = data.velocity.size, full.row
+    nv, row = data.state.velocity.size, full.row
     clear(time_slope)
     for i in range(full.applied.shape[0]):
         copy(full.applied[i], row)

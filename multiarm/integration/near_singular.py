@@ -60,7 +60,7 @@ def evaluate_near_singular(address, size, alpha, beta):
     unknown = not data.last_step.solution.known and data.solution.dependent > 0
     if not (data.solution.margin < ZONE or unknown) or model.calls_user:
         return OK
-    rate = greatest(data.velocity)
+    rate = greatest(data.state.velocity)
     if rate < 1e-8:  # [rad/s, m/s]: at rest
         return OK
     position_change, velocity_change = data.status.position_change, data.status.velocity_change
@@ -92,8 +92,14 @@ def interpolate_accelerations(struct, alpha, beta, delay):
     for side in range(6):
         k = 1 + side // 2
         restore_state(data)
-        ahead, frames = (k if side % 2 == 0 else -k) * delay, data.poses.shape[0]
-        retract(frames, data.interpolation.configuration, ahead, data.velocity, data.configuration)
+        ahead, frames = (k if side % 2 == 0 else -k) * delay, data.state.poses.shape[0]
+        retract(
+            frames,
+            data.interpolation.configuration,
+            ahead,
+            data.state.velocity,
+            data.state.configuration,
+        )
         if (
             project(struct, data.interpolation.settings.gap) != OK
             or evaluate_state(struct, alpha, beta) != OK
@@ -105,14 +111,14 @@ def interpolate_accelerations(struct, alpha, beta, delay):
             return False
         weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)
         for j in range(mixed.size):
-            mixed[j] += weight * data.acceleration[j]
+            mixed[j] += weight * data.accelerations.a[j]
     return True
 
 
 @kernel
 def exchange_solution(data):
     """Exchange the accelerations with those in ``data.interpolation``."""
-    mixed, acceleration = data.interpolation.acceleration, data.acceleration
+    mixed, acceleration = data.interpolation.acceleration, data.accelerations.a
     for j in range(mixed.size):
         mixed[j], acceleration[j] = acceleration[j], mixed[j]
 
@@ -120,12 +126,12 @@ def exchange_solution(data):
 @kernel
 def save_state(data):
     """Keep the state in ``data``."""
-    copy(data.configuration, data.interpolation.configuration)
-    copy(data.velocity, data.interpolation.velocity)
+    copy(data.state.configuration, data.interpolation.configuration)
+    copy(data.state.velocity, data.interpolation.velocity)
 
 
 @kernel
 def restore_state(data):
     """Return to the kept state."""
-    copy(data.interpolation.configuration, data.configuration)
-    copy(data.interpolation.velocity, data.velocity)
+    copy(data.interpolation.configuration, data.state.configuration)
+    copy(data.interpolation.velocity, data.state.velocity)

@@ -78,7 +78,7 @@ def project_positions(
         status = update_kinematics(struct)
         if status != OK:
             return status
-        worst = largest(data.contacts, GAP)
+        worst = largest(data.rows.kinematics, GAP)
         if worst <= tolerance:
             if further == 0 or worst > 0.5 * before or not near_loss(struct):
                 return OK
@@ -88,23 +88,23 @@ def project_positions(
         if worst > 0.5 * before and worst <= 1e4 * tolerance and lacks_rank(struct):
             return OK  # small gaps that no motion closes to first order
         before = worst
-        clear(data.generalised_forces)
-        for k in range(data.c.size):
-            data.c[k] = -data.contacts[k, GAP]
+        clear(data.forces.f)
+        for k in range(data.rows.c.size):
+            data.rows.c[k] = -data.rows.kinematics[k, GAP]
         status = solve_constrained(struct)
         if status != OK:
             return status
-        reach = greatest(data.a_j)
+        reach = greatest(data.accelerations.a_j)
         scale = 1.0 if reach <= longest else longest / reach
         if not hold_object:
-            reach = max(reach, greatest(data.a_o))
+            reach = max(reach, greatest(data.accelerations.a_o))
         data.status.position_change += scale * reach
         if hold_object:
-            for j in range(data.a_j.size):
-                data.angles[j] += scale * data.a_j[j]
+            for j in range(data.accelerations.a_j.size):
+                data.state.joint_positions[j] += scale * data.accelerations.a_j[j]
         else:
-            start, frames = data.configuration, data.poses.shape[0]
-            retract(frames, start, scale, data.acceleration, data.configuration)
+            start, frames = data.state.configuration, data.state.poses.shape[0]
+            retract(frames, start, scale, data.accelerations.a, data.state.configuration)
     return PROJECTION_FAILED
 
 
@@ -136,13 +136,13 @@ def project_velocities(struct):
     The largest change of a velocity is in ``data.status.velocity_change``.
     """
     _, data, _ = open_system(struct)
-    clear(data.generalised_forces)
-    for k in range(data.c.size):
-        data.c[k] = -data.contacts[k, GAP_RATE]
+    clear(data.forces.f)
+    for k in range(data.rows.c.size):
+        data.rows.c[k] = -data.rows.kinematics[k, GAP_RATE]
     status = solve_constrained(struct)
     if status != OK:
         return status
-    data.status.velocity_change = greatest(data.acceleration)
-    for k in range(data.velocity.size):
-        data.velocity[k] += data.acceleration[k]
+    data.status.velocity_change = greatest(data.accelerations.a)
+    for k in range(data.state.velocity.size):
+        data.state.velocity[k] += data.accelerations.a[k]
     return OK

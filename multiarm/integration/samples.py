@@ -27,10 +27,10 @@ def write_sample(struct, t, works, row):
     model, data, work = open_system(struct)
     m, at = data.sample.forces.size, 1
     row[0] = t
-    copy(data.configuration, row[at : at + data.configuration.size])
-    at += data.configuration.size
-    copy(data.velocity, row[at : at + data.velocity.size])
-    at += data.velocity.size
+    copy(data.state.configuration, row[at : at + data.state.configuration.size])
+    at += data.state.configuration.size
+    copy(data.state.velocity, row[at : at + data.state.velocity.size])
+    at += data.state.velocity.size
     copy(data.control.torque, row[at : at + data.control.torque.size])
     at += data.control.torque.size
     if model.control.shape[0] > 0:
@@ -39,7 +39,7 @@ def write_sample(struct, t, works, row):
     if data.functions.contact_forces != 0:
         call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
-        write_wrenches(data.Wo, work.rows, data.force, data.sample.wrenches)
+        write_wrenches(data.rows.Wo, work.rows, data.rows.force, data.sample.wrenches)
     copy(data.sample.forces, row[at : at + m])
     at += m
     write_free(model, data, row[at:])
@@ -56,8 +56,8 @@ def write_sample(struct, t, works, row):
     at += 2
     copy(works, row[at : at + works.size])
     at += works.size
-    row[at] = largest(data.contacts, GAP)
-    row[at + 1] = largest(data.contacts, GAP_RATE)
+    row[at] = largest(data.rows.kinematics, GAP)
+    row[at + 1] = largest(data.rows.kinematics, GAP_RATE)
     row[at + 2] = data.solution.rank
     row[at + 3] = data.solution.coupled_arms
     row[at + 4] = data.solution.residual
@@ -72,7 +72,9 @@ def write_free(model, data, out):
         first, last = model.free_bounds[i], model.free_bounds[i + 1]
         if first == last:
             continue
-        write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
+        write_relative(
+            model.frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+        )
         for k in range(first, last):
             out[k] = rates[model.free[k, 0]]
             out[count + k] = continued(model, data, i, k, coordinates)
@@ -82,7 +84,7 @@ def write_free(model, data, out):
 def write_tips(model, data):
     """Origins, quaternions and twists of the tips, in world axes, into ``data.sample.tips``."""
     for i in range(data.sample.tips.shape[0]):
-        frame, link, tip = model.tip_frames[i], data.arms[i], data.sample.tips[i]
+        frame, link, tip = model.tip_frames[i], data.bodies.links[i], data.sample.tips[i]
         R, omega = rotation(link, 0), vec(link, SPIN)
         lever = rotate(R, vec(frame, 9))
         x, y, z, w = quaternion_of(*compose(R, rotation(frame, 0)))
@@ -102,7 +104,9 @@ def follow_joints(model, data):
         first, last = model.free_bounds[i], model.free_bounds[i + 1]
         if first == last:
             continue
-        write_relative(model.frames[i], data.arms[i], data.body, rates, coordinates)
+        write_relative(
+            model.frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+        )
         for k in range(first, last):
             data.last_step.coordinates[i, model.free[k, 0]] = continued(
                 model, data, i, k, coordinates

@@ -217,9 +217,9 @@ def stage_slope(step, t, z, slope):
     status = slope_at(step, t, z, slope)
     if status == OK:
         struct, data = step.system, open_data(step.system)
-        follow_stage(open_reports(struct), struct, data.force)
+        follow_stage(open_reports(struct), struct, data.rows.force)
         if data.functions.guards != 0:
-            follow_stage(open_guards(struct_at(data.modes.mode, 0)), struct, data.force)
+            follow_stage(open_guards(struct_at(data.modes.mode, 0)), struct, data.rows.force)
     return status
 
 

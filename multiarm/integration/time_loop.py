@@ -304,7 +304,7 @@ def complete_step(method, step, clock, settings, h, end):
     status = check_solution(struct, clock, settings)
     if status != OK:
         return status
-    gap = largest(data.contacts, GAP)
+    gap = largest(data.rows.kinematics, GAP)
     if not gap <= settings.divergence_bound:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope at the end, in this chart for the dense output and below in the next step's chart

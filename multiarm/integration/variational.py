@@ -131,10 +131,10 @@ def begin_step(step, work, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of the unknowns."""
     _, data, node = open_system(step.system)
     velocity = chart_places(data).velocity
-    for k in range(data.force.size):  # of the last evaluation, which was here or near
-        work.impulse[k] = 0.5 * h * data.force[k]
+    for k in range(data.rows.force.size):  # of the last evaluation, which was here or near
+        work.impulse[k] = 0.5 * h * data.rows.force[k]
     load_chart(step.z, step.base, data)
-    copy(data.configuration, work.begin)
+    copy(data.state.configuration, work.begin)
     data.time.now = t
     status = update_kinematics(step.system)
     step.stage.evaluations += 1
@@ -142,11 +142,11 @@ def begin_step(step, work, t, h):
         return status
     for a in range(3):
         for b in range(3):
-            work.inertia[a, b] = data.inertia[3 + a, 3 + b]
+            work.inertia[a, b] = data.bodies.object_inertia[3 + a, 3 + b]
     write_momenta(step.system, work.start)
     for k in range(work.Wo.shape[0]):
-        copy(data.Wo[k], work.Wo[k])
-    for i in range(data.pointers.shape[0]):
+        copy(data.rows.Wo[k], work.Wo[k])
+    for i in range(data.bodies.pointers.shape[0]):
         for j in range(node.dofs[i + 1] - node.dofs[i]):
             copy(node.W[i, j], work.W[i, j])
     for k in range(work.xi.size):
@@ -168,7 +168,7 @@ def find_velocities(step, work, t, h):
         if status != OK:
             return status
         for k in range(work.gap.size):
-            work.gap[k] = -data.contacts[k, GAP] / h
+            work.gap[k] = -data.rows.kinematics[k, GAP] / h
         displace(work, data, 0.5 * h, t + 0.5 * h)
         status = midpoint_forces(step, work, h)
         step.stage.evaluations += 2
@@ -177,7 +177,7 @@ def find_velocities(step, work, t, h):
         momentum_residual(step, work, h)
         for k in range(work.gap.size):
             rolls = model.codes[k, KIND] == TANGENT
-            data.c[k] = -data.contacts[k, GAP_RATE] if rolls else work.gap[k]
+            data.rows.c[k] = -data.rows.kinematics[k, GAP_RATE] if rolls else work.gap[k]
         status = solve_constrained(step.system)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED
@@ -203,7 +203,7 @@ def correct_unknowns(work, data, iteration):
     size, rows = work.xi.size, work.impulse.size
     change, along, square = 0.0, 0.0, 0.0
     for k in range(size):
-        delta = data.acceleration[k]
+        delta = data.accelerations.a[k]
         change = max(change, abs(delta))
         difference = delta - work.last[1, k]
         along += delta * difference
@@ -212,9 +212,9 @@ def correct_unknowns(work, data, iteration):
     share = min(0.9, max(-0.9, share))
     for k in range(size + rows):
         if k < size:
-            delta, old = data.acceleration[k], work.xi[k]
+            delta, old = data.accelerations.a[k], work.xi[k]
         else:
-            delta, old = data.force[k - size], work.impulse[k - size]
+            delta, old = data.rows.force[k - size], work.impulse[k - size]
         new = old + delta - share * (old + delta - work.last[0, k] - work.last[1, k])
         work.last[0, k], work.last[1, k] = old, delta
         if k < size:
@@ -227,8 +227,8 @@ def correct_unknowns(work, data, iteration):
 @kernel
 def displace(work, data, delay, t):
     """Write the state at the time ``delay`` after the beginning of the step into the data."""
-    retract(data.poses.shape[0], work.begin, delay, work.xi, data.configuration)
-    copy(work.xi, data.velocity)
+    retract(data.state.poses.shape[0], work.begin, delay, work.xi, data.state.configuration)
+    copy(work.xi, data.state.velocity)
     data.time.now = t
 
 
@@ -249,32 +249,37 @@ def midpoint_forces(step, work, h):
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)
     if status != OK:
         return status
-    inertia, w, push, half = data.inertia, data.twist[3:6], work.push, 0.5 * h
+    inertia, w, push, half = (
+        data.bodies.object_inertia,
+        data.state.object_twist[3:6],
+        work.push,
+        0.5 * h,
+    )
     l0 = inertia[3, 3] * w[0] + inertia[3, 4] * w[1] + inertia[3, 5] * w[2]
     l1 = inertia[4, 3] * w[0] + inertia[4, 4] * w[1] + inertia[4, 5] * w[2]
     l2 = inertia[5, 3] * w[0] + inertia[5, 4] * w[1] + inertia[5, 5] * w[2]
     for k in range(3):
-        push[k] = half * data.f_o[k]
+        push[k] = half * data.forces.f_o[k]
     # the gyroscopic moment is part of the momentum here
-    push[3] = half * (data.f_o[3] + w[1] * l2 - w[2] * l1)
-    push[4] = half * (data.f_o[4] + w[2] * l0 - w[0] * l2)
-    push[5] = half * (data.f_o[5] + w[0] * l1 - w[1] * l0)
+    push[3] = half * (data.forces.f_o[3] + w[1] * l2 - w[2] * l1)
+    push[4] = half * (data.forces.f_o[4] + w[2] * l0 - w[0] * l2)
+    push[5] = half * (data.forces.f_o[5] + w[0] * l1 - w[1] * l0)
     first_joint = chart_places(data).joints
-    for i in range(data.pointers.shape[0]):
+    for i in range(data.bodies.pointers.shape[0]):
         d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
         stride = work.coriolis[i, 1]
         C = floats_at(work.coriolis[i, 0], d * stride)
         for a in range(d):
-            s = data.f_j[d0 + a]
+            s = data.forces.f_j[d0 + a]
             for b in range(d):
-                s += (C[a * stride + b] + C[b * stride + a]) * data.v[d0 + b]
+                s += (C[a * stride + b] + C[b * stride + a]) * data.state.joint_rates[d0 + b]
             push[first_joint + d0 + a] = half * s
     return OK
 
 
 @kernel
 def momentum_residual(step, work, h):
-    """``p_0 + W_0 S_0 + h F / 2 - pi`` into ``data.f_o`` and ``data.f_j``.
+    """``p_0 + W_0 S_0 + h F / 2 - pi`` into ``data.forces.f_o`` and ``data.forces.f_j``.
 
     Needs the kinematics of the midpoint in ``data``.
     """
@@ -291,7 +296,7 @@ def momentum_residual(step, work, h):
         momentum[k] = work.start[k] + work.push[k] - momentum[k]
     first = chart_places(data).joints
     add_contact_forces(node, work.Wo, work.W, work.impulse, momentum[:first], momentum[first:])
-    copy(momentum, data.generalised_forces)
+    copy(momentum, data.forces.f)
 
 
 @kernel
@@ -308,14 +313,14 @@ def end_step(step, work, t, h):
     step.stage.evaluations += 1
     if status != OK:
         return status
-    copy(momentum, data.generalised_forces)
-    clear(data.c)
+    copy(momentum, data.forces.f)
+    clear(data.rows.c)
     status = solve_constrained(step.system)
     if status != OK:
         return status
     for k in range(work.xi.size):  # the chart's rotation vectors begin at zero
         new[k] = z[k] + h * work.xi[k]
-        new[places.velocity + k] = data.acceleration[k]
+        new[places.velocity + k] = data.accelerations.a[k]
     for k in range(data.effects.power.size):
         new[places.works + k] = z[places.works + k] + h * data.effects.power[k]
     return OK

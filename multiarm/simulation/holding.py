@@ -131,7 +131,7 @@ def _contact_matrices(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]
         joints, rows = slice(*layout.dofs[i : i + 2]), slice(*layout.rows[i : i + 2])
         shape = joints.stop - joints.start, rows.stop - rows.start
         W[joints, rows] = data.work.W[i, : shape[0], : shape[1]]
-    return data.arrays.Wo.T.copy(), W
+    return data.arrays.rows.Wo.T.copy(), W
 
 
 def _force_rows(system: System) -> np.ndarray:

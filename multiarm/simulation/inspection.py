@@ -390,7 +390,7 @@ def _joint_coordinates(data: Data) -> dict[str, np.ndarray]:
     frames, b, coordinates = data.model.constants.frames, data.arrays, {}
     for i, arm in enumerate(data.model.arm_names):
         coordinates[arm] = np.zeros(9)
-        write_relative(frames[i], b.arms[i], b.body, np.zeros(6), coordinates[arm])
+        write_relative(frames[i], b.bodies.links[i], b.bodies.object, np.zeros(6), coordinates[arm])
     return coordinates
 
 

@@ -93,7 +93,7 @@ def _nearest(data: Data, i: int) -> str:
     """Text for the direction in which an arm moves least."""
     work, d = data.work, data.model.layout.dofs[i + 1] - data.model.layout.dofs[i]
     m = data.model.layout.rows[i + 1] - data.model.layout.rows[i]
-    inertia = read_inertia(data.arrays.pointers[i], d)
+    inertia = read_inertia(data.arrays.bodies.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))

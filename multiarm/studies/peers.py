@@ -296,7 +296,7 @@ def largest_gap(system: System, state: State) -> float:
     with system.borrow() as data:
         data.set_state(0.0, state)
         require_ok(data, update_kinematics(data.struct))
-        return float(np.max(np.abs(data.arrays.contacts[:, GAP]), initial=0.0))
+        return float(np.max(np.abs(data.arrays.rows.kinematics[:, GAP]), initial=0.0))
 
 
 def joint_damping(system: System) -> np.ndarray:

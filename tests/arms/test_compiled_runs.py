@@ -335,8 +335,10 @@ def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
     own, theirs = data_of(system), data_of(whole)
     assert own.potential_energy() == pytest.approx(theirs.potential_energy(), rel=1e-12)
     other = system.model.data()
-    assert other.arrays.pointers.shape == own.arrays.pointers.shape
-    assert not set(other.arrays.pointers[:, 0]) & set(own.arrays.pointers[:, 0].tolist())
+    assert other.arrays.bodies.pointers.shape == own.arrays.bodies.pointers.shape
+    assert not set(other.arrays.bodies.pointers[:, 0]) & set(
+        own.arrays.bodies.pointers[:, 0].tolist()
+    )
 
 
 def test_an_arm_that_stays_says_so(monkeypatch):

@@ -35,12 +35,13 @@ def random_configuration(layout, rng):
 
 
 def random_data(layout, rng, states=2, works=3):
-    vectors = stacked_vectors(layout)
-    for vector in ("velocity", "acceleration", "generalised_forces"):
-        vectors[vector][:] = rng.normal(size=layout.nv)
-    vectors["configuration"][:] = random_configuration(layout, rng)
-    extra = {"inner": states, "inner_rate": states, "power": works}
-    return SimpleNamespace(**vectors, **{name: rng.normal(size=n) for name, n in extra.items()})
+    state, forces, accelerations = stacked_vectors(layout)
+    for vector in (state.velocity, accelerations.a, forces.f):
+        vector[:] = rng.normal(size=layout.nv)
+    state.configuration[:] = random_configuration(layout, rng)
+    sizes = {"states": states, "state_rates": states, "power": works}
+    effects = SimpleNamespace(**{name: rng.normal(size=n) for name, n in sizes.items()})
+    return SimpleNamespace(state=state, forces=forces, accelerations=accelerations, effects=effects)
 
 
 @layouts
@@ -97,8 +98,8 @@ def test_a_chart_begins_at_the_state_and_leads_back_to_it(layout):
     works, base = z[chart_places(data).works :].copy(), np.zeros(layout.nq)
     store_chart.py_func(data, base, z)
     load_chart.py_func(z, base, other)
-    assert np.allclose(other.configuration, data.configuration, atol=ROUNDING)
-    assert np.array_equal(other.velocity, data.velocity)
+    assert np.allclose(other.state.configuration, data.state.configuration, atol=ROUNDING)
+    assert np.array_equal(other.state.velocity, data.state.velocity)
     assert np.array_equal(other.effects.states, data.effects.states)
     assert np.array_equal(z[chart_places(data).works :], works)
 
@@ -117,13 +118,13 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     write_chart_slope.py_func(z, data, slope)
 
     def positions(t):
-        q = retracted(layout, data.configuration, t * data.velocity)
+        q = retracted(layout, data.state.configuration, t * data.state.velocity)
         origin = np.zeros(layout.nq)
         read_chart(layout.frames, np.zeros_like(z), base, origin)
         return difference(layout, origin, q)
 
     numeric = (positions(h) - positions(-h)) / (2.0 * h)
     assert np.allclose(slope[: layout.nv], numeric, atol=1e-8)
-    assert np.array_equal(slope[places.velocity : places.states], data.acceleration)
+    assert np.array_equal(slope[places.velocity : places.states], data.accelerations.a)
     assert np.array_equal(slope[places.states : places.works], data.effects.state_rates)
     assert np.array_equal(slope[places.works :], data.effects.power)

@@ -67,7 +67,7 @@ def overwrite(system) -> None:
     b = data.arrays
     arrays = {**arrays_by_name(b, "arrays"), **arrays_by_name(data.coupled, "coupled")}
     for array in (*arrays.values(), data.work.M, data.work.W):
-        if isinstance(array, np.ndarray) and array is not b.pointers:
+        if isinstance(array, np.ndarray) and array is not b.bodies.pointers:
             array[:] = 0 if array.dtype == np.int64 else np.nan
     addresses = data.arrays.functions.struct.copy()
     solved = b.last_step.solution

@@ -34,8 +34,8 @@ def test_a_residual_that_is_not_a_number_is_not_hidden_by_larger_ones():
     evaluate(data, 0.0, system.initial_state())
     b = data.arrays
     for part, place in (("object", 0), ("arm", 6)):
-        x = 1e3 * np.ones_like(b.acceleration)
-        forces = b.generalised_forces.copy()
+        x = 1e3 * np.ones_like(b.accelerations.a)
+        forces = b.forces.f.copy()
         forces[place] = np.nan
-        found = vars(residuals_of(data, x, forces, b.force, b.c))
+        found = vars(residuals_of(data, x, forces, b.rows.force, b.rows.c))
         assert [name for name, residual in found.items() if np.isnan(residual)] == [part]

@@ -71,8 +71,10 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
         assert update_kinematics(selection.struct) == OK
         codes = selection.model.constants.codes[: len(rows)]
         alone += np.count_nonzero((codes[:, KIND] == TANGENT) & (codes[:, COUNT] > 0))
-        np.testing.assert_array_equal(selection.arrays.Wo, full.arrays.Wo[rows])
-        np.testing.assert_array_equal(selection.arrays.contacts, full.arrays.contacts[rows])
+        np.testing.assert_array_equal(selection.arrays.rows.Wo, full.arrays.rows.Wo[rows])
+        np.testing.assert_array_equal(
+            selection.arrays.rows.kinematics, full.arrays.rows.kinematics[rows]
+        )
         for k, row in enumerate(rows):
             i = int(np.searchsorted(bounds, row, side="right")) - 1
             column = selection.work.W[i, : dofs[i + 1] - dofs[i], k - selection.work.rows[i]]
@@ -89,7 +91,7 @@ def test_a_selection_solves_as_data_that_is_made_for_its_rows(full):
         results = []
         for data in (full.view(selection.model), selection):
             assert evaluate_state(data.struct, 2.0, 3.0) == OK
-            results.append((data.arrays.acceleration.copy(), data.arrays.force.copy()))
+            results.append((data.arrays.accelerations.a.copy(), data.arrays.rows.force.copy()))
         grouped += len(selection.work.groups)
         np.testing.assert_array_equal(*(acceleration for acceleration, _ in results))
         np.testing.assert_array_equal(*(force for _, force in results))

@@ -103,8 +103,8 @@ def test_momenta_are_inertias_times_velocities(rng):
     state.velocity[:] = rng.normal(size=state.velocity.size)
     ma.evaluate(system, 0.0, state)
     data = data_of(system)
-    arms = [read_inertia(pointers, 6) for pointers in data.arrays.pointers]
+    arms = [read_inertia(pointers, 6) for pointers in data.arrays.bodies.pointers]
     momenta = np.empty_like(state.velocity)
     write_momenta(data.struct, momenta)
-    inertia = block_diag(data.arrays.inertia, *arms)
+    inertia = block_diag(data.arrays.bodies.object_inertia, *arms)
     np.testing.assert_allclose(momenta, inertia @ state.velocity, rtol=1e-12, atol=1e-12)

@@ -97,9 +97,9 @@ def test_friction_at_rest_is_none_and_never_exceeds_its_torque(rng):
     )
     state = random_state(rough, rng, turn=0.0)
     ma.evaluate(plain, 0.0, state)
-    before = data_of(plain).arrays.f_j.copy()
+    before = data_of(plain).arrays.forces.f_j.copy()
     ma.evaluate(rough, 0.0, state)
-    added = data_of(rough).arrays.f_j - before
+    added = data_of(rough).arrays.forces.f_j - before
     np.testing.assert_allclose(added, -3.0 * np.tanh(state.velocity[6:] / 0.01), atol=1e-12)
 
 
@@ -192,8 +192,8 @@ def test_rotors_of_arms_in_several_pinocchio_models_stay_with_their_arms(monkeyp
     for s in (system, plain):
         ma.evaluate(s)
     added = [
-        read_inertia(data_of(system).arrays.pointers[i], 6)
-        - read_inertia(data_of(plain).arrays.pointers[i], 6)
+        read_inertia(data_of(system).arrays.bodies.pointers[i], 6)
+        - read_inertia(data_of(plain).arrays.bodies.pointers[i], 6)
         for i in range(2)
     ]
     np.testing.assert_allclose(added[0], 0.0, atol=1e-14)
@@ -387,7 +387,9 @@ def test_each_effect_alone_adds_what_it_adds_to_all(rng):
     def right_hand_sides(effects):
         system = ma.compile_system(scene.replace(effects=effects))
         ma.evaluate(system, 0.07, state)
-        return np.concatenate([data_of(system).arrays.f_o, data_of(system).arrays.f_j])
+        return np.concatenate(
+            [data_of(system).arrays.forces.f_o, data_of(system).arrays.forces.f_j]
+        )
 
     nothing = right_hand_sides({})
     alone = [right_hand_sides({name: ALL[name]}) - nothing for name in names]

@@ -123,9 +123,9 @@ def test_quadratic_drag_is_against_the_motion_and_as_its_speed_squared(carried, 
     plain, resisted = (ma.compile_system(scene.replace(effects=e)) for e in ({}, {"drag": drag}))
     state = random_state(plain, rng)
     ma.evaluate(plain, 0.0, state)
-    before = data_of(plain).arrays.f_o.copy()
+    before = data_of(plain).arrays.forces.f_o.copy()
     ma.evaluate(resisted, 0.0, state)
-    found = data_of(resisted).arrays.f_o - before
+    found = data_of(resisted).arrays.forces.f_o - before
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     u, w = R.T @ (state.object_twist[:3] - wind), R.T @ state.object_twist[3:]
     force, moment = -(c + q * np.linalg.norm(u)) * u, -d * w
@@ -263,10 +263,12 @@ def added(scene, wrenches, state, t=0.0):
     """What wrenches add to the right-hand sides: on the object (6,), on the joints (n,)."""
     plain = ma.compile_system(scene)
     ma.evaluate(plain, t, state)
-    before = data_of(plain).arrays.f_o.copy(), data_of(plain).arrays.f_j.copy()
+    before = data_of(plain).arrays.forces
+    f_o, f_j = before.f_o.copy(), before.f_j.copy()
     loaded = ma.compile_system(scene.replace(effects={"external_wrenches": wrenches}))
     ma.evaluate(loaded, t, state)
-    return data_of(loaded).arrays.f_o - before[0], data_of(loaded).arrays.f_j - before[1]
+    forces = data_of(loaded).arrays.forces
+    return forces.f_o - f_o, forces.f_j - f_j
 
 
 @pytest.mark.parametrize("axes", ["world", "body"])

@@ -43,7 +43,7 @@ def test_a_run_keeps_its_data_and_its_step_across_modes(monkeypatch):
         seen.add((id(data), id(data.struct), id(stepping), stepping.struct.tobytes()))
         rows.add(tuple(data.rows))
         assert data is handler.modes.data
-        assert data.model.layout.contacts == len(data.rows) == data.arrays.force.size
+        assert data.model.layout.contacts == len(data.rows) == data.arrays.rows.force.size
 
     observe_events(monkeypatch, look)
     run = ma.simulate(tumbling_box(), 2.0, accuracy=1e-6, certificate=False)
@@ -89,7 +89,7 @@ def test_memory_does_not_grow_with_the_modes():
         every = tuple(states[chosen.get(c, 0)] for c in modes.unilateral.constraints)
         directions = {u: np.array([0.6, 0.8]) for u in range(len(every))}
         modes.enter(Mode(every, tuple(sorted(rows)), directions=directions))
-        assert modes.data.arrays.force.size == len(rows) == modes.data.model.layout.contacts
+        assert modes.data.arrays.rows.force.size == len(rows) == modes.data.model.layout.contacts
 
     ours = [tracemalloc.Filter(True, f"*/multiarm/{room}/*") for room in ("dynamics", "events")]
     sizes = []

@@ -264,9 +264,9 @@ def forces(system, state):
     rates = b.effects.state_rates if joints.size else joints
     left, right = rates[joints < last], rates[joints >= last]
     return {
-        "left": np.concatenate([b.f_j[:last], b.control.torque[:last], left]),
-        "right": np.concatenate([b.f_j[last:], b.control.torque[last:], right]),
-        "object": b.f_o.copy(),
+        "left": np.concatenate([b.forces.f_j[:last], b.control.torque[:last], left]),
+        "right": np.concatenate([b.forces.f_j[last:], b.control.torque[last:], right]),
+        "object": b.forces.f_o.copy(),
     }
 
 
@@ -312,11 +312,13 @@ def test_the_power_of_a_local_effect_is_that_of_its_forces(name, rng):
     for evaluated in (system, free):
         ma.evaluate(evaluated, 0.0, state)
         b = data_of(evaluated).arrays
-        forces.append(np.concatenate([b.f_o, b.f_j - b.control.torque]))
+        forces.append(np.concatenate([b.forces.f_o, b.forces.f_j - b.control.torque]))
     b = data_of(system).arrays
     power = (forces[0] - forces[1]) @ state.velocity
     assert len(b.effects.power) == 1 or b.effects.power[0] == pytest.approx(power, rel=1e-9)
-    assert b.effects.power[-1] == pytest.approx(power + b.control.torque @ b.v, rel=1e-9)
+    assert b.effects.power[-1] == pytest.approx(
+        power + b.control.torque @ b.state.joint_rates, rel=1e-9
+    )
 
 
 def test_effects_of_users_and_functions_are_not_local(tmp_path):

@@ -140,7 +140,7 @@ def accelerations(name, coordinate, rate, closed):
     system = compiled(name)
     data_of(system).set_state(0.0, state_on(name, coordinate, rate))
     assert evaluate_on_branch(data_of(system).struct, closed, 0.0, 0.0) == OK
-    return data_of(system).arrays.a_o.copy(), system
+    return data_of(system).arrays.accelerations.a_o.copy(), system
 
 
 def exact_acceleration(name, coordinate, rate):
@@ -184,15 +184,19 @@ def test_interpolation_leaves_the_state_as_it_was():
     state = state_on("four_bar", math.pi + 1e-4, 6.0)
     _, system = accelerations("four_bar", math.pi + 1e-4, 6.0, 1e-13)
     b = data_of(system).arrays
-    np.testing.assert_array_equal(np.concatenate([b.position, b.angles]), state.position)
-    np.testing.assert_array_equal(np.concatenate([b.twist, b.v]), state.velocity)
+    np.testing.assert_array_equal(
+        np.concatenate([b.state.object_pose, b.state.joint_positions]), state.position
+    )
+    np.testing.assert_array_equal(
+        np.concatenate([b.state.object_twist, b.state.joint_rates]), state.velocity
+    )
 
 
 def test_far_from_the_flat_position_nothing_is_interpolated():
     found, system = accelerations("four_bar", math.pi + 0.5, 6.0, 1e-13)
     assert data_of(system).arrays.solution.margin > ZONE
     assert evaluate_state(data_of(system).struct, 0.0, 0.0) == OK
-    np.testing.assert_array_equal(found, data_of(system).arrays.a_o)
+    np.testing.assert_array_equal(found, data_of(system).arrays.accelerations.a_o)
 
 
 # --- arms that pass singular postures, loops that are closed too often ---------------------------

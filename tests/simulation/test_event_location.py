@@ -51,6 +51,6 @@ def test_only_the_stages_of_a_step_count_between_its_ends(dry):
         assert driver.run.clock.steps == 1 and driver.event_stops == 0
         stages = guards.least[forces]
         assert np.all(np.abs(stages - guards.value[forces]) < 1.0)  # [N m] in a millisecond
-        driver.run.data.arrays.velocity[:] += 1.0  # other forces
+        driver.run.data.arrays.state.velocity[:] += 1.0  # other forces
         assert evaluate_state(driver.run.data.struct, 0.0, 0.0) == OK
         assert np.array_equal(guards.least[forces], stages)

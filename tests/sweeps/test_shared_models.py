@@ -206,7 +206,7 @@ def written_arrays(data) -> dict[str, np.ndarray]:
 
 def where_terms_are(data) -> set[int]:
     """Addresses of the arms' terms, and of what computes them."""
-    pointers = data.arrays.pointers[: len(data.model.arms)]
+    pointers = data.arrays.bodies.pointers[: len(data.model.arms)]
     places = set(np.delete(pointers, M_STRIDE, axis=1).ravel())
     functions = data.arrays.functions
     return (places | {functions.pinocchio, functions.dense, functions.arms_struct}) - {0}

@@ -122,8 +122,8 @@ def share_load(wrench, Wo, rows, rotation, of_contacts, of_arms, force):
 
 @kernel
 def subtract_contact_forces(data, work):
-    """Subtract ``W lambda`` of the forces in ``data.static_force`` from ``data.control.torque``."""
-    force, torque = data.static_force, data.control.torque
+    """Subtract ``W lambda`` of the static contact forces from the control's torques."""
+    force, torque = data.rows.static_force, data.control.torque
     for i in range(work.rows.size - 1):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):

@@ -63,7 +63,7 @@ def write_solution(data, elimination, coupled_arms, dependent, margin, motion_un
     """Write into ``data.solution`` what a solver has found out, apart from the residuals."""
     solution = data.solution
     solution.elimination, solution.coupled_arms = elimination, coupled_arms
-    solution.rank, solution.dependent = data.force.size - dependent, dependent
+    solution.rank, solution.dependent = data.rows.force.size - dependent, dependent
     solution.motion_unique = motion_unique
     solution.margin = margin
     solution.least_margin = min(solution.least_margin, margin)
