@@ -399,7 +399,7 @@ def solve_at_once(struct, own, matrix):
         clear(matrix[i])
     stack_equations(struct, own, K, matrix)
     data = open_data(struct)
-    separate_dependent_rows(K, data.velocity.size, data.solution.dependent)
+    separate_dependent_rows(K, data.state.velocity.size, data.solution.dependent)
     if not factor_lu(K, size, pivots) > 0.0:
         return SINGULAR
     for i in range(size):
