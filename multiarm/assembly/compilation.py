@@ -20,7 +20,7 @@ from multiarm.assembly.postures import find_postures
 from multiarm.assembly.start import assemble as close_start
 from multiarm.assembly.start import check_patches, check_unilateral, unassembled
 from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
-from multiarm.contacts.table import ContactTable, pack
+from multiarm.contacts.table import ContactTable, make_joint_rows, pack
 from multiarm.contacts.unilateral import UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import control_program
 from multiarm.control.program import (
@@ -29,7 +29,7 @@ from multiarm.control.program import (
     JointPath,
     needs_gravity_torque,
 )
-from multiarm.dynamics.arrays import COUPLED, Constants
+from multiarm.dynamics.arrays import COUPLED, Constants, FreeMotions
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, locate_pairs
 from multiarm.dynamics.control_laws import NO_CONTROL, law_table
@@ -452,12 +452,11 @@ def draft_model(
         codes=rows.table.codes,
         geometry=rows.table.geometry,
         shapes=rows.table.shapes,
-        frames=np.zeros((len(arms), FRAME_WIDTH)),
+        joint_frames=np.zeros((len(arms), FRAME_WIDTH)),
         tip_frames=np.array(
             [np.append(arm.tip_rotation, arm.tip_translation) for arm in arms.values()]
         ),
-        free_bounds=np.zeros(len(arms) + 1, dtype=np.int64),
-        free=np.zeros((0, 2), dtype=np.int64),
+        free=FreeMotions(np.zeros(len(arms) + 1, np.int64), *np.zeros((2, 0), np.int64)),
         object_mass=float(scene.object.mass),
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=_gravity(scene),
@@ -471,7 +470,7 @@ def draft_model(
         control_reach=COUPLED,
         local_effects=True,
         state_joints=np.zeros(0, dtype=np.int64),
-        joint_rows=np.zeros((0, 3), dtype=np.int64),
+        joint_rows=make_joint_rows(0),
         dense=scene.run.solver == "dense",
         calls_user=bool(rows.table.functions) or effects.calls_user,
     )
@@ -500,19 +499,26 @@ def draft_model(
     )
 
 
+def _free_motions(frames: dict[str, JointFrame]) -> FreeMotions:
+    """The motions that are recorded of each joint."""
+
+    free = [pair for f in frames.values() for pair in zip(f.free, f.places, strict=True)]
+    numbers = np.array(free, dtype=np.int64).reshape(-1, 2)
+    bounds = np.array(_bounds([len(frame.free) for frame in frames.values()]))
+    return FreeMotions(bounds, component=numbers[:, 0].copy(), coordinate=numbers[:, 1].copy())
+
+
 def finished_model(
     draft: Model, data: Data, frames: dict[str, JointFrame], law: ControlProgram | None
 ) -> Model:
     """The model with joint frames, contact places and control at the assembled start."""
-    free = [pair for f in frames.values() for pair in zip(f.free, f.places, strict=True)]
     packed = [
         frame.packed(draft.arms[name].tip_rotation, draft.arms[name].tip_translation)
         for name, frame in frames.items()
     ]
     constants = draft.constants._replace(
-        frames=np.array(packed),
-        free_bounds=np.array(_bounds([len(frame.free) for frame in frames.values()])),
-        free=np.array(free, dtype=np.int64).reshape(-1, 2),
+        joint_frames=np.array(packed),
+        free=_free_motions(frames),
     )
     breakpoints, sampling, span = draft.breakpoints, None, None
     if law is not None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact, SmoothShape, Surface
 from multiarm.jit.kernels import plain
+from multiarm.jit.structs import Ints1
 
 # Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
 CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
@@ -162,9 +163,22 @@ def copy_record(codes, geometry, source, k, selected_codes, selected_geometry):
         selected_geometry[k, column] = geometry[source, column]
 
 
+class JointRows(NamedTuple):
+    """The rows of W that belong to a joint of an arm, (r,) numbers each."""
+
+    arm: Ints1
+    row: Ints1
+    joint: Ints1
+
+
+def make_joint_rows(count: int) -> JointRows:
+    """Allocate for a number of rows."""
+    return JointRows(*np.zeros((3, count), dtype=np.int64))
+
+
 @plain
 def select_joint_rows(codes, rows, dofs, joint_rows):
-    """Write arm, row and joint of the rows that belong to joints, (r, 3).
+    """Write the rows that belong to joints.
 
     ``rows`` and ``dofs`` (n + 1,) are the first ones of each arm.
     """
@@ -172,8 +186,8 @@ def select_joint_rows(codes, rows, dofs, joint_rows):
     for i in range(rows.size - 1):
         for row in range(rows[i], rows[i + 1]):
             if codes[row, KIND] == JOINT:
-                joint_rows[count, 0], joint_rows[count, 1] = i, row
-                joint_rows[count, 2] = dofs[i] + codes[row, LINK]
+                joint_rows.arm[count], joint_rows.row[count] = i, row
+                joint_rows.joint[count] = dofs[i] + codes[row, LINK]
                 count += 1
 
 

@@ -112,7 +112,7 @@ def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, 
         Of the object.
     """
     n = work.dofs[i + 1] - work.dofs[i]
-    frame, link, body = model.frames[i], data.bodies.links[i], data.bodies.object
+    frame, link, body = model.joint_frames[i], data.bodies.links[i], data.bodies.object
     rates, places, target = np.empty(6), np.empty(9), np.empty(6)
     write_relative(frame, link, body, rates, places)
     R_J = compose(rotation(body, 0), rotation(frame, ON_OBJECT))

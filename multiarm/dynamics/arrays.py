@@ -13,6 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
+from multiarm.contacts.table import JointRows
 from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.guards import Guards
 from multiarm.dynamics.layout import Layout
@@ -51,6 +52,14 @@ TIP_WIDTH = 13
 OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
 
 
+class FreeMotions(NamedTuple):
+    """The m recorded components of the relative motions in the joint frames, arm after arm."""
+
+    bounds: Ints1  # (n + 1,) first one of each arm
+    component: Ints1  # (m,) of the relative rates
+    coordinate: Ints1  # (m,) its coordinate among those of the relative motion
+
+
 class Constants(NamedTuple):
     """Constants of all evaluations of a scene."""
 
@@ -62,13 +71,10 @@ class Constants(NamedTuple):
     codes: Ints2
     geometry: Floats2
     shapes: Floats2
-    frames: Floats2  # (n, 24) joint frames, see multiarm.contacts.joint
+    joint_frames: Floats2  # (n, 24), see multiarm.contacts.joint
     # (n, 12) the tips in the links that carry them: rotation row by row, origin [m]
     tip_frames: Floats2
-    # (n + 1,), (m, 2): recorded components of the relative motion in these frames, arm after arm:
-    # of the rates, of the coordinates
-    free_bounds: Ints1
-    free: Ints2
+    free: FreeMotions
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
@@ -89,7 +95,7 @@ class Constants(NamedTuple):
     control_reach: Int
     local_effects: Flag
     state_joints: Ints1  # joint to which each state of local effects belongs; -1: of another effect
-    joint_rows: Ints2  # (r, 3) rows of W that belong to a joint: arm, row, joint
+    joint_rows: JointRows
     dense: Flag  # solve by the dense reference instead of the node algorithm
     calls_user: Flag  # there are user functions: a controller, surfaces, effects
 
@@ -327,6 +333,7 @@ class ModeStructs(Numbers):
     tangents: Int  # with the tangents of the sliding contacts
     mode: Int  # the mode's guards, numbers and slides, see multiarm.events
     slides: Flag  # some of its contacts slide with friction
+    event: Flag  # one of its guards has found an event in the last step
 
 
 class Variables(NamedTuple):
@@ -510,15 +517,16 @@ STATUS = _FIRST[1] + place_of(Variables, "status")
 EFFECTS = _FIRST[5]
 
 
-def row_places(of_joints: Shapes, rows: Shapes, work: Shapes, coupled: Shapes) -> np.ndarray:
+def row_places(joint_rows: Shapes, rows: Shapes, work: Shapes, coupled: Shapes) -> np.ndarray:
     """Places in a system's struct of the sizes of arrays, in the order of their shapes.
 
-    The arrays are some of ``Constants``, of ``Rows``, ``NodeWork`` and ``CoupledWork``.
+    The arrays are some of ``JointRows``, ``Rows``, ``NodeWork`` and ``CoupledWork``.
     """
+    joint_rows_at = _FIRST[0] + place_of(Constants, "joint_rows")
     rows_at = _FIRST[1] + place_of(Variables, "rows")
     return np.concatenate(
         [
-            size_places(Constants, _FIRST[0], of_joints),
+            size_places(JointRows, joint_rows_at, joint_rows),
             size_places(Rows, rows_at, rows),
             size_places(NodeWork, _FIRST[2], work),
             size_places(CoupledWork, _FIRST[3], coupled),

@@ -167,7 +167,7 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
             body, scratch[SEEN], wrench, vec(of_body, TURN), by, moves, work.on_object[c],
             work.on_link[c],
         )  # fmt: skip
-    write_wrenches(
+    write_wrench_on_bodies(
         body, scratch[SEEN], wrench[6], work.on_object[columns.end], work.on_link[columns.end]
     )
 
@@ -375,7 +375,7 @@ def write_seen_displacement(body, link, seen, of_body, of_link, out):
 
 
 @kernel
-def write_wrenches(body, seen, wrench, on_object, on_link):
+def write_wrench_on_bodies(body, seen, wrench, on_object, on_link):
     """Write the contacts' wrench on the object, world axes, and the opposite one on the link."""
     R_o, R, r = rotation(body, 0), rotation(seen, 0), vec(seen, ORIGIN_AT)
     force, moment = vec(wrench, 0), vec(wrench, 3)

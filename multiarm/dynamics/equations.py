@@ -257,16 +257,16 @@ def solve_deficient(address, size, decompose_all, _b):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     coupled = open_coupled(struct)
-    status = solve_by_arms(data, work, coupled, decompose_all != 0.0)
+    status = solve_coupled_arms(data, work, coupled, decompose_all != 0.0)
     if status != OK or data.solution.imbalance <= IMBALANCE_BOUND:
         return status
     if decompose_all != 0.0 or data.solution.coupled_arms == data.bodies.pointers.shape[0]:
         return status
-    return solve_by_arms(data, work, coupled, True)
+    return solve_coupled_arms(data, work, coupled, True)
 
 
 @kernel
-def solve_by_arms(data, work, coupled, decompose_all):
+def solve_coupled_arms(data, work, coupled, decompose_all):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     failed = eliminate_arms(work, rows.Wo)

@@ -143,13 +143,13 @@ def depth_on_body(patch, body, row, model, data):
 # --- forces and commands --------------------------------------------------------------------------
 
 
-class Push(NamedTuple):
+class PushingForce(NamedTuple):
     """The force of a contact [N], which pushes where it is positive."""
 
     row: Int  # held
 
 
-PUSH, push_at = _kind(Push)
+PUSH, push_at = _kind(PushingForce)
 
 
 class FrictionCone(NamedTuple):
@@ -271,12 +271,13 @@ def range_depth(guard, model, data):
     """The distance to the nearer end, and its rate; NaN where the component is not free."""
     i, component = guard.arm, guard.component
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
-    for k in range(model.free_bounds[i], model.free_bounds[i + 1]):
-        if model.free[k, 0] == component:
+    free = model.free
+    for k in range(free.bounds[i], free.bounds[i + 1]):
+        if free.component[k] == component:
             write_relative(
-                model.frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+                model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
             )
-            place = model.free[k, 1]
+            place = free.coordinate[k]
             x = unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
             above, below = x - guard.lower, guard.upper - x
             return (above, rates[component]) if above < below else (below, -rates[component])

@@ -160,12 +160,12 @@ def arm_rows(i, struct, model, data, work):
     k = 0
     while k < m:
         k = min(k, m - LANES)  # the last four may overlap those before
-        write_columns(i, k, d, J, wrench, work)
+        write_four_columns(i, k, d, J, wrench, work)
         k += LANES
 
 
 @inlined
-def write_columns(i, k, d, J, wrench, work):
+def write_four_columns(i, k, d, J, wrench, work):
     """Four columns of ``W``, contacts ``k`` to ``k + 3``, in SIMD packs."""
     N, W = wrench.shape[1], work.W
     w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
@@ -189,8 +189,9 @@ def write_columns(i, k, d, J, wrench, work):
 @inlined
 def write_joint_rows(model, data, work):
     """Rows that belong to joints: their gaps, and their columns of ``W``."""
-    for k in range(model.joint_rows.shape[0]):
-        i, row, joint = model.joint_rows[k, 0], model.joint_rows[k, 1], model.joint_rows[k, 2]
+    joint_rows = model.joint_rows
+    for k in range(joint_rows.row.size):
+        i, row, joint = joint_rows.arm[k], joint_rows.row[k], joint_rows.joint[k]
         side, geometry = model.geometry[row, SIDE], model.geometry[row]
         data.rows.kinematics[row, GAP] = (
             geometry[WEIGHT] * side * (data.state.joint_positions[joint] - geometry[RADIUS])

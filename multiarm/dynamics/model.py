@@ -33,6 +33,7 @@ from multiarm.contacts.table import (
     KIND,
     JointRow,
     count_parts,
+    make_joint_rows,
     select_joint_rows,
     select_rows,
 )
@@ -260,8 +261,8 @@ def with_rows(
     constants: Constants, codes: np.ndarray, geometry: np.ndarray, layout: Layout
 ) -> Constants:
     """Constants with other rows, which have the same other surfaces."""
-    count = np.count_nonzero(codes[: layout.contacts, KIND] == JOINT)
-    joint_rows = np.zeros((count, 3), dtype=np.int64)
+    count = int(np.count_nonzero(codes[: layout.contacts, KIND] == JOINT))
+    joint_rows = make_joint_rows(count)
     select_joint_rows(codes, np.array(layout.rows), np.array(layout.dofs), joint_rows)
     return constants._replace(codes=codes, geometry=geometry, joint_rows=joint_rows)
 

@@ -18,7 +18,7 @@ from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.momenta import times_arm_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
-from multiarm.dynamics.solver.bounds import AT_REST, IMBALANCE_BOUND
+from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
 from multiarm.dynamics.solver.factors import norm
 from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel
 from multiarm.jit.simd import broadcast, load_pack, store_pack
@@ -96,7 +96,7 @@ def constraint_residual(model, data, work):
 
     Terms are ``c``, the accelerations, and the accelerations without contact forces.
     """
-    worst, scale = 0.0, max(AT_REST, free_acceleration(data))
+    worst, scale = 0.0, max(LEAST_ACCELERATION, free_acceleration(data))
     if not model.dense:
         scale = max(scale, free_rate(work))
     for i in range(work.dofs.size - 1):
@@ -178,7 +178,7 @@ def relative_imbalance(data, Wo, forces, moments):
     """Residuals of forces [N] and moments [N m] relative to the largest terms."""
     inertia = data.bodies.object_inertia
     radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
-    push = max(AT_REST * inertia[0, 0], norm(data.forces.f_o[:3], 3))
+    push = max(LEAST_ACCELERATION * inertia[0, 0], norm(data.forces.f_o[:3], 3))
     turn = norm(data.forces.f_o[3:6], 3)
     for a in range(data.rows.force.size):
         force = abs(data.rows.force[a])

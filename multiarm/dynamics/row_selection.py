@@ -22,6 +22,7 @@ from multiarm.contacts.table import (
     GEOMETRY_WIDTH,
     JOINT,
     KIND,
+    JointRows,
     count_parts,
     select_joint_rows,
     select_rows,
@@ -116,7 +117,7 @@ class RowSelection(Data):
     def _shapes(self, counts: list[int], of_joints: int) -> tuple[Shapes, Shapes, Shapes, Shapes]:
         """Shapes of constants, variables and workspaces for numbers of rows."""
         return (
-            {"joint_rows": (of_joints, 3)},
+            dict.fromkeys(JointRows._fields, (of_joints,)),
             row_shapes(sum(counts)),
             {**work_shapes(self._dofs, counts), **group_shapes(self._dofs, counts)},
             coupled_shapes(self._dofs, counts),

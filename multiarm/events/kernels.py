@@ -17,7 +17,6 @@ from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
-    FIRED,
     SHARED,
     Guards,
     accept_guards,
@@ -204,7 +203,7 @@ def solve_reactions(data, work, mode, reactions, couple_all):
         reactions, rows.Wo, mode.Wr, data.bodies.object_inertia, couple_all
     )
     copy(reactions.pivot, work.pivot)
-    if failed >= 0:
+    if failed != OK:
         return failed
     solve_for_reactions(
         reactions, rows.Wo, mode.Wr, forces.f_o, forces.f_j, rows.c,
@@ -272,16 +271,18 @@ def write_mode_guards(struct: INTS):
 
 @cfunc
 def check_guards(address, size, begin, end):
-    """Check all guards at the end of a step; ``FIRED`` when one of them reports an event."""
+    """Check all guards at the end of a step: is there an ``event``?  Returns a status."""
     struct = struct_at(address, size)
-    if write_mode_guards(struct) != OK:
-        return OK  # the time loop checks the flag
+    status = write_mode_guards(struct)
+    if status != OK:
+        return status
     data = open_data(struct)
     of_mode = struct_at(data.modes.mode, 0)
     numbers = open_mode(of_mode).numbers
     numbers.begin, numbers.end = begin, end
-    if judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted:
-        return FIRED
+    data.modes.event = judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted
+    if data.modes.event:
+        return OK
     numbers.muted = False
     begin_mode_step(of_mode, open_data(struct_at(data.modes.full, 0)).rows.kinematics)
     return OK

@@ -15,7 +15,7 @@ from multiarm.dynamics.guard_functions import (
     JointSpeed,
     OpenGap,
     PatchDepth,
-    Push,
+    PushingForce,
     Slip,
     SlipOnset,
     SpringCompression,
@@ -122,14 +122,14 @@ def _guards(
     guards = {
         (OpenGap, 1): Guard(OpenGap(row), GAP_THRESHOLD),
         (Touch, 1): Guard(Touch(row, REST)),
-        (Push, 1): Guard(Push(row), FORCE_THRESHOLD),
+        (PushingForce, 1): Guard(PushingForce(row), FORCE_THRESHOLD),
     }
     if tangents:
         guards[SlipOnset, 1] = Guard(SlipOnset(tangents[0], still))
         guards[Slip, 1] = Guard(Slip(tangents[0], u, directions), still)
         for side in (1, -1) if constraint.bilateral else (1,):
             cone = FrictionCone(row, side * constraint.mu, *tangents)
-            guards[Push, side] = Guard(Push(row), FORCE_THRESHOLD, side)
+            guards[PushingForce, side] = Guard(PushingForce(row), FORCE_THRESHOLD, side)
             guards[FrictionCone, side] = Guard(cone, FORCE_THRESHOLD)
     return guards
 
@@ -159,7 +159,7 @@ def _keys(u: int, constraint: Constraint, mode: Mode, held: list[bool], slides: 
     side, tangents = mode.side(u), [held[t] for t in constraint.tangents]
     keys: list[Key] = []
     if not constraint.bilateral or slides:
-        keys.append((Push, side))
+        keys.append((PushingForce, side))
     if state == ContactState.STICKING and any(tangents):
         keys.append((FrictionCone, side))
     resting = constraint.bilateral and not slides and not all(tangents)

@@ -27,12 +27,12 @@ from multiarm.contacts.unilateral import DRY_JOINT, Constraint
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import (
     Bounded,
+    ComplementaritySolution,
     ContactLaw,
     ContactMode,
     Friction,
     Push,
     Sliding,
-    Solution,
     Verdict,
     solve,
 )
@@ -198,7 +198,7 @@ class Transition:
         before: np.ndarray,
         elastic: dict[int, float],
         resting: set[int],
-    ) -> tuple[Solution, np.ndarray]:
+    ) -> tuple[ComplementaritySolution, np.ndarray]:
         """Impulses and rates afterwards; ``resting`` constraints do not open."""
         at: dict[int, int] = {row: k for k, row in enumerate(rows)}
         laws: list[ContactLaw] = []  # one for each constraint; then the tangents at rest
@@ -345,7 +345,7 @@ class Transition:
         states: list[ContactState],
         directions: dict[int, np.ndarray],
         held: list[int],
-        solution: Solution,
+        solution: ComplementaritySolution,
         response: np.ndarray,
     ) -> None:
         """Hold bilateral contacts without force that other rows do not keep closed.
@@ -372,7 +372,7 @@ class Transition:
         involved: list[int],
         rows: list[int],
         states: list[ContactState],
-        solution: Solution,
+        solution: ComplementaritySolution,
         response: np.ndarray,
     ) -> set[int]:
         """Where a force has just become zero, release all unloaded constraints; their rows.
@@ -408,7 +408,7 @@ class Transition:
         rows: list[int],
         slips: dict[int, np.ndarray],
         fixed: set[int],
-    ) -> tuple[Solution, np.ndarray, frozenset[int]]:
+    ) -> tuple[ComplementaritySolution, np.ndarray, frozenset[int]]:
         """Forces and modes, the response of the rows of the problem, and who pulls.
 
         There is no friction along the ``fixed`` tangents.  Where minimum-norm forces depend on the
@@ -437,7 +437,7 @@ class Transition:
         response: np.ndarray,
         rates: np.ndarray,
         laws: list[ContactLaw],
-    ) -> tuple[Solution, frozenset[int]]:
+    ) -> tuple[ComplementaritySolution, frozenset[int]]:
         """Solve with bilateral contacts that push or pull; and which of them pull.
 
         The first sides are those of the forces without friction in these contacts.  Whichever then
@@ -510,7 +510,7 @@ def _law(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) ->
     )
 
 
-def _trouble(solution: Solution, normal: list[int]) -> str:
+def _trouble(solution: ComplementaritySolution, normal: list[int]) -> str:
     """Why the motion cannot continue; empty when it can.
 
     Several motions that agree in the accelerations of all gaps differ in how contacts share the

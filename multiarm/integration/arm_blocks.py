@@ -95,6 +95,10 @@ class ArmBlocks(NamedTuple):
     frames: Int  # velocities of the object, o
     shared: Int  # unknowns that all arms share: accelerations of the object, as many more of s
     share: Floats1  # (o,) s, fixed in the derivatives of F
+    # (o, o), (o,): factors of ``W_o W_o^T`` scaled, for s; scales and pivots
+    products: Floats2
+    scale: Floats1
+    product_pivots: Ints1
     used: Ints1  # (1,) whether the derivatives of the last step are here
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
@@ -124,6 +128,13 @@ class ArmBlocks(NamedTuple):
     alpha: Floats1
     rates: Floats1
     unknowns: Floats2
+
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """What steps write, which is zero where a run begins."""
+        derivatives = self.derivatives, self.on_object, self.by_object, self.Wo, self.share
+        factors = self.products, self.S, self.E, self.V, self.D, self.node
+        return (*derivatives, *factors, self.scale, self.alpha, self.rates, self.unknowns)
 
 
 class BlockColumns(NamedTuple):
@@ -189,6 +200,9 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         frames=frames,
         shared=u,
         share=np.zeros(frames),
+        products=np.zeros((frames, frames)),
+        scale=np.zeros(frames),
+        product_pivots=np.zeros(frames, dtype=np.int64),
         used=np.zeros(1, dtype=np.int64),
         counts=np.array([len(own) for own in owned], dtype=np.int64),
         states=states,
@@ -415,9 +429,10 @@ def share_weight(struct, blocks):
         return True
     data, s = open_data(struct), blocks.share
     copy(data.control.object_wrench, s)
-    if not factor_wrench_products(data.rows.Wo, blocks.node, blocks.alpha, blocks.node_pivots):
+    products, scale, pivots = blocks.products, blocks.scale, blocks.product_pivots
+    if not factor_wrench_products(data.rows.Wo, products, scale, pivots):
         return False
-    solve_wrench_products(blocks.node, blocks.alpha, blocks.node_pivots, s)
+    solve_wrench_products(products, scale, pivots, s)
     return True
 
 

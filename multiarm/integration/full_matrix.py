@@ -79,6 +79,17 @@ class FullMatrix(NamedTuple):
     powers: Ints1
     differences: Differences
     row: Floats1  # (columns,) scratch
+    # (D,) of differences: a displaced vector of the chart, and its rates on either side
+    displaced: Floats1
+    ahead: Floats1
+    behind: Floats1
+
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """What steps write, which is zero where a run begins."""
+        derivatives = self.by_position, self.by_velocity, self.turned, self.matrix
+        differences = self.displaced, self.ahead, self.behind
+        return (*derivatives, self.solution, self.applied, self.row, *differences)
 
 
 def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatrix:
@@ -98,6 +109,9 @@ def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatri
         powers=data.model.effects.powers,
         differences=Differences(laws=len(data.model.constants.control), order=1),
         row=np.zeros(columns),
+        displaced=np.zeros(size),
+        ahead=np.zeros(size),
+        behind=np.zeros(size),
     )
 
 
@@ -199,14 +213,14 @@ def differentiate_by_differences(step, full, slope, time_slope, t, h):
     # largest one or to 1
     position_change, relative_change = 2e-6, 1e-6
     places = chart_places(open_data(step.system))
-    z, ahead, below = step.z_stage, step.z_new, time_slope
+    z, ahead, behind = full.displaced, full.ahead, full.behind
     nv, m, rows = places.velocity, full.matrix.shape[0], full.by_position.shape[0]
     fast = max(1.0, greatest(step.z[places.velocity : places.states]))
     strong = max(1.0, greatest(step.z[places.states : places.works]))
     copy(step.z, z)
     for j in range(nv):
         z[j] = step.z[j] - position_change
-        status = slope_at(step, t, z, below)
+        status = slope_at(step, t, z, behind)
         if status != OK:
             return status
         z[j] = step.z[j] + position_change
@@ -215,7 +229,7 @@ def differentiate_by_differences(step, full, slope, time_slope, t, h):
             return status
         z[j] = step.z[j]
         for i in range(rows):
-            full.by_position[i, j] = (ahead[nv + i] - below[nv + i]) / (2.0 * position_change)
+            full.by_position[i, j] = (ahead[nv + i] - behind[nv + i]) / (2.0 * position_change)
     for j in range(m):
         change = relative_change * (fast if j < nv else strong)
         z[nv + j] = step.z[nv + j] + change
@@ -225,26 +239,26 @@ def differentiate_by_differences(step, full, slope, time_slope, t, h):
         z[nv + j] = step.z[nv + j]
         for i in range(rows):
             full.by_velocity[i, j] = (ahead[nv + i] - slope[nv + i]) / change
-    return differentiate_by_time(step, slope, time_slope, t, h)
+    return differentiate_by_time(step, full, slope, time_slope, t, h)
 
 
 @kernel
-def differentiate_by_time(step, slope, time_slope, t, h):
+def differentiate_by_time(step, full, slope, time_slope, t, h):
     """``f_t`` from two later times, inside the step: its beginning may be a kink."""
     model, _, _ = open_system(step.system)
-    ahead = step.z_new
+    near, far = full.behind, full.ahead
     clear(time_slope)
     if model.control.shape[0] == 0 and model.effects.shape[0] == 0:
         return OK
     change = TIME_CHANGE * min(h, 1.0)  # [s]
-    status = slope_at(step, t + 2.0 * change, step.z, time_slope)
+    status = slope_at(step, t + 2.0 * change, step.z, far)
     if status != OK:
         return status
-    status = slope_at(step, t + change, step.z, ahead)
+    status = slope_at(step, t + change, step.z, near)
     if status != OK:
         return status
     for i in range(time_slope.size):
-        time_slope[i] = (4.0 * ahead[i] - time_slope[i] - 3.0 * slope[i]) / (2.0 * change)
+        time_slope[i] = (4.0 * near[i] - far[i] - 3.0 * slope[i]) / (2.0 * change)
     return OK
 
 

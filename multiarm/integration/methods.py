@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import struct_of
 from multiarm.tableaus import EXPLICIT, ROSENBROCK, SEMI_IMPLICIT, VARIATIONAL, Tableau
 
-WorkArrays = tuple[tuple, ...]
+WorkArrays = tuple[Any, ...]
 
 
 def _no_work(_data: Data, _step: Step) -> WorkArrays:
@@ -71,7 +71,7 @@ class Stepping:
         The tableau in the kernels' form.
     step : Step
     work : tuple of NamedTuple
-        Further arrays of its kind.
+        Further arrays of its kind; the ``memory`` of each is what steps write.
     struct : ndarray
         The argument of kernels: coefficients, step and work.
     """
@@ -84,15 +84,10 @@ class Stepping:
 
     def restart(self) -> None:
         """Forget the steps of another run; tolerances, gains and chart are those of the next."""
-        for array in self._of_steps:
-            array.fill(0.0)
+        for part in (self.step, *self.work):
+            for array in part.memory:
+                array.fill(0.0)
         self.step.stage.begin()
-
-    @cached_property
-    def _of_steps(self) -> list[np.ndarray]:
-        """The arrays that steps write."""
-        arrays = [array for part in (self.step, *self.work) for array in part]
-        return [x for x in arrays if isinstance(x, np.ndarray) and x.dtype == float]
 
 
 _address = cache(address_of)

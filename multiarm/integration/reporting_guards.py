@@ -16,7 +16,7 @@ from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
     DriveMargin,
     PatchDepth,
-    Push,
+    PushingForce,
     RangeDepth,
     packed_patch,
 )
@@ -61,7 +61,7 @@ def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
         return []
     guards = []
     if contact.pushes_only:
-        guards.append(Guard(Push(row), SMALL_PULL, relative=True, stops=False))
+        guards.append(Guard(PushingForce(row), SMALL_PULL, relative=True, stops=False))
     for body, surface in ((arm, contact.arm), (ON_OBJECT, contact.object)):
         if surface.patch is not None:
             depth = PatchDepth(row, body, packed_patch(surface.patch))

@@ -82,6 +82,11 @@ class RosenbrockWork(NamedTuple):
     time_slope: Floats1  # (D,), derivative with respect to time
     derived: Derived
 
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """What steps write, which is zero where a run begins."""
+        return self.slope, self.right, self.time_slope, self.derived.struct
+
 
 def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks, FullMatrix]:
     """Allocate the arrays of a Rosenbrock method's steps."""
@@ -109,7 +114,7 @@ def rosenbrock_step(address, size, t, h):
     method, step = open_step(struct)
     work, blocks, full = _view_work(struct), _view_blocks(struct), _view_full(struct)
     copy(step.k[0], work.slope)
-    status = differentiate(step, work, blocks, full, t, h)
+    status = differentiate_step(step, work, blocks, full, t, h)
     if status != OK:
         return status
     places = chart_places(open_data(step.system))
@@ -142,7 +147,7 @@ def rosenbrock_step(address, size, t, h):
 
 
 @kernel
-def differentiate(step, work, blocks, full, t, h):
+def differentiate_step(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step; returns a status.
 
     Those of a step that was rejected are those of the next one.

@@ -43,7 +43,7 @@ def write_sample(struct, t, works, row):
     copy(data.sample.forces, row[at : at + m])
     at += m
     write_free(model, data, row[at:])
-    at += 2 * model.free.shape[0]
+    at += 2 * model.free.component.size
     for i in range(data.sample.wrenches.shape[0]):
         copy(data.sample.wrenches[i], row[at : at + 6])
         at += 6
@@ -67,16 +67,16 @@ def write_sample(struct, t, works, row):
 def write_free(model, data, out):
     """Free relative rates of all joints, then their coordinates."""
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
-    count = model.free.shape[0]
-    for i in range(model.frames.shape[0]):
-        first, last = model.free_bounds[i], model.free_bounds[i + 1]
+    free, count = model.free, model.free.component.size
+    for i in range(model.joint_frames.shape[0]):
+        first, last = model.free.bounds[i], model.free.bounds[i + 1]
         if first == last:
             continue
         write_relative(
-            model.frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+            model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
         )
         for k in range(first, last):
-            out[k] = rates[model.free[k, 0]]
+            out[k] = rates[free.component[k]]
             out[count + k] = continued(model, data, i, k, coordinates)
 
 
@@ -100,24 +100,23 @@ def write_tips(model, data):
 def follow_joints(model, data):
     """Store the free coordinates of all joints at the end of a step in ``data.last_step``."""
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
-    for i in range(model.frames.shape[0]):
-        first, last = model.free_bounds[i], model.free_bounds[i + 1]
+    for i in range(model.joint_frames.shape[0]):
+        first, last = model.free.bounds[i], model.free.bounds[i + 1]
         if first == last:
             continue
         write_relative(
-            model.frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+            model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
         )
         for k in range(first, last):
-            data.last_step.coordinates[i, model.free[k, 0]] = continued(
-                model, data, i, k, coordinates
-            )
+            component = model.free.component[k]
+            data.last_step.coordinates[i, component] = continued(model, data, i, k, coordinates)
 
 
 @inlined
 def continued(model, data, i, k, coordinates):
     """Coordinate ``k``, of arm ``i``, as it continues that of the last step."""
-    place = model.free[k, 1]
-    return unwrapped(coordinates[place], data.last_step.coordinates[i, model.free[k, 0]], place)
+    component, place = model.free.component[k], model.free.coordinate[k]
+    return unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
 
 
 def sample_columns(channels: Sequence[Channel]) -> Columns:

@@ -104,6 +104,13 @@ class Step(NamedTuple):
     z_old: Floats1
     tolerance: Floats1  # (D - w,), largest accepted error estimate of one step, without the works
 
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """What steps write, which is zero where a run begins."""
+        states = self.z, self.z_new, self.z_stage, self.z_next, self.z_old
+        bases = self.base, self.base_next, self.base_old
+        return (*states, *bases, self.k, self.slope, self.slope_next, self.dense)
+
 
 @cache
 def coefficients(tableau: Tableau, step: int) -> Coefficients:

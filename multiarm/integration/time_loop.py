@@ -309,9 +309,13 @@ def complete_step(method, step, clock, settings, h, end):
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope at the end, in this chart for the dense output and below in the next step's chart
     write_chart_slope(step.z_new, data, step.k[method.stages])
-    if data.functions.guards != 0 and call_cfunc(data.functions.guards, struct, t, end) != OK:
-        status = prepare_dense(method, step, t, h)
-        return EVENT if status == OK else status
+    if data.functions.guards != 0:
+        status = call_cfunc(data.functions.guards, struct, t, end)
+        if status != OK:
+            return status
+        if data.modes.event:
+            status = prepare_dense(method, step, t, h)
+            return EVENT if status == OK else status
     if data.pairs.starts.size > 0:
         for i in range(data.pairs.starts.shape[0]):
             copy(data.pairs.points[i], data.pairs.starts[i])

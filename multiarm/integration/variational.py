@@ -82,6 +82,13 @@ class VariationalWork(NamedTuple):
     turn: Floats1
     spin: Floats1
 
+    @property
+    def memory(self) -> tuple[np.ndarray, ...]:
+        """What steps write, which is zero where a run begins."""
+        begin = self.begin, self.Wo, self.W, self.inertia, self.start, self.spin
+        unknowns = self.xi, self.impulse, self.last, self.turn
+        return (*begin, *unknowns, self.push, self.gap, self.momentum)
+
 
 def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     """Allocate the arrays of the variational method's steps."""
@@ -163,13 +170,13 @@ def find_velocities(step, work, t, h):
     model, data, _ = open_system(step.system)
     before = math.inf
     for iteration in range(50):
-        displace(work, data, h, t + h)
+        move_in_step(work, data, h, t + h)
         status = update_kinematics(step.system)
         if status != OK:
             return status
         for k in range(work.gap.size):
             work.gap[k] = -data.rows.kinematics[k, GAP] / h
-        displace(work, data, 0.5 * h, t + 0.5 * h)
+        move_in_step(work, data, 0.5 * h, t + 0.5 * h)
         status = midpoint_forces(step, work, h)
         step.stage.evaluations += 2
         if status != OK:
@@ -225,7 +232,7 @@ def correct_unknowns(work, data, iteration):
 
 
 @kernel
-def displace(work, data, delay, t):
+def move_in_step(work, data, delay, t):
     """Write the state at the time ``delay`` after the beginning of the step into the data."""
     retract(data.state.poses.shape[0], work.begin, delay, work.xi, data.state.configuration)
     copy(work.xi, data.state.velocity)
@@ -308,7 +315,7 @@ def end_step(step, work, t, h):
         momentum[k] = work.start[k] + 2.0 * work.push[k]
     first = chart_places(data).joints
     add_contact_forces(node, work.Wo, work.W, work.impulse, momentum[:first], momentum[first:])
-    displace(work, data, h, t + h)
+    move_in_step(work, data, h, t + h)
     status = update_kinematics(step.system)
     step.stage.evaluations += 1
     if status != OK:

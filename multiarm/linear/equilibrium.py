@@ -53,7 +53,7 @@ from multiarm.public import facts_html, public_names
 __all__ = ["Equilibrium", "find_equilibrium"]
 
 # Largest accelerations that count as none, as part of those that gravity or 1 m/s^2 would make.
-AT_REST = 1e-11
+LARGEST_AT_REST = 1e-11
 # The best that roundings allow, as part of the same.
 ROUNDINGS = 1e-8
 MOST_STEPS = 200
@@ -164,11 +164,11 @@ def find_equilibrium(
             "are zero"
         )
     least = _Search(begin, t)
-    least.run(AT_REST * size)
+    least.run(LARGEST_AT_REST * size)
     search, steps = least, least.steps
     if least.here.largest_acceleration > ROUNDINGS * size:
         search = _Descent(begin, t)
-        search.run(AT_REST * size)
+        search.run(LARGEST_AT_REST * size)
         steps += search.steps
     here = search.here
     if here.largest_acceleration > ROUNDINGS * size:

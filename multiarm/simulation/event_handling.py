@@ -19,7 +19,7 @@ from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.failures import failure_text, require_ok
-from multiarm.dynamics.guard_functions import JointSpeed, PatchDepth, Push, Slip
+from multiarm.dynamics.guard_functions import JointSpeed, PatchDepth, PushingForce, Slip
 from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -165,7 +165,7 @@ class EventHandler:
         participants = _Participants(
             self._touching(fired),
             self._at_rest(fired),
-            _constraints(fired, Push),
+            _constraints(fired, PushingForce),
             off_patch_constraints(self.modes, before, _constraints(fired, PatchDepth)),
         )
         decision = self._decide_mode(t, participants)

@@ -15,7 +15,7 @@ from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
     DriveMargin,
     PatchDepth,
-    Push,
+    PushingForce,
     RangeDepth,
 )
 from multiarm.dynamics.guards import FIRED, QUIET, turn_round
@@ -28,7 +28,7 @@ from multiarm.results.event_log import EventLog
 
 # Kinds of the events at which a guard falls below zero, and is above it again.
 KINDS = {
-    Push: ("pulls", "pushes again"),
+    PushingForce: ("pulls", "pushes again"),
     RangeDepth: ("passes its limit", "is back within its limit"),
     DriveMargin: ("saturates", "is no longer saturated"),
     PatchDepth: ("leaves its patch", "is back on its patch"),

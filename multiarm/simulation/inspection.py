@@ -387,7 +387,7 @@ def _limit_facts(joint: JointSpec, frame: JointFrame, coordinates: np.ndarray) -
 
 def _joint_coordinates(data: Data) -> dict[str, np.ndarray]:
     """What :func:`write_relative` writes, of each joint by its arm."""
-    frames, b, coordinates = data.model.constants.frames, data.arrays, {}
+    frames, b, coordinates = data.model.constants.joint_frames, data.arrays, {}
     for i, arm in enumerate(data.model.arm_names):
         coordinates[arm] = np.zeros(9)
         write_relative(frames[i], b.bodies.links[i], b.bodies.object, np.zeros(6), coordinates[arm])

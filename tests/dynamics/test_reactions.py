@@ -24,6 +24,7 @@ from multiarm.dynamics.solver.reactions import (
     make_reaction_work,
     solve_for_reactions,
 )
+from multiarm.dynamics.status import OK
 
 
 def solve_with_reactions(
@@ -318,7 +319,7 @@ def coupled_rows(system):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = work.Wr[i, : dofs[i], : rows[i]] = W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    assert eliminate_with_reactions(work, Wo, Wo, system.M_o) == -1
+    assert eliminate_with_reactions(work, Wo, Wo, system.M_o) == OK
     return work.status.rows
 
 

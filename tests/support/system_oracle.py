@@ -161,7 +161,7 @@ def solve_by_reactions(system: System) -> SystemSolution:
     Wo, Wr = (np.ascontiguousarray(np.hstack(W).T) for W in (system.W_o, system.reaction_o))
     for couple_all in (False, True):
         load_arms(system, work, {"W": system.W, "Wr": system.reaction})
-        if eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all) >= 0:
+        if eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all) != OK:
             raise ValueError("the form with reactions takes an inertia for indefinite")
         solve_for_reactions(work, Wo, Wr, *loads)
         if balanced(system, loads):

@@ -80,7 +80,7 @@ PART_TOLERANCE = 1e-7
 # --- Residuals, and what a step records of them (:mod:`multiarm.dynamics.solver_monitor`).
 
 # Smallest scale of accelerations that residuals are compared with [m/s^2].
-AT_REST = 1e-9
+LEAST_ACCELERATION = 1e-9
 
 # Largest constraint residual of a solution, relative to the largest term of its equation.
 RESIDUAL_BOUND = 1e-5

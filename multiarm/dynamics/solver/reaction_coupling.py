@@ -185,8 +185,9 @@ def find_null_constraints(work, Wo, Wr):
     if status.core_rank < status.rank:
         # right singular vectors of the transposed core: those of the core from the left
         if not decompose(
-            work.core_left, status.rank, status.reaction_rank, work.core_left_V, work.z
-        ):
+            work.core_left, status.rank, status.reaction_rank, work.core_left_V,
+            work.core_left_sigma,
+        ):  # fmt: skip
             return False
         for k in range(status.core_rank, status.rank):
             vector = vectors[status.null_constraints]

@@ -53,6 +53,7 @@ from multiarm.dynamics.solver.node import (
     unconstrained_motion,
 )
 from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
+from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
 
@@ -125,13 +126,15 @@ class ReactionWork(NamedTuple):
     core_left: Floats2
     core_left_V: Floats2
     core_sigma: Floats1
+    core_left_sigma: Floats1
     # (N, N + 6): contact forces without effect on the constraints, with the object's motion that
     # they cause; combinations of constraints that no contact force affects
     null_force: Floats2
     null_constraint: Floats2
-    # (D,), (N,): intermediate vectors
+    # (D,), (N,): accelerations without contacts, times L^T; what the contact forces must cause
     y: Floats1
     z: Floats1
+    # (N,): intermediate vectors
     left: Floats1
     right: Floats1
     unloaded: Floats1  # (6,) the object's acceleration without contacts
@@ -171,7 +174,8 @@ def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ..
         "arm_scale": (N,), "arm_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
         "U": (N, 6 + D), "Ur": (N, 6 + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
         "sigma_r": (N,), "core": (N, N), "core_V": (N, N), "core_left": (N, N),
-        "core_left_V": (N, N), "core_sigma": (N,), "null_force": (N, N + 6),
+        "core_left_V": (N, N), "core_sigma": (N,), "core_left_sigma": (N,),
+        "null_force": (N, N + 6),
         "null_constraint": (N, N + 6), "z": (N,), "left": (N,), "right": (N,),
         "without_friction": (m, m), "contacts": (m,), "six_columns": (m, 6),
     }  # fmt: skip
@@ -179,7 +183,7 @@ def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ..
 
 @kernel
 def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
-    """Factor the whole system; -1, or the number of the arm (n: the object) that failed.
+    """Factor the whole system; ``OK``, or the number of the arm (n: the object) that failed.
 
     With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
@@ -211,7 +215,7 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
         for i in range(n):
             work.coupled[i] = 1
         factor_node(work, Wo, Wr, object_inertia)
-    return -1 if decompose_coupled(work, Wo, Wr) else n
+    return OK if decompose_coupled(work, Wo, Wr) else n
 
 
 @kernel

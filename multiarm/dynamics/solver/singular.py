@@ -100,6 +100,7 @@ class CoupledWork(NamedTuple):
     # B times these
     basis: Floats2
     images: Floats2
+    z: Floats1  # (N,) as in NodeWork, by the directions v of the deficient arms
     # (N,): right-hand side and forces of the coupled system
     right: Floats1
     unknown: Floats1
@@ -126,7 +127,8 @@ def coupled_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...
     n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
     return {
         "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "row": (N,), "C": (N, 6),
-        "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N), "right": (N,), "unknown": (N,),
+        "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N), "z": (N,), "right": (N,),
+        "unknown": (N,),
     }  # fmt: skip
 
 
@@ -327,10 +329,10 @@ def build_node(work, coupled, Wo, object_inertia, every):
 
 @kernel
 def reduce_deficient_constraints(i, work, coupled, c, a_o):
-    """``V (c - Y^T y)`` into ``work.z``; adds the eliminated directions to ``a_o``."""
+    """``V (c - Y^T y)`` into ``coupled.z``; adds the eliminated directions to ``a_o``."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
-    V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, work.z
+    V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, coupled.z
     for a in range(m):
         s = 0.0
         for b in range(m):
@@ -350,7 +352,7 @@ def solve_coupled_forces(work, coupled, a_o):
     status = coupled.status
     p, width = status.unknowns, 6 + status.movable
     for u in range(p):
-        s = work.z[work.rows[coupled.arm[u]] + coupled.row[u]]
+        s = coupled.z[work.rows[coupled.arm[u]] + coupled.row[u]]
         for k in range(6):
             s -= coupled.B[u, k] * a_o[k]
         coupled.right[u], coupled.unknown[u] = s, 0.0
@@ -371,7 +373,7 @@ def solve_coupled_forces(work, coupled, a_o):
 def recover_deficient_forces(i, work, coupled, a_o, force):
     """Contact forces of a deficient arm along its eliminated directions."""
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
-    V, Z, z = coupled.V[i], work.Z[i], work.z
+    V, Z, z = coupled.V[i], work.Z[i], coupled.z
     for b in range(m):
         force[r0 + b] = 0.0
     for a in range(m):

@@ -2,9 +2,9 @@ r"""Which contacts push, slide, stick or open: the complementarity problem of on
 
 At an event this package determines the contact mode of every unilateral constraint: :func:`solve`
 takes the response of the rows, their free rates and contact laws
-(:mod:`multiarm.events.complementarity.problem`), and returns a :class:`Solution` that certifies
-itself by its residual and verdict. An impact is the same problem, with impulses for forces and
-velocities for accelerations.
+(:mod:`multiarm.events.complementarity.problem`), and returns a
+:class:`ComplementaritySolution` that certifies itself by its residual and verdict. An impact is the
+same problem, with impulses for forces and velocities for accelerations.
 
 Without friction the problem is convex and is solved by pivoting, in finitely many steps, singular D
 included. With friction Newton's method on the exact cones finds the modes
@@ -27,17 +27,22 @@ from multiarm.events.complementarity.problem import (
     Push,
     Sliding,
 )
-from multiarm.events.complementarity.solution import Alternative, Solution, Verdict, solve
+from multiarm.events.complementarity.solution import (
+    Alternative,
+    ComplementaritySolution,
+    Verdict,
+    solve,
+)
 
 __all__ = [
     "Alternative",
     "Bounded",
+    "ComplementaritySolution",
     "ContactLaw",
     "ContactMode",
     "Friction",
     "Push",
     "Sliding",
-    "Solution",
     "Verdict",
     "solve",
 ]

@@ -74,7 +74,7 @@ class Verdict(str, Enum):
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another solution with another motion; attributes as in :class:`Solution`."""
+    """Another solution with another motion; attributes as in :class:`ComplementaritySolution`."""
 
     forces: np.ndarray
     rates: np.ndarray
@@ -82,7 +82,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Solution:
+class ComplementaritySolution:
     """Forces and rates of all rows, and the mode of each law from now on.
 
     Attributes
@@ -126,7 +126,9 @@ class Solution:
     message: str
 
 
-def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) -> Solution:
+def solve(
+    response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]
+) -> ComplementaritySolution:
     """Solve a contact problem.
 
     Parameters
@@ -142,7 +144,7 @@ def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) ->
 
     Returns
     -------
-    Solution
+    ComplementaritySolution
         Forces, rates, modes, active rows; its residual, verdict and message certify it.
     """
     D, b = np.asarray(response, dtype=float), np.asarray(free, dtype=float)
@@ -157,7 +159,7 @@ def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) ->
     else:
         chosen = active_set(problem, z)
     x = chosen.forces
-    return Solution(
+    return ComplementaritySolution(
         forces=x,
         rates=problem.D @ x + problem.b,
         modes=tuple(mode for mode, _ in chosen.modes),
