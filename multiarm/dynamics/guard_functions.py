@@ -100,20 +100,20 @@ def packed_patch(patch: Patch) -> np.ndarray:
 @inlined
 def touch(guard, rows):
     """``allowance - |phi|``."""
-    return guard.allowance - abs(rows.rows.kinematics[guard.row, GAP])
+    return guard.allowance - abs(rows.kinematics[guard.row, GAP])
 
 
 @inlined
 def spring_extension(guard, rows):
     """The extension; gap and its rate, since the extension is the gap while the gap falls."""
-    gap, rate = rows.rows.kinematics[guard.row, GAP], rows.rows.kinematics[guard.row, GAP_RATE]
+    gap, rate = rows.kinematics[guard.row, GAP], rows.kinematics[guard.row, GAP_RATE]
     return spring_length(gap, rate, guard.lag), gap, rate
 
 
 @inlined
 def spring_compression(guard, rows):
     """Minus the extension."""
-    contact = rows.rows.kinematics[guard.row]
+    contact = rows.kinematics[guard.row]
     return -spring_length(contact[GAP], contact[GAP_RATE], guard.lag)
 
 
@@ -239,7 +239,7 @@ JOINT_SPEED, joint_speed_at = _kind(JointSpeed)
 def slip(guard, slides, rows):
     """``d . s``; ``slides`` are the numbers of the sliding contacts, by constraint."""
     t, direction = guard.tangent, guard.directions[slides[guard.constraint]]
-    first, second = rows.rows.kinematics[t, GAP_RATE], rows.rows.kinematics[t + 1, GAP_RATE]
+    first, second = rows.kinematics[t, GAP_RATE], rows.kinematics[t + 1, GAP_RATE]
     return first * direction[0] + second * direction[1]
 
 
@@ -247,7 +247,7 @@ def slip(guard, slides, rows):
 def slip_onset(guard, rows):
     """``still - |s|``."""
     t = guard.tangent
-    first, second = rows.rows.kinematics[t, GAP_RATE], rows.rows.kinematics[t + 1, GAP_RATE]
+    first, second = rows.kinematics[t, GAP_RATE], rows.kinematics[t + 1, GAP_RATE]
     return guard.still - math.sqrt(first * first + second * second)
 
 
@@ -308,33 +308,33 @@ def force_function(guards, g, struct, force):
 
 
 @kernel
-def guard_function(guards, g, struct, data, model, rows):
+def guard_function(guards, g, struct, data, model, full):
     """Value, course and rate for guard ``g`` at the state evaluated last; without a rate, it is 0.
 
-    ``model`` and ``rows`` are those of the system with all rows, with their kinematics.
+    ``model`` and ``full`` are those of the system with all rows, with their kinematics.
     """
     kind, records, at = guards.kind[g], guards.records, guards.place[g]
     if kind == OPEN_GAP:
-        contact = rows.rows.kinematics[gap_at(records, at).row]
+        contact = full.rows.kinematics[gap_at(records, at).row]
         return contact[GAP], contact[GAP], contact[GAP_RATE]
     if kind == SPRING_EXTENSION:
-        return spring_extension(extension_at(records, at), rows)
+        return spring_extension(extension_at(records, at), full.rows)
     if kind == RANGE_DEPTH:
         depth, rate = range_depth(range_at(records, at), model, data)
         return depth, depth, rate
     if is_force_function(kind):
         value = force_function(guards, g, struct, data.rows.force)
     elif kind == TOUCH:
-        value = touch(touch_at(records, at), rows)
+        value = touch(touch_at(records, at), full.rows)
     elif kind == SPRING_COMPRESSION:
-        value = spring_compression(compression_at(records, at), rows)
+        value = spring_compression(compression_at(records, at), full.rows)
     elif kind == PATCH_DEPTH:
         guard = patch_at(records, at)
-        value = depth_on_body(guard.patch, guard.body, guard.row, model, rows)
+        value = depth_on_body(guard.patch, guard.body, guard.row, model, full)
     elif kind == SLIP:
-        value = slip(slip_at(records, at), guards.slides, rows)
+        value = slip(slip_at(records, at), guards.slides, full.rows)
     elif kind == SLIP_ONSET:
-        value = slip_onset(onset_at(records, at), rows)
+        value = slip_onset(onset_at(records, at), full.rows)
     else:
         value = data.state.joint_rates[joint_speed_at(records, at).joint]
     return value, value, 0.0

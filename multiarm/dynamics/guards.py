@@ -130,17 +130,17 @@ def turn_round(guards: Guards, g: int) -> None:
 
 
 @kernel
-def write_values(guards, struct, data, model, rows):
+def write_values(guards, struct, data, model, full):
     """Values of all guards at the state that the system ``struct`` has evaluated last in ``data``.
 
-    ``model`` and ``rows`` are those of the system with all rows, with their kinematics.
+    ``model`` and ``full`` are those of the system with all rows, with their kinematics.
     """
     largest = 1.0
     for k in range(data.rows.force.size):
         largest = max(largest, abs(data.rows.force[k]))
     for g in range(guards.kind.size):
         sign = guards.sign[g]
-        value, course, rate = guard_function(guards, g, struct, data, model, rows)
+        value, course, rate = guard_function(guards, g, struct, data, model, full)
         guards.value[g], guards.course[g], guards.rate[g] = sign * value, sign * course, sign * rate
         threshold = guards.threshold[g]
         guards.level[g] = threshold * largest if guards.relative[g] != 0 else threshold

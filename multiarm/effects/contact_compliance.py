@@ -59,11 +59,11 @@ def add_contact_compliance(address, size, at, _t):
     """Add the forces of the springs that act."""
     struct = struct_at(address, size)
     data, springs = open_data(struct), open_springs(struct, at)
-    _, rows, work = update_springs(springs)
+    _, of_springs, work = update_springs(springs)
     force, power = springs.force, 0.0
     for s in range(force.size):
-        power += force[s] * rows.rows.kinematics[s, GAP_RATE]
-    add_contact_forces(work, rows.rows.Wo, work.W, force, data.forces.f_o, data.forces.f_j)
+        power += force[s] * of_springs.rows.kinematics[s, GAP_RATE]
+    add_contact_forces(work, of_springs.rows.Wo, work.W, force, data.forces.f_o, data.forces.f_j)
     set_power(struct, at, power)
     return 0
 
@@ -93,8 +93,8 @@ def differentiate_contact_compliance(address, size, at, _t):
     struct = struct_at(address, size)
     data, springs = open_data(struct), open_springs(struct, at)
     derivatives = struct_at(springs.derivatives[0], springs.derivatives[1])
-    _, rows, work = update_springs(springs)
-    copy(springs.force, rows.rows.static_force)
+    _, of_springs, work = update_springs(springs)
+    copy(springs.force, of_springs.rows.static_force)
     status = write_load_derivatives(struct_at(springs.rows[0], springs.rows[1]), derivatives)
     equations, by = open_equations(derivatives), force_columns(data)
     first = chart_places(data).joints
@@ -110,18 +110,20 @@ def differentiate_contact_compliance(address, size, at, _t):
                 data.slopes.force[first + d0 + j, column] -= equations.dF[i, j, c]
         for s in range(work.rows[i], work.rows[i + 1]):
             if springs.active[s] != 0:
-                add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data)
+                add_change_of_force(
+                    s, i, d0, n, springs, of_springs, work, equations, first, by, data
+                )
     return status
 
 
 @inlined
-def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, data):
+def add_change_of_force(s, i, d0, n, springs, of_springs, work, equations, first, by, data):
     """Add what the change of a spring's force, along its contact, does to object and arm."""
     columns, W = arm_columns(n, False), work.W[i, :, s - work.rows[i]]
     for c in range(columns.end):
         of_rate = columns.twist <= c < columns.positions or c >= columns.velocities
         if c < columns.positions:
-            rate = rows.rows.Wo[s, c % first]
+            rate = of_springs.rows.Wo[s, c % first]
         else:
             rate = W[(c - columns.positions) % n]
         # of the gap's rate by a velocity as of the gap by a displacement
@@ -130,7 +132,7 @@ def add_change_of_force(s, i, d0, n, springs, rows, work, equations, first, by, 
             change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
         column = column_of_state(by, columns, d0, c)
         for l in range(first):
-            data.slopes.force[l, column] -= rows.rows.Wo[s, l] * change
+            data.slopes.force[l, column] -= of_springs.rows.Wo[s, l] * change
         for j in range(n):
             data.slopes.force[first + d0 + j, column] -= W[j] * change
 

@@ -304,6 +304,6 @@ def start_guards(struct: INTS):
         return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
     status = write_mode_guards(struct)
-    rows = open_data(struct_at(data.modes.full, 0))
-    begin_mode_step(struct_at(data.modes.mode, 0), rows.rows.kinematics)
+    full = open_data(struct_at(data.modes.full, 0))
+    begin_mode_step(struct_at(data.modes.mode, 0), full.rows.kinematics)
     return status

@@ -53,9 +53,9 @@ def test_a_gap_whose_rate_is_unknown_does_not_dip():
 
 def rows_with(gap: float, rate: float, second: float = 0.0) -> SimpleNamespace:
     """Kinematics of rows: a gap and its rate, and the rate of the row after it."""
-    contacts = np.zeros((2, CONTACT_WIDTH))
-    contacts[0, [GAP, GAP_RATE]], contacts[1, GAP_RATE] = (gap, rate), second
-    return SimpleNamespace(contacts=contacts)
+    kinematics = np.zeros((2, CONTACT_WIDTH))
+    kinematics[0, [GAP, GAP_RATE]], kinematics[1, GAP_RATE] = (gap, rate), second
+    return SimpleNamespace(kinematics=kinematics)
 
 
 @given(gaps, speeds.map(operator.neg), gaps, speeds, st.floats(1e-3, 1e-1))
