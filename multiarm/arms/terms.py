@@ -96,7 +96,7 @@ class ArmFunctions(NamedTuple):
     """Functions that update the terms of arms.
 
     addresses : dict of str to int
-        Fields of :class:`multiarm.dynamics.arrays.Functions`.
+        Fields of :class:`multiarm.dynamics.variables.Functions`.
     callbacks : dict of str to PythonCallback
         Those that enter Python; empty where all arms are compiled.
     """

@@ -22,13 +22,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from multiarm.dynamics.arrays import Variables, open_data
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.solution import DENSE, write_solution
 from multiarm.dynamics.state import State, fill_by_arm
+from multiarm.dynamics.variables import Variables
 from multiarm.errors import USER_FAULTS, ControlError, MultiarmError, SolverError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import PythonCallback, address_of, call_python

@@ -21,8 +21,8 @@ their order and their dense output in it (H. Munthe-Kaas, BIT 38, 1998); after t
 goes into the full quaternion, and the next chart begins at :math:`\theta = 0`.  The works are
 those of each effect, and of control and effects together: quadratures for the energy balance.
 
-``data`` are the variables of an evaluation (:class:`multiarm.dynamics.arrays.Variables`), as arrays
-in Python and as their view in kernels.
+``data`` are the variables of an evaluation (:class:`multiarm.dynamics.variables.Variables`), as
+arrays in Python and as their view in kernels.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ parts, all in world axes:
     right_hand_sides  control, effects -> f_j, c
     solve             node algorithm -> accelerations, contact forces
 
-The arrays are those of :mod:`multiarm.dynamics.arrays`.  The parts are called by address.  So each
-is compiled once, and scenes with unilateral contacts can replace the solution.
+The arrays are those of :mod:`multiarm.dynamics.variables`.  The parts are called by address.  So
+each is compiled once, and scenes with unilateral contacts can replace the solution.
 """
 
 from __future__ import annotations

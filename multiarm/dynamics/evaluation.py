@@ -22,7 +22,6 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
-from multiarm.dynamics.arrays import Check
 from multiarm.dynamics.contact_geometry import (
     constraint_matrix,
     contact_terms,
@@ -43,6 +42,7 @@ from multiarm.dynamics.solver.singular import loose_rows
 from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
+from multiarm.dynamics.variables import Check
 from multiarm.geometry.records import Contact, tangent_rows
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names

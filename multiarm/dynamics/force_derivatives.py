@@ -29,7 +29,6 @@ import numpy as np
 from multiarm.dynamics.arrays import (
     ADDRESS,
     DERIVATIVE,
-    HELD,
     OPEN_LOOP,
     STATE_ALONE,
     call_listed,
@@ -49,6 +48,7 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
+from multiarm.dynamics.variables import HELD
 from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Flag, Float, Int, Numbers, struct_at

@@ -27,13 +27,12 @@ from multiarm.dynamics.arrays import (
     CARRYING,
     COUPLED,
     DERIVATIVE,
-    HELD,
-    ONCE,
     OPEN_LOOP,
     Constants,
     call_listed,
     open_system,
 )
+from multiarm.dynamics.variables import HELD, ONCE
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, copy
 from multiarm.jit.pointers import address_of

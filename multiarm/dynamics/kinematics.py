@@ -1,7 +1,7 @@
 r"""From joint positions and the object's pose to motions, inertias and the rows of W.
 
 First the terms of all arms, with the motion of the links that carry their tips; then the object's;
-then every arm's contacts.  The results are in :mod:`multiarm.dynamics.arrays`, in world axes.
+then every arm's contacts.  The results are in :mod:`multiarm.dynamics.variables`, in world axes.
 """
 
 from __future__ import annotations

@@ -38,21 +38,7 @@ from multiarm.contacts.table import (
     select_rows,
 )
 from multiarm.contacts.unilateral import UnilateralConstraints
-from multiarm.dynamics.arrays import (
-    ALWAYS,
-    COUPLED,
-    FUNCTIONS,
-    HELD,
-    ONCE,
-    STATUS,
-    Constants,
-    Functions,
-    Status,
-    Variables,
-    make_rows,
-    make_variables,
-    system_struct,
-)
+from multiarm.dynamics.arrays import COUPLED, FUNCTIONS, STATUS, Constants, system_struct
 from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
 from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
 from multiarm.dynamics.effect_kernels import EffectProgram
@@ -63,6 +49,17 @@ from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
 from multiarm.dynamics.state import State, require_same_joints
 from multiarm.dynamics.status import CALLBACK_FAILED
+from multiarm.dynamics.variables import (
+    ALWAYS,
+    HELD,
+    ONCE,
+    Functions,
+    Sizes,
+    Status,
+    Variables,
+    make_rows,
+    make_variables,
+)
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
@@ -333,16 +330,20 @@ class Data:
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self._ground = Ground(model.constants.gravity)
         self.guards = make_guards(model.guards, range(model.layout.contacts))
-        self.arrays = b = make_variables(
-            model.constants,
-            self._pointers(),
+        constants = model.constants
+        sizes = Sizes(
             layout=model.layout,
-            pinocchio_size=self._backends.configuration,
+            parts=len(constants.codes) - model.layout.contacts,
+            pairs=len(constants.shapes),
+            tips=len(constants.tip_frames),
+            pinocchio_configuration=self._backends.configuration,
             works=len(model.effects.works),
             states=model.effects.states,
-            link_poses=[self._backends.pose_address(*link) for link in model.links],
+            passive=constants.passive_end > 0,
             contact_states=0 if model.unilateral is None else len(model.unilateral.contacts),
         )
+        link_poses = [self._backends.pose_address(*link) for link in model.links]
+        self.arrays = b = make_variables(sizes, self._pointers(), link_poses)
         arms = self._backends.connect(
             b.state.joint_positions,
             b.state.joint_rates,

@@ -27,7 +27,7 @@ from multiarm.contacts.table import (
     select_joint_rows,
     select_rows,
 )
-from multiarm.dynamics.arrays import Shapes, Variables, open_system, row_places, row_shapes
+from multiarm.dynamics.arrays import Shapes, open_system, row_places
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.node import (
     NodeWork,
@@ -38,6 +38,7 @@ from multiarm.dynamics.solver.node import (
     write_groups,
 )
 from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
+from multiarm.dynamics.variables import Variables, row_shapes
 from multiarm.jit.kernels import INTS, clear, copy, kernel
 
 # Selections whose caches are kept.

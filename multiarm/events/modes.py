@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT
-from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection, beginnings
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
+from multiarm.dynamics.variables import ModeStructs
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 from multiarm.contacts.joint import unwrapped, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
-from multiarm.dynamics.arrays import TIP_WIDTH, open_system
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import write_wrenches
 from multiarm.dynamics.equations import largest, potential_energy
 from multiarm.dynamics.momenta import kinetic_energy
+from multiarm.dynamics.variables import TIP_WIDTH
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec

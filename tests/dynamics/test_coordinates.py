@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multiarm.dynamics.arrays import stacked_vectors
 from multiarm.dynamics.coordinates import (
     chart_places,
     difference,
@@ -18,6 +17,7 @@ from multiarm.dynamics.coordinates import (
     write_chart_slope,
 )
 from multiarm.dynamics.layout import STATE, Layout
+from multiarm.dynamics.variables import stacked_vectors
 
 LAYOUTS = [
     Layout(("arm",), (0, 3), (0, 2)),

@@ -22,7 +22,7 @@ from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, write_row
 from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import KIND, LINK, PAIR, pack
-from multiarm.dynamics.arrays import Status
+from multiarm.dynamics.variables import Status
 from multiarm.geometry.records import (
     CONE,
     CYLINDER,

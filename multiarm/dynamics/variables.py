@@ -1,0 +1,410 @@
+"""The variables of an evaluation, in groups, and how they are allocated.
+
+A kernel that opens them (:func:`multiarm.dynamics.arrays.open_data`) reads and writes
+``data.state.velocity``, ``data.forces.f_j``, ``data.rows.force``.  All are in world axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.surfaces import QUERY_WIDTH
+from multiarm.dynamics.coordinates import columns_of_forces
+from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.solver.solution import UNSOLVED, Solution
+from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Ints2, Numbers
+
+# Numbers of a tip in ``Sample.tips``.
+TIP_WIDTH = 13
+
+
+class Time(Numbers):
+    """Time of an evaluation [s]."""
+
+    now: Float
+
+
+class Status(Numbers):
+    """What evaluations and projections leave behind beside arrays."""
+
+    failed: Flag  # a Python function that compiled code called has raised an exception
+    position_change: Float  # largest change of a coordinate by the last projection [m, rad]
+    velocity_change: Float  # the same of the velocities [m/s, rad/s]
+    potential_energy: Float  # of Pinocchio's arms [J], at samples only
+
+
+class Check(Numbers):
+    """Largest residuals of a result, see :mod:`multiarm.dynamics.residuals`."""
+
+    arm: Float  # of the arms' equations [N m, N]
+    on_object: Float  # [N, N m]
+    constraint: Float  # [m/s^2]
+    gap: Float  # [m]
+    gap_rate: Float  # [m/s]
+    solved: Flag  # whether the result is a solution
+
+
+class StateVectors(NamedTuple):
+    """The state: two vectors (:mod:`multiarm.dynamics.layout`), and parts of the same memory."""
+
+    configuration: Floats1
+    poses: Floats2  # (F, 7) of the frames
+    object_pose: Floats1  # (7,)
+    joint_positions: Floats1  # (joints,)
+    velocity: Floats1
+    object_twist: Floats1  # (6,)
+    joint_rates: Floats1  # (joints,)
+
+
+class BodyVariables(NamedTuple):
+    """Motion and inertia of the bodies, of ``n`` arms."""
+
+    pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
+    pinocchio_configuration: Floats1
+    # motion of the links that carry the tips (n, 24), and of the object (24,); scratch for their
+    # relative motion (15,)
+    links: Floats2
+    object: Floats1
+    relative: Floats1
+    object_inertia: Floats2  # (6, 6)
+
+
+class GeneralisedForces(NamedTuple):
+    """Right-hand sides of the equations of motion."""
+
+    f: Floats1  # (6 F + joints,), and parts of the same memory, on the object (6,), on the joints
+    f_o: Floats1
+    f_j: Floats1
+    total: (
+        Floats1  # with those of the contacts; the check of an evaluation writes the object's only
+    )
+    # while a mode with forces that are given is solved, see multiarm.events.kernels
+    without_prestress: Floats1
+
+
+class Accelerations(NamedTuple):
+    """Their solution."""
+
+    a: Floats1  # (6 F + joints,), and parts of the same memory, of the object (6,), of the joints
+    a_o: Floats1
+    a_j: Floats1
+
+
+class Rows(NamedTuple):
+    """The N rows of W."""
+
+    kinematics: Floats2  # (N, 18) of the contacts, see multiarm.contacts.kernel
+    parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
+    Wo: Floats2  # (N, 6) ``[e; (P - x_o) x e]``
+    c: Floats1  # (N,) right-hand sides of the constraints
+    force: Floats1  # (N,) contact forces, positive = pushing
+    static_force: Floats1  # (N,) contact forces for the wrench that the control commands
+    arm_wrenches: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
+
+
+class LastSolution(Numbers):
+    """The solution at the end of the last step."""
+
+    known: Flag  # there is one: a run has begun
+    rank: Int
+
+
+class LastStep(NamedTuple):
+    """What a run remembers of the end of the last step, of ``n`` arms."""
+
+    solution: LastSolution
+    lost_directions: Ints1  # (n,) how many each arm has lost
+    determinant_signs: Floats1  # (n,) of each arm (0: unknown)
+    sign_changes: Ints1  # (n,) whether this sign has changed in the step
+    coordinates: Floats2  # (n, 6) free coordinates of the joints, without jumps
+
+
+# When the laws of a control that can be held are evaluated: not at all, at the next evaluation, at
+# every one.
+HELD, ONCE, ALWAYS = 0, 1, 2
+
+
+class SamplingStatus(Numbers):
+    """Which torques of a control that can be held act; of use to no other."""
+
+    mode: Int  # what a sample, and the beginning of a run, makes of ``due``
+    due: Int  # HELD, ONCE or ALWAYS
+    samples: Int  # taken since the beginning
+
+
+class ControlVariables(NamedTuple):
+    """What control laws read and write, beside the state."""
+
+    torque: Floats1  # (joints,) of the drives
+    power: Floats1  # (n,) of these torques on each arm [W], in models with control
+    sampling: SamplingStatus
+    held_torques: (
+        Floats2  # (2, joints) of a control that can be held: those that act, the last ones
+    )
+    gravity_torque: Floats1  # (joints,) gravity forces, for control that needs them
+    object_wrench: Floats1  # (6,) on the object, that the control commands
+
+
+class EffectVariables(NamedTuple):
+    """What effects read and write, beside state and forces."""
+
+    states: Floats1  # such as the torques of lagging drives
+    state_rates: Floats1
+    power: Floats1  # (1 + w,) of each effect that does work; last of control and effects [W]
+    link_poses: Ints1  # addresses of the poses of links on which effects act
+
+
+class ForceSlopes(NamedTuple):
+    """Derivatives of forces, by the columns of :func:`multiarm.dynamics.coordinates.force_columns`.
+
+    They are written by :mod:`multiarm.dynamics.force_derivatives`.
+    """
+
+    torque: Floats2  # (joints, columns) of the drives
+    passive: Floats2  # of what passive effects do to the joints; as many rows, or none
+    force: (
+        Floats2  # (velocities + states, columns) of the forces of one effect, and its states' rates
+    )
+
+
+class InterpolationSettings(Numbers):
+    """How states near a loss of rank are evaluated."""
+
+    gap: Float  # to which neighbours of the state are projected [m]
+
+
+class Interpolation(NamedTuple):
+    """Memory of an evaluation near a loss of rank, :mod:`multiarm.integration.near_singular`."""
+
+    settings: InterpolationSettings
+    configuration: Floats1  # of the state itself
+    velocity: Floats1
+    acceleration: Floats1  # interpolated
+
+
+class DeficientArms(NamedTuple):
+    """Which arms (n,) the solution could not eliminate as a whole."""
+
+    coupled: Ints1  # these, where ``solution`` has any
+    loose: Ints1  # their contact forces take part in a motion that is not unique, where it has one
+
+
+class SurfacePairs(NamedTuple):
+    """Contacts of two surfaces, S of them, and scratch of all rows that are not a tip on a surface
+    in closed form.
+    """
+
+    starts: Floats2  # (S, 3) contact points in the frame of the guiding body: start of the search
+    points: Floats2  # (S, 3) its result
+    scratch: Floats1  # (29,) a relative motion, and a query of a surface
+
+
+class JointMotion(NamedTuple):
+    """The relative motion that one joint leaves free, of the arm that was evaluated last."""
+
+    rates: Floats1  # (6,)
+    coordinates: Floats1  # (9,) see multiarm.contacts.joint
+
+
+class Sample(NamedTuple):
+    """What the last sample has recorded, beside the state."""
+
+    # contact forces: those of the rows; with unilateral contacts those of all rows, and the states
+    # of all contacts
+    forces: Floats1
+    wrenches: Floats2  # (o, 6) on the object, of each owner of rows
+    tips: Floats2  # (n, 13) origin, quaternion (xyzw) and twist of each tip
+
+
+class Functions(Numbers):
+    """Addresses of the functions that an evaluation calls; 0 where there is none."""
+
+    # compiled: the parts of an evaluation
+    kinematics: Int
+    forces: Int
+    solve: Int
+    project: Int  # the node algorithm without friction, for impulses and projections
+    coupled: Int  # the system with deficient arms
+    row: Int  # a contact other than a tip on a plane, sphere or cylinder
+    near_singular: Int  # an evaluation near a loss of rank
+    record: Int  # rank and residual of the last solution
+    compare: Int  # the recorded solution with that of the previous step
+    contact_forces: Int  # with unilateral contacts
+    guards: Int  # with unilateral contacts
+    arms: Int  # terms of compiled arms, with address and size of their struct
+    arms_struct: Int
+    arms_size: Int
+    # Python
+    pinocchio: Int  # terms of its arms
+    pinocchio_energy: Int
+    control: Int
+    dense: Int
+    surface: Int
+
+
+class ModeStructs(Numbers):
+    """Addresses of further structs, and the mode, of scenes with unilateral contacts."""
+
+    active: Flag  # the rows are those of a mode; else there are none of these structs
+    closed: Int  # with all contacts of the joints closed, as controllers assume
+    full: Int  # with all rows
+    tangents: Int  # with the tangents of the sliding contacts
+    mode: Int  # the mode's guards, numbers and slides, see multiarm.events
+    slides: Flag  # some of its contacts slide with friction
+    event: Flag  # one of its guards has found an event in the last step
+
+
+class Variables(NamedTuple):
+    """Variables of one evaluation, world axes."""
+
+    time: Time
+    status: Status
+    functions: Functions
+    modes: ModeStructs
+    state: StateVectors
+    bodies: BodyVariables
+    rows: Rows
+    control: ControlVariables
+    effects: EffectVariables
+    forces: GeneralisedForces
+    accelerations: Accelerations
+    solution: Solution
+    deficient: DeficientArms
+    check: Check
+    last_step: LastStep
+    sample: Sample
+    slopes: ForceSlopes
+    interpolation: Interpolation
+    pairs: SurfacePairs
+    joint_motion: JointMotion
+
+
+class Sizes(NamedTuple):
+    """What the arrays are allocated for."""
+
+    layout: Layout
+    parts: int  # of combined rows
+    pairs: int  # of surfaces
+    tips: int  # the arms without the surroundings
+    pinocchio_configuration: int
+    works: int  # effects that do work
+    states: int  # of effects
+    passive: bool  # there are passive effects
+    contact_states: int  # unilateral contacts
+
+
+def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]) -> Variables:
+    """Allocate; ``pointers`` and ``link_poses`` are addresses of what backends compute."""
+    layout, states, tips, pairs = sizes.layout, sizes.states, sizes.tips, sizes.pairs
+    arms, joints = len(pointers), layout.joints
+    columns = columns_of_forces(layout.nv, joints, states).end
+    rows, recorded = make_rows(layout.contacts, sizes.parts), layout.contacts + sizes.contact_states
+    state, forces, accelerations = stacked_vectors(layout)
+    return Variables(
+        time=Time(),
+        status=Status(),
+        functions=Functions(),
+        modes=ModeStructs(),
+        state=state,
+        bodies=BodyVariables(
+            pointers=pointers,
+            pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
+            links=np.zeros((arms, BODY_WIDTH)),
+            object=np.zeros(BODY_WIDTH),
+            relative=np.zeros(RELATIVE_WIDTH),
+            object_inertia=np.zeros((6, 6)),
+        ),
+        rows=rows,
+        control=ControlVariables(
+            torque=np.zeros(joints),
+            power=np.zeros(tips),
+            sampling=SamplingStatus(mode=ALWAYS),
+            held_torques=np.zeros((2, joints)),
+            gravity_torque=np.zeros(joints),
+            object_wrench=np.zeros(6),
+        ),
+        effects=EffectVariables(
+            states=np.zeros(states),
+            state_rates=np.zeros(states),
+            power=np.zeros(1 + sizes.works),
+            link_poses=np.array(link_poses, dtype=np.int64),
+        ),
+        forces=forces,
+        accelerations=accelerations,
+        solution=UNSOLVED.copy(),
+        deficient=DeficientArms(
+            coupled=np.zeros(arms, dtype=np.int64), loose=np.zeros(arms, dtype=np.int64)
+        ),
+        check=Check(),
+        last_step=LastStep(
+            solution=LastSolution(),
+            lost_directions=np.zeros(arms, dtype=np.int64),
+            determinant_signs=np.zeros(arms),
+            sign_changes=np.zeros(arms, dtype=np.int64),
+            coordinates=np.full((arms, 6), np.nan),
+        ),
+        sample=Sample(
+            forces=np.zeros(recorded) if sizes.contact_states else rows.force,
+            wrenches=np.zeros((arms, 6)),
+            tips=np.zeros((tips, TIP_WIDTH)),
+        ),
+        slopes=ForceSlopes(
+            torque=np.zeros((joints, columns)),
+            passive=np.zeros((joints if sizes.passive else 0, columns)),
+            force=np.zeros((layout.nv + states, columns)),
+        ),
+        interpolation=Interpolation(
+            settings=InterpolationSettings(),
+            configuration=np.zeros(layout.nq),
+            velocity=np.zeros(layout.nv),
+            acceleration=np.zeros(layout.nv),
+        ),
+        pairs=SurfacePairs(
+            starts=np.zeros((pairs, 3)),
+            points=np.zeros((pairs, 3)),
+            scratch=np.zeros(RELATIVE_WIDTH + QUERY_WIDTH),
+        ),
+        joint_motion=JointMotion(rates=np.zeros(6), coordinates=np.zeros(9)),
+    )
+
+
+def stacked_vectors(layout: Layout) -> tuple[StateVectors, GeneralisedForces, Accelerations]:
+    """Configuration, velocity, forces and accelerations, with views of their parts."""
+    q, v, a, f = (np.zeros(size) for size in (layout.nq, *[layout.nv] * 3))
+    return (
+        StateVectors(
+            configuration=q,
+            poses=layout.poses(q),
+            object_pose=layout.poses(q)[0],
+            joint_positions=layout.joint_positions(q),
+            velocity=v,
+            object_twist=layout.twists(v)[0],
+            joint_rates=layout.joint_rates(v),
+        ),
+        GeneralisedForces(
+            f=f,
+            f_o=layout.twists(f)[0],
+            f_j=layout.joint_rates(f),
+            total=np.zeros(layout.nv),
+            without_prestress=np.zeros(layout.nv),
+        ),
+        Accelerations(a=a, a_o=layout.twists(a)[0], a_j=layout.joint_rates(a)),
+    )
+
+
+def make_rows(rows: int, parts: int) -> Rows:
+    """Allocate for numbers of rows and of parts of combined rows."""
+    arrays = {name: np.zeros(shape) for name, shape in row_shapes(rows).items()}
+    return Rows(parts=np.zeros((parts, CONTACT_WIDTH)), **arrays)
+
+
+def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of :class:`Rows` with an entry for every row."""
+    return {
+        "kinematics": (rows, CONTACT_WIDTH), "Wo": (rows, 6), "c": (rows,), "force": (rows,),
+        "static_force": (rows,), "arm_wrenches": (6, rows),
+    }  # fmt: skip
