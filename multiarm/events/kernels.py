@@ -44,6 +44,7 @@ from multiarm.jit.structs import (
     Int,
     Ints1,
     Numbers,
+    count_entries,
     size_places,
     struct_at,
     struct_of,
@@ -82,9 +83,9 @@ def mode_struct(
     return struct_of(guards, arrays, slides, *([] if reactions is None else [reactions]))
 
 
-_MODE = len(Guards._fields)
-_SLIDES = _MODE + len(ModeArrays._fields)
-_REACTIONS = _SLIDES + len(Slides._fields)
+_MODE = count_entries(Guards)
+_SLIDES = _MODE + count_entries(ModeArrays)
+_REACTIONS = _SLIDES + count_entries(Slides)
 open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
 open_reactions = view(ReactionWork, _REACTIONS)
 

@@ -62,7 +62,7 @@ from multiarm.integration.full_matrix import (
 )
 from multiarm.integration.step import METHOD_WORK, Step, combine, open_step, slope_at, stage_slope
 from multiarm.jit.kernels import cfunc, copy, kernel
-from multiarm.jit.structs import Flag, Float, Floats1, Numbers, struct_at, view
+from multiarm.jit.structs import Flag, Float, Floats1, Numbers, count_entries, struct_at, view
 
 
 class Derived(Numbers):
@@ -99,9 +99,9 @@ def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks, 
 
 
 _view_work = view(RosenbrockWork, METHOD_WORK)
-_BLOCKS = METHOD_WORK + len(RosenbrockWork._fields)
+_BLOCKS = METHOD_WORK + count_entries(RosenbrockWork)
 _view_blocks = view(ArmBlocks, _BLOCKS)
-_view_full = view(FullMatrix, _BLOCKS + len(ArmBlocks._fields))
+_view_full = view(FullMatrix, _BLOCKS + count_entries(ArmBlocks))
 
 
 @cfunc

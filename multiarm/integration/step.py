@@ -39,6 +39,7 @@ from multiarm.jit.structs import (
     Int,
     Ints1,
     Numbers,
+    count_entries,
     struct_at,
     view,
 )
@@ -170,9 +171,9 @@ def make_step(
     )
 
 
-_view_method, _view_step = view(Coefficients), view(Step, len(Coefficients._fields))
+_view_method, _view_step = view(Coefficients), view(Step, count_entries(Coefficients))
 # Where a method's work arrays stand in the struct: after its coefficients and the step.
-METHOD_WORK = len(Coefficients._fields) + len(Step._fields)
+METHOD_WORK = count_entries(Coefficients) + count_entries(Step)
 
 
 @inlined

@@ -150,7 +150,9 @@ def misfit(holder: tuple) -> str:
     """
     fields = zip(holder._fields, holder, _fields_of(type(holder)), strict=True)  # type: ignore[attr-defined]
     for name, entry, (kind, axes) in fields:
-        if axes == 0:
+        if axes < 0:
+            fits, what = False, "a number or an array"
+        elif axes == 0:
             fits, what = isinstance(entry, (int, float, np.number, np.bool_)), "a number"
         else:
             dtype = np.dtype(_NUMPY[kind])
@@ -237,7 +239,7 @@ def _fields_of(holder: type) -> list[tuple[Any, int]]:
     fields = []
     for name in holder._fields:  # type: ignore[attr-defined]
         kind = hints[name]
-        if isinstance(kind, type):
+        if isinstance(kind, type) and issubclass(kind, (Numbers, tuple)):
             fields.append((kind, _NUMBERS if issubclass(kind, Numbers) else _GROUP))
         else:
             fields.append(kind.__metadata__[0])

@@ -33,6 +33,7 @@ from multiarm.jit.structs import (
     Ints1,
     count_entries,
     make_struct,
+    misfit,
     place_of,
     struct_of,
     view,
@@ -119,6 +120,10 @@ def test_the_fields_of_groups_stand_one_after_the_other_in_a_struct():
     struct = struct_of(things(), groups)
     assert sum_of_groups(struct) == 0.5 + 40 + 50
     assert (groups.first.table[1, 2], groups.second.table[1, 2]) == (5.0, 6.0)
+
+
+def test_numbers_of_users_have_no_groups():
+    assert misfit(Groups(things(), 0.5, things())) == "'first' is not a number or an array"
 
 
 def test_views_do_not_exist_in_python():
