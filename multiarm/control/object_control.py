@@ -69,21 +69,18 @@ def computed_torque(address, size, at, t):
     """Add the torques of computed torque."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, command, wrench = (
-        open_object_law(struct, at),
-        open_command(struct, at),
-        data.control.object_wrench,
-    )
+    law, command = open_object_law(struct, at), open_command(struct, at)
+    state, control, wrench = data.state, data.control, data.control.object_wrench
     desired, target = command.acceleration, command.target
-    write_object_acceleration(t, law, data.state.object_pose, data.state.object_twist, desired)
+    write_object_acceleration(t, law, state.object_pose, state.object_twist, desired)
     for a in range(6):
         wrench[a] = -data.forces.f_o[a]
         for b in range(6):
             wrench[a] += data.bodies.object_inertia[a, b] * desired[b]
     write_contact_forces(law, data, work)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
-    for j in range(data.control.torque.size):
-        data.control.torque[j] -= data.forces.f_j[j]
+    for j in range(control.torque.size):
+        control.torque[j] -= data.forces.f_j[j]
     for k in range(target.size):
         target[k] = -data.rows.kinematics[k, GAP_BIAS]
         for a in range(6):
@@ -98,17 +95,14 @@ def object_impedance(address, size, at, t):
     """Add the torques of the object impedance."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, command, wrench = (
-        open_object_law(struct, at),
-        open_command(struct, at),
-        data.control.object_wrench,
-    )
-    write_spring_wrench(t, law, data.state.object_pose, data.state.object_twist, wrench)
+    law, command = open_object_law(struct, at), open_command(struct, at)
+    state, control, wrench = data.state, data.control, data.control.object_wrench
+    write_spring_wrench(t, law, state.object_pose, state.object_twist, wrench)
     for k in range(3):
         wrench[k] -= model.object_mass * model.gravity[k]
     write_contact_forces(law, data, work)
-    for j in range(data.control.torque.size):
-        data.control.torque[j] += data.control.gravity_torque[j]
+    for j in range(control.torque.size):
+        control.torque[j] += control.gravity_torque[j]
     add_motion_forces(law, command, False, model, data, work)
     subtract_contact_forces(data, work)
     return 0

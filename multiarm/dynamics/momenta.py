@@ -34,32 +34,23 @@ def times_arm_inertia(i, j, work, x):
 def write_momenta(struct: INTS, momenta: NUMBERS):
     """Write ``M v`` of object and joints, in the order of a velocity [N s, N m s]."""
     _, data, work = open_system(struct)
-    first = momenta.size - data.state.joint_rates.size
+    twist, rates = data.state.object_twist, data.state.joint_rates
+    first = momenta.size - rates.size
     for k in range(6):
-        momenta[k] = times_object_inertia(k, data, data.state.object_twist)
+        momenta[k] = times_object_inertia(k, data, twist)
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
-            momenta[first + work.dofs[i] + j] = times_arm_inertia(
-                i, j, work, data.state.joint_rates
-            )
+            momenta[first + work.dofs[i] + j] = times_arm_inertia(i, j, work, rates)
 
 
 @kernel
 def kinetic_energy(data, work):
     """Kinetic energy of arms and object [J] at the last evaluated state."""
-    energy = 0.0
+    twist, rates, energy = data.state.object_twist, data.state.joint_rates, 0.0
     for k in range(6):
-        energy += (
-            0.5
-            * data.state.object_twist[k]
-            * times_object_inertia(k, data, data.state.object_twist)
-        )
+        energy += 0.5 * twist[k] * times_object_inertia(k, data, twist)
     for i in range(work.dofs.size - 1):
         d0 = work.dofs[i]
         for j in range(work.dofs[i + 1] - d0):
-            energy += (
-                0.5
-                * data.state.joint_rates[d0 + j]
-                * times_arm_inertia(i, j, work, data.state.joint_rates)
-            )
+            energy += 0.5 * rates[d0 + j] * times_arm_inertia(i, j, work, rates)
     return energy

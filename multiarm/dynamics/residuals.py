@@ -144,13 +144,8 @@ def imbalance(data, Wo):
     result is zero where a bound that takes no root and no norm of a row shows that it is less than
     ``IMBALANCE_BOUND``; it is NaN where the solution is not finite.
     """
-    inertia, f_o, a_o, m = (
-        data.bodies.object_inertia,
-        data.forces.f_o,
-        data.accelerations.a_o,
-        data.bodies.object_inertia[0, 0],
-    )
-    total = data.forces.total
+    inertia, m = data.bodies.object_inertia, data.bodies.object_inertia[0, 0]
+    f_o, a_o, total = data.forces.f_o, data.accelerations.a_o, data.forces.total
     front, back = load_pack(f_o, 0), load_pack(f_o, 2)  # six numbers, two of them twice
     for a in range(data.rows.force.size):
         force = broadcast(data.rows.force[a])

@@ -166,9 +166,8 @@ class ForceSlopes(NamedTuple):
 
     torque: Floats2  # (joints, columns) of the drives
     passive: Floats2  # of what passive effects do to the joints; as many rows, or none
-    force: (
-        Floats2  # (velocities + states, columns) of the forces of one effect, and its states' rates
-    )
+    # (velocities + states, columns) of the forces of one effect, and the rates of its states
+    force: Floats2
 
 
 class InterpolationSettings(Numbers):

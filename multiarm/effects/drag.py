@@ -93,12 +93,8 @@ def differentiate_drag(address, size, at, _t):
     """Add the derivatives of the wrench."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    R, slopes, twists = (
-        rotation(data.bodies.object, 0),
-        data.slopes.force,
-        force_columns(data).twists,
-    )
-    u, w = sub(vec(data.bodies.object, VELOCITY), vec(drag.wind, 0)), vec(data.bodies.object, SPIN)
+    body, slopes, twists = data.bodies.object, data.slopes.force, force_columns(data).twists
+    R, u, w = rotation(body, 0), sub(vec(body, VELOCITY), vec(drag.wind, 0)), vec(body, SPIN)
     c, q, d = vec(drag.linear, 0), vec(drag.quadratic, 0), vec(drag.angular, 0)
     speed = norm(u)
     push = add_scaled(c, speed, q)

@@ -53,12 +53,11 @@ def add_joint_friction(address, size, at, _t):
     """Add the torques of smooth friction."""
     struct = struct_at(address, size)
     data, friction, power = open_data(struct), open_smooth(struct, at), 0.0
-    for j in range(data.forces.f_j.size):
-        torque = -friction.torque[j] * math.tanh(
-            data.state.joint_rates[j] / friction.smoothing_speed
-        )
+    rates = data.state.joint_rates
+    for j in range(rates.size):
+        torque = -friction.torque[j] * math.tanh(rates[j] / friction.smoothing_speed)
         data.forces.f_j[j] += torque
-        power += torque * data.state.joint_rates[j]
+        power += torque * rates[j]
     set_power(struct, at, power)
     return 0
 

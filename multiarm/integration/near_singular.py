@@ -85,21 +85,15 @@ def interpolate_accelerations(struct, alpha, beta, delay):
     not further from losing rank there.
     """
     data = open_data(struct)
-    mixed, solution = data.interpolation.acceleration, data.solution
+    state, mixed, solution = data.state, data.interpolation.acceleration, data.solution
     here, there = solution.margin, 0.0
     redundant = fewest = solution.dependent
     clear(mixed)
     for side in range(6):
         k = 1 + side // 2
         restore_state(data)
-        ahead, frames = (k if side % 2 == 0 else -k) * delay, data.state.poses.shape[0]
-        retract(
-            frames,
-            data.interpolation.configuration,
-            ahead,
-            data.state.velocity,
-            data.state.configuration,
-        )
+        ahead, start = (k if side % 2 == 0 else -k) * delay, data.interpolation.configuration
+        retract(state.poses.shape[0], start, ahead, state.velocity, state.configuration)
         if (
             project(struct, data.interpolation.settings.gap) != OK
             or evaluate_state(struct, alpha, beta) != OK

@@ -256,12 +256,8 @@ def midpoint_forces(step, work, h):
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)
     if status != OK:
         return status
-    inertia, w, push, half = (
-        data.bodies.object_inertia,
-        data.state.object_twist[3:6],
-        work.push,
-        0.5 * h,
-    )
+    inertia, w = data.bodies.object_inertia, data.state.object_twist[3:6]
+    push, half = work.push, 0.5 * h
     l0 = inertia[3, 3] * w[0] + inertia[3, 4] * w[1] + inertia[3, 5] * w[2]
     l1 = inertia[4, 3] * w[0] + inertia[4, 4] * w[1] + inertia[4, 5] * w[2]
     l2 = inertia[5, 3] * w[0] + inertia[5, 4] * w[1] + inertia[5, 5] * w[2]

@@ -33,12 +33,9 @@ class SolverLog:
 
     def collect(self, data: Data, t: float, state: State) -> None:
         """Log the changes in the step that ended at ``t``, in this state."""
-        arrays = data.arrays
-        count, rank = len(data.model.arm_names), arrays.last_step.solution.rank
-        lost, passed = (
-            arrays.last_step.lost_directions[:count].copy(),
-            arrays.last_step.sign_changes[:count].copy(),
-        )
+        step, count = data.arrays.last_step, len(data.model.arm_names)
+        lost, passed = step.lost_directions[:count].copy(), step.sign_changes[:count].copy()
+        rank = step.solution.rank
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:

@@ -36,9 +36,7 @@ class Solution(Numbers):
     """Of the system that was solved last: an evaluation, a projection, an impulse."""
 
     elimination: Int  # an ``Elimination``
-    coupled_arms: (
-        Int  # that could not be eliminated as a whole, see ``Variables.deficient.coupled``
-    )
+    coupled_arms: Int  # that could not be eliminated as a whole, see ``DeficientArms``
     rank: Int  # of the constraints
     dependent: Int  # constraints that depend on others; if any, some contact forces are not unique
     motion_unique: Flag  # no other accelerations meet the equations; may fail with friction only
