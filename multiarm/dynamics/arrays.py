@@ -15,6 +15,7 @@ from multiarm.contacts.table import JointRows
 from multiarm.dynamics.guards import Guards
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.variables import Rows, Variables
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc
@@ -155,9 +156,13 @@ def open_data(struct):
 
 
 @inlined
-def call_listed(table, k, column, struct, data):
-    """Call function ``k`` of ``Constants.control``, ``sampled`` or ``effects``, or its derivative.
+def call_listed(table, k, struct, data):
+    """Call function ``k`` of ``Constants.control``, ``sampled`` or ``effects``."""
+    call_cfunc(table[k, ADDRESS], struct, float(table[k, NUMBERS_AT]), data.time.now)
 
-    ``column`` is ``ADDRESS`` or ``DERIVATIVE``.  Returns what the function returns.
-    """
-    return call_cfunc(table[k, column], struct, float(table[k, NUMBERS_AT]), data.time.now)
+
+@inlined
+def call_derivative(table, k, struct, data):
+    """Call the derivative of function ``k``; returns a status.  One that cannot fail returns 0."""
+    at = float(table[k, NUMBERS_AT])
+    return min(call_cfunc(table[k, DERIVATIVE], struct, at, data.time.now), OK)

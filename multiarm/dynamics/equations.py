@@ -31,7 +31,6 @@ from multiarm.contacts.kernel import (
     write_row,
 )
 from multiarm.dynamics.arrays import (
-    ADDRESS,
     call_listed,
     open_coupled,
     open_data,
@@ -179,7 +178,7 @@ def control_torques(struct, laws, model, data):
     """Let a number of control laws write ``data.control.torque``."""
     clear(data.control.torque)
     for k in range(laws):
-        call_listed(model.control, k, ADDRESS, struct, data)
+        call_listed(model.control, k, struct, data)
 
 
 @inlined
@@ -214,7 +213,7 @@ def applied_forces(struct, model, data, power):
 def call_effects(first, end, struct, model, data):
     """Call the effects of one phase, rows ``first`` to ``end`` of ``Constants.effects``."""
     for k in range(first, end):
-        call_listed(model.effects, k, ADDRESS, struct, data)
+        call_listed(model.effects, k, struct, data)
 
 
 @inlined

@@ -27,10 +27,10 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.arrays import (
-    ADDRESS,
     DERIVATIVE,
     OPEN_LOOP,
     STATE_ALONE,
+    call_derivative,
     call_listed,
     open_data,
     open_system,
@@ -235,7 +235,7 @@ def differentiate_control(struct, differences):
         take_torque_slopes(data, columns.time, columns.time + 1)
     act(struct, differences, CONTROL, model, data, work)
     for k in range(differences.laws, model.control.shape[0]):
-        call_listed(model.control, k, ADDRESS, struct, data)
+        call_listed(model.control, k, struct, data)
     return status
 
 
@@ -246,14 +246,8 @@ def differentiate_laws(struct, differences, model, data):
     of_laws = struct_at(data.modes.closed, 0) if data.modes.active else struct
     for k in range(differences.laws):
         if status == OK:
-            status = failure(call_listed(model.control, k, DERIVATIVE, of_laws, data))
+            status = call_derivative(model.control, k, of_laws, data)
     return status
-
-
-@inlined
-def failure(returned):
-    """The status that a derivative returned; those that cannot fail may return 0."""
-    return returned if returned < OK else OK
 
 
 @inlined
@@ -277,7 +271,7 @@ def differentiate_effect(struct, differences, k):
     stated = model.effects[k, DERIVATIVE] != 0
     clear_slopes(model, data, work, differences.local, data.slopes.force, first)
     if stated:
-        status = failure(call_listed(model.effects, k, DERIVATIVE, struct, data))
+        status = call_derivative(model.effects, k, struct, data)
     by_time = differences.time_change > 0.0 and not actuates(model, k)
     if status == OK and (not stated or by_time):
         status = add_differences(struct, differences, k, not stated)
@@ -332,7 +326,7 @@ def act(struct, differences, k, model, data, work):
     """Let one effect write its forces alone, an actuator its torques, or the control these."""
     if k != CONTROL:
         clear(data.forces.f)
-        call_listed(model.effects, k, ADDRESS, struct, data)
+        call_listed(model.effects, k, struct, data)
         return
     object_terms(model, data)  # laws may compensate the forces before them
     passive_forces(struct, model, data, work)

@@ -23,15 +23,15 @@ from numbers import Real
 import numpy as np
 
 from multiarm.dynamics.arrays import (
-    ADDRESS,
     CARRYING,
     COUPLED,
-    DERIVATIVE,
     OPEN_LOOP,
     Constants,
+    call_derivative,
     call_listed,
     open_system,
 )
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.variables import HELD, ONCE
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, copy
@@ -93,7 +93,7 @@ def hold_torques(address, size, _at, _t):
     sampling, held = data.control.sampling, data.control.held_torques
     if sampling.due != HELD:
         for k in range(model.sampled.shape[0]):
-            call_listed(model.sampled, k, ADDRESS, struct, data)
+            call_listed(model.sampled, k, struct, data)
         at_once = not model.sample_delay or sampling.samples == 0
         for j in range(data.control.torque.size):
             held[0, j] = data.control.torque[j] if at_once else held[1, j]
@@ -110,8 +110,8 @@ def differentiate_held_torques(address, size, _at, _t):
     """Let the laws add their derivatives, where they follow the state; returns a status."""
     struct = struct_at(address, size)
     model, data, _ = open_system(struct)
-    status = 0
+    status = OK
     for k in range(model.sampled.shape[0] if data.control.sampling.due != HELD else 0):
-        if status == 0:
-            status = call_listed(model.sampled, k, DERIVATIVE, struct, data)
+        if status == OK:
+            status = call_derivative(model.sampled, k, struct, data)
     return status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,8 +14,9 @@ from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
-from multiarm.control import ControlLaw, ControlProgram, open_data, view_of_law
+from multiarm.control import ControlLaw, ControlProgram, force_columns, open_data, view_of_law
 from multiarm.control.laws import PROGRAMS
+from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import Float, Floats1, struct_at
 from multiarm.scene import CONTROLS, Scene, dump_scene, named_code, parse_scene
@@ -67,6 +69,35 @@ class Push(ma.Control):
         return ControlProgram(tuple(laws))
 
 
+@cfunc
+def stretch(address, size, _at, _t):
+    """Pull every joint with 3 N m/rad."""
+    data = open_data(struct_at(address, size))
+    for j in range(data.control.torque.size):
+        data.control.torque[j] -= 3.0 * data.state.joint_positions[j]
+    return OK
+
+
+@cfunc
+def differentiate_stretch(address, size, _at, _t):
+    """Its derivative."""
+    data = open_data(struct_at(address, size))
+    positions = force_columns(data).positions
+    for j in range(data.control.torque.size):
+        data.slopes.torque[j, positions + j] -= 3.0
+    return OK
+
+
+class Stretch(ma.Control):
+    """Two springs at every joint, in compiled code that returns a status."""
+
+    kind: Literal["stretch"] = "stretch"
+
+    def build(self, context):
+        """The same law twice."""
+        return ControlProgram((ControlLaw(stretch, derivative=differentiate_stretch),) * 2)
+
+
 class Pull(ma.Control):
     """Springs about the straight arm, in Python."""
 
@@ -110,6 +141,16 @@ def test_a_compiled_control_of_one_s_own_drives_bit_for_bit_as_ours():
     ma.register_control(Push)
     own = run_of({"kind": "push", "pushes": TORQUES})
     require_equal(own, run_of({"kind": "constant", "torques": TORQUES}))
+
+
+def test_derivatives_of_laws_that_can_be_held_are_those_of_all_whatever_status_each_returns():
+    ma.register_control(Stretch)
+    free = ma.compile_system(scene_of({"kind": "stretch"}))
+    found, expected = (
+        ma.derivatives(replace(free, model=model), 0.0, free.initial_state()).matrix
+        for model in (free.model.with_held_control(), free.model)
+    )
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize(
