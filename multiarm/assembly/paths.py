@@ -14,7 +14,7 @@ import numpy as np
 from multiarm.assembly.loop_closure import CLOSED, Linkage, close_gaps, projection_tolerance
 from multiarm.assembly.start import joint_names
 from multiarm.contacts.kernel import GAP
-from multiarm.control.object_path import pose_of, route
+from multiarm.control.object_path import pose_of, quintic, route
 from multiarm.control.program import JointPath
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -25,7 +25,6 @@ from multiarm.dynamics.system import System
 from multiarm.errors import ControlError
 from multiarm.integration.projection import project_positions
 from multiarm.scene import Scene, Waypoint
-from multiarm.scene.control import quintic
 from multiarm.spatial import difference, matrix_to_quaternion, retract
 
 
@@ -50,7 +49,7 @@ def joint_path(
     ControlError
         When the arms cannot follow, or do not move smoothly.
     """
-    times, poses = route(start, path)
+    times, poses = route(pose_of(start).matrix(), path)
     if any(joint.kind != "weld" for joint in scene.joints):
         rigid = compile_scene(_rigidly_held(scene, data, start))
         with rigid.borrow() as rigid_data:
@@ -104,7 +103,7 @@ def _segment(
     """
     for intervals in (16, 32, 64, 128):  # until the series has converged
         x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
-        law = quintic(0.5 * (1.0 + x))
+        law = np.array([quintic(s)[0] for s in 0.5 * (1.0 + x)])
         angles, state = follow_object(data, heavy, start, begin, end, law, number)
         series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
         if np.max(np.abs(series[:, -4:])) < 1e-8:  # [rad, m]

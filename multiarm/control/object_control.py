@@ -226,8 +226,9 @@ def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
     W_o = data.arrays.rows.Wo.copy()
     _require_hold(W_o, control.kind)
     desired = desired_forces(data, control, W_o)
-    at_rest = Waypoint(time=1.0, **pose_of(start).model_dump())
-    path = pose_path(*route(start, control.path or (at_rest,)))
+    pose = pose_of(start)
+    at_rest = Waypoint(time=1.0, **pose.model_dump())
+    path = pose_path(*route(pose.matrix(), control.path or (at_rest,)))
     return ObjectLaw(
         control.stiffness.vector(),
         control.damping.vector(),

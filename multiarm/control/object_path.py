@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.state import State
-from multiarm.jit.kernels import kernel
+from multiarm.jit.kernels import kernel, plain
 from multiarm.jit.structs import Floats1, Floats2
 from multiarm.jit.vectors import add_scaled, scale, vec
 from multiarm.scene import Pose, Waypoint
@@ -53,14 +53,21 @@ def pose_of(state: State) -> Pose:
     )
 
 
-def route(start: State, path: Sequence[Waypoint]) -> tuple[list[float], list[np.ndarray]]:
-    """Times and poses (4, 4) of a path; one that does not begin at time 0 begins at the start."""
+def route(start: np.ndarray, path: Sequence[Waypoint]) -> tuple[list[float], list[np.ndarray]]:
+    """Times and poses (4, 4) of a path; one that does not begin at time 0 begins at ``start``."""
     times = [waypoint.time for waypoint in path]
     poses = [waypoint.matrix() for waypoint in path]
     if times[0] > 0.0:
         times.insert(0, 0.0)
-        poses.insert(0, pose_of(start).matrix())
+        poses.insert(0, start)
     return times, poses
+
+
+@plain
+def quintic(x):
+    """Part of the way from rest to rest in the part ``x`` of the time, and its derivatives by x."""
+    part = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
+    return part, 30.0 * (x * (1.0 - x)) ** 2, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
 
 
 @kernel
@@ -77,13 +84,11 @@ def reference_pose(t, path):
         s += 1
     begin, length = path.times[s], path.times[s + 1] - path.times[s]
     x = min(max((t - begin) / length, 0.0), 1.0)
-    part = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
-    rate = 30.0 * (x * (1.0 - x)) ** 2 / length
-    second = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / length**2
+    part, rate, second = quintic(x)
     shift, turn = vec(path.shifts[s], 0), vec(path.turns[s], 0)
     position = add_scaled(vec(path.positions[s], 0), part, shift)
     quaternion = retracted(path.quaternions[s], scale(part, turn))
-    return position, quaternion, shift, turn, rate, second
+    return position, quaternion, shift, turn, rate / length, second / length**2
 
 
 def reference_motion(t: float, path: PosePath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

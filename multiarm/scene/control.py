@@ -119,11 +119,6 @@ class Waypoint(Pose):
     """The time in seconds at which the pose is passed."""
 
 
-def quintic(s: Any) -> Any:
-    """Part of the way from rest to rest that is covered in the part ``s`` of the time."""
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-
-
 def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
     if path is None:
         return None

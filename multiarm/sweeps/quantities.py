@@ -16,9 +16,10 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from multiarm.errors import USER_FAULTS
+from multiarm.results.limit_use import QUANTITIES as LIMITED
 from multiarm.results.limit_use import largest_shares
+from multiarm.scene import Pose
 from multiarm.scene.code import UserFunction, function_text, load_function
-from multiarm.scene.control import quintic
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import Spec
 
@@ -31,7 +32,7 @@ MEASURED = "wall_time"
 """May be listed among the quantities; every record has it anyway, as it is not reproducible."""
 
 
-def _column(value: Any) -> str:
+def _name(value: Any) -> str:
     if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][\w.\-]*", value):
         raise fault(
             f"{shown(value)} cannot name a quantity; use letters, digits, '_', '-' and '.', with "
@@ -40,7 +41,7 @@ def _column(value: Any) -> str:
     return value
 
 
-Column = Annotated[str, BeforeValidator(_column)]
+Name = Annotated[str, BeforeValidator(_name)]
 
 
 class UserQuantity(Spec):
@@ -59,8 +60,8 @@ class UserQuantity(Spec):
     """
 
     function: UserFunction = Field(description="file.py:name of a function of the trajectory")
-    name: Column | None = None
-    gives: Annotated[tuple[Column, ...], Field(min_length=1)] | None = None
+    name: Name | None = None
+    gives: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
     unit: str = "1"
     words: str = ""
 
@@ -138,38 +139,26 @@ def _number(value: Any, name: str) -> float:
 # --- built-in quantities --------------------------------------------------------------------------
 
 
-def _largest(values: np.ndarray) -> float:
-    return float(np.max(np.abs(values), initial=0.0))
-
-
-def _largest_of(arms: Mapping[str, np.ndarray]) -> float:
-    return max(map(_largest, arms.values()), default=0.0)
-
-
-def _last(values: np.ndarray) -> float:
-    return float(values[-1])
+def _largest(*channels: np.ndarray) -> float:
+    """The largest magnitude in some channels of a run."""
+    return max((float(np.max(np.abs(values), initial=0.0)) for values in channels), default=0.0)
 
 
 def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Desired position and quaternion of the object at the end of the run.
 
-    Between waypoints they follow the quintic law; without a path they are those at t = 0.
+    Without a path they are those at t = 0.
     """
-    from multiarm.spatial import difference, matrix_to_quaternion, retract
+    from multiarm.control.object_path import pose_path, reference_pose, route
 
     start = trajectory.object_position[0], trajectory.object_quaternion_xyzw[0].copy()
-    stops = [(0.0, *start)]
-    for waypoint in getattr(trajectory.scene.control, "path", None) or ():
-        X = waypoint.matrix()
-        turned = matrix_to_quaternion(X[:3, :3])
-        stops.append((waypoint.time, X[:3, 3], turned))
-    end = float(trajectory.time[-1])
-    later = next((k for k, stop in enumerate(stops) if stop[0] > end), None)
-    if later is None:
-        return stops[-1][1:]
-    (t0, p0, q0), (t1, p1, q1) = stops[later - 1 : later + 1]
-    share = quintic((end - t0) / (t1 - t0))
-    return p0 + share * (p1 - p0), retract(q0, share * difference(q0, q1))
+    waypoints = getattr(trajectory.scene.control, "path", None)
+    if not waypoints:
+        return start
+    pose = Pose(xyz=start[0].tolist(), quaternion_xyzw=start[1].tolist())
+    path = pose_path(*route(pose.matrix(), waypoints))
+    position, quaternion, *_ = reference_pose(float(trajectory.time[-1]), path)
+    return np.array(position), np.array(quaternion)
 
 
 def _position_error(trajectory: Trajectory) -> float:
@@ -183,25 +172,8 @@ def _rotation_error(trajectory: Trajectory) -> float:
     return float(np.linalg.norm(turned))
 
 
-def _speed(trajectory: Trajectory, columns: slice) -> float:
-    return float(np.max(np.linalg.norm(trajectory.object_twist[:, columns], axis=1)))
-
-
-def _final_coordinate(axis: int) -> Callable[[Trajectory], float]:
-    return lambda run: _last(run.object_position[:, axis])
-
-
 def _estimated_error(trajectory: Trajectory) -> float | None:
     return (trajectory.certificate or {}).get("estimated_error", {}).get("position_m")
-
-
-def _count(trajectory: Trajectory, key: str) -> float | None:
-    number = trajectory.statistics.get(key)
-    return None if number is None else float(number)
-
-
-def _limit_share(limit: str) -> Callable[[Trajectory], float | None]:
-    return lambda run: largest_shares(run)[limit]
 
 
 class Known(NamedTuple):
@@ -212,36 +184,50 @@ class Known(NamedTuple):
     function: Callable[[Trajectory], float | None]
 
 
+def _final(axis: int) -> Known:
+    words = f"{'xyz'[axis]} of the object's centre of mass at the end"
+    return Known("m", words, lambda run: float(run.object_position[-1, axis]))
+
+
+def _share(limit: str) -> Known:
+    words = f"of a joint's {limit} limit, 1 at the limit"
+    return Known("1", words, lambda run: largest_shares(run)[limit])
+
+
+def _statistic(name: str, words: str) -> Known:
+    def number(run: Trajectory) -> float | None:
+        count = run.statistics.get(name)
+        return None if count is None else float(count)
+
+    return Known("1", words, number)
+
+
 _POSE = "at the end, from where the control leads it, or from the start where it has no path"
 KNOWN = {
     "final_position_error": Known("m", f"distance of the object {_POSE}", _position_error),
     "final_rotation_error": Known("rad", f"turn of the object {_POSE}", _rotation_error),
-    **{
-        f"final_{name}": Known(
-            "m",
-            f"{name} of the object's centre of mass at the end",
-            _final_coordinate(axis),
-        )
-        for axis, name in enumerate("xyz")
-    },
+    **{f"final_{name}": _final(axis) for axis, name in enumerate("xyz")},
     "largest_speed": Known(
-        "m/s", "of the object's centre of mass", lambda run: _speed(run, slice(0, 3))
+        "m/s",
+        "of the object's centre of mass",
+        lambda run: _largest(np.linalg.norm(run.object_twist[:, :3], axis=1)),
     ),
-    "largest_turn_rate": Known("rad/s", "of the object", lambda run: _speed(run, slice(3, 6))),
+    "largest_turn_rate": Known(
+        "rad/s",
+        "of the object",
+        lambda run: _largest(np.linalg.norm(run.object_twist[:, 3:], axis=1)),
+    ),
     "largest_contact_force": Known(
-        "N", "magnitude along a contact's normal", lambda run: _largest_of(run.contact_forces)
+        "N",
+        "magnitude along a contact's normal",
+        lambda run: _largest(*run.contact_forces.values()),
     ),
     "largest_joint_torque": Known(
         "N m",
         "magnitude of the drives', of sliding joints in N",
-        lambda run: _largest_of(run.joint_torques),
+        lambda run: _largest(*run.joint_torques.values()),
     ),
-    **{
-        f"largest_{limit}_share": Known(
-            "1", f"of a joint's {limit} limit, 1 at the limit", _limit_share(limit)
-        )
-        for limit in ("effort", "speed", "range")
-    },
+    **{f"largest_{limit}_share": _share(limit) for limit in LIMITED},
     "position_drift": Known(
         "m", "largest gap of a contact", lambda run: _largest(run.position_drift)
     ),
@@ -253,11 +239,13 @@ KNOWN = {
         "largest magnitude of energy gained less work done",
         lambda run: _largest(run.energy_balance),
     ),
-    "final_energy": Known("J", "kinetic plus potential, at the end", lambda run: _last(run.energy)),
-    "work": Known("J", "done by control and effects", lambda run: _last(run.work)),
+    "final_energy": Known(
+        "J", "kinetic plus potential, at the end", lambda run: float(run.energy[-1])
+    ),
+    "work": Known("J", "done by control and effects", lambda run: float(run.work[-1])),
     "estimated_error": Known("m", "of positions, by the run's check", _estimated_error),
     "events": Known("1", "number of events", lambda run: float(len(run.events))),
-    "steps": Known("1", "of the integration", lambda run: _count(run, "steps")),
-    "evaluations": Known("1", "of the equations of motion", lambda run: _count(run, "evaluations")),
+    "steps": _statistic("steps", "of the integration"),
+    "evaluations": _statistic("evaluations", "of the equations of motion"),
 }
 """The built-in quantities by name."""
