@@ -178,17 +178,8 @@ def object_hull(body: ObjectSpec) -> Any:
         return coal.Sphere(shape.sphere)
     if shape.cylinder is not None:
         return coal.Cylinder(shape.cylinder.radius, shape.cylinder.height)
-    points = corners_of(body)
+    points = shape.corners()
     return None if points is None else _hull(points)
-
-
-def corners_of(body: ObjectSpec) -> np.ndarray | None:
-    """The corners (N, 3) of a hull or a mesh in the object's frame [m]."""
-    shape = body.shape
-    if shape.hull is not None:
-        return np.array(shape.hull)
-    triangles = None if shape.mesh is None else shape.mesh.triangles()
-    return None if triangles is None else triangles[0]
 
 
 def _hull(points: np.ndarray) -> Any:

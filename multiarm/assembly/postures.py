@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.collisions import NearestPair, Placed, Surroundings, corners_of, nearest
+from multiarm.assembly.collisions import NearestPair, Placed, Surroundings, nearest
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     WHOLE_STARTS,
@@ -268,7 +268,8 @@ def clear_of(
         Of the base (4, 4) and the origins of joints and tip (n + 1, 3) in the world: a factor on
         the quality of a posture, see :meth:`InverseKinematics.search`.
     """
-    pose, corners = body.pose.matrix(), _bounding_box(body, meshes)
+    pose = body.pose.matrix()
+    corners = body.shape.bounding_box() if meshes or body.shape.mesh is None else None
 
     def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
         outside = above = np.zeros(0)
@@ -280,19 +281,3 @@ def clear_of(
         return clearance(outside, above)
 
     return clear
-
-
-def _bounding_box(body: ObjectSpec, meshes: bool) -> tuple[np.ndarray, np.ndarray] | None:
-    """Least and largest coordinates of the object's shape in its frame [m]; None without one."""
-    shape = body.shape
-    if shape.box is not None:
-        half = 0.5 * np.array(shape.box)
-    elif shape.sphere is not None:
-        half = np.full(3, shape.sphere)
-    elif shape.cylinder is not None:
-        radius = shape.cylinder.radius
-        half = np.array([radius, radius, 0.5 * shape.cylinder.height])
-    else:
-        points = corners_of(body) if meshes or shape.hull is not None else None
-        return None if points is None else (points.min(axis=0), points.max(axis=0))
-    return -half, half

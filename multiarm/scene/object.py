@@ -323,6 +323,26 @@ class Shape(OneOf):
         across = mass * (3.0 * radius**2 + height**2) / 12.0
         return np.diag([across, across, mass * radius**2 / 2.0])
 
+    def corners(self) -> np.ndarray | None:
+        """The corners (N, 3) of a hull, or of a mesh that can be read, object frame [m]."""
+        if self.hull is not None:
+            return np.array(self.hull)
+        triangles = None if self.mesh is None else self.mesh.triangles()
+        return None if triangles is None else triangles[0]
+
+    def bounding_box(self) -> np.ndarray | None:
+        """Least and largest coordinates (2, 3), object frame [m]; None without a shape."""
+        if self.box is not None:
+            half = 0.5 * np.array(self.box)
+        elif self.sphere is not None:
+            half = np.full(3, self.sphere)
+        elif self.cylinder is not None:
+            half = np.array([self.cylinder.radius] * 2 + [0.5 * self.cylinder.height])
+        else:
+            points = self.corners()
+            return None if points is None else np.array([points.min(axis=0), points.max(axis=0)])
+        return np.array([-half, half])
+
     def nearest(self, point: np.ndarray) -> np.ndarray | None:
         """The point of the solid that is nearest to a point (3,) [m], object frame.
 

@@ -248,7 +248,7 @@ class Registry(Generic[Kind]):
         user_class: Any = load_code(CodeReference(name), "class")
         self._check(user_class, "cannot be used")
         if issubclass(user_class, UserKind):
-            user_class = _with_kind(user_class, name)
+            user_class = _renamed(user_class, name)
         self.registered[name] = user_class
         return user_class
 
@@ -374,7 +374,7 @@ class Registry(Generic[Kind]):
         return list(metadata.entry_points(group=self.group, name=name))
 
 
-def _with_kind(user_class: type[UserKind], kind: str) -> Any:
+def _renamed(user_class: type[UserKind], kind: str) -> Any:
     """The class under another name in scenes."""
     field: Any = (Literal[kind], kind)  # type: ignore[valid-type]
     return create_model(

@@ -30,7 +30,7 @@ from multiarm.scene.values import (
 )
 
 if TYPE_CHECKING:
-    from multiarm.scene.object import ObjectSpec, Shape
+    from multiarm.scene.object import ObjectSpec
 
 _OBJECT = "object"  # target of a wrench that does not act on a link
 _TABLE_COLUMNS = ("t", "fx", "fy", "fz", "mx", "my", "mz")  # [s], [N], [N m]
@@ -89,24 +89,11 @@ class Drag(EffectKind):
     @classmethod
     def typical(cls, body: ObjectSpec) -> Mapping[str, Any] | None:
         """Drag in air, of a blunt body with the faces of the box around the object."""
-        half = _half_size(body.shape)
-        if half is None:
+        box = None if body.shape.mesh is not None else body.shape.bounding_box()
+        if box is None:
             return None
-        x, y, z = (2.0 * half).tolist()
+        x, y, z = (2.0 * np.abs(box).max(axis=0)).tolist()
         return {"area": [y * z, z * x, x * y], "coefficient": 1.0}
-
-
-def _half_size(shape: Shape) -> np.ndarray | None:
-    """Half the edges of the box around the object, in its axes, shape (3,) [m]; None for a mesh."""
-    if shape.box is not None:
-        return 0.5 * np.array(shape.box)
-    if shape.sphere is not None:
-        return np.full(3, shape.sphere)
-    if shape.hull is not None:
-        return np.max(np.abs(np.array(shape.hull)), axis=0)
-    if shape.cylinder is not None:
-        return np.array([shape.cylinder.radius] * 2 + [0.5 * shape.cylinder.height])
-    return None
 
 
 class Sinusoid(Spec):
