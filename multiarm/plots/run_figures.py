@@ -29,7 +29,7 @@ from multiarm.plots.style import (
     STYLE,
 )
 from multiarm.results.channels import ContactState, channels_of
-from multiarm.results.event_log import STATE_COLOURS, Event
+from multiarm.results.event_log import STATE_STYLES, Event
 from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
 FIGURE_POINTS = 60_000
@@ -228,8 +228,6 @@ MOST_ROWS = 64
 """Contacts in the figure; of more, the first are shown and the others counted."""
 STRIP_POINTS = 12_000
 """Changes of all rows together."""
-_HEIGHTS = (0.06, 0.35, 0.8, 0.8, 0.35)  # of a bar, by the code of its state, of a row
-_HATCHES = ("", "", "////", "", "....")
 
 
 def contact_states(trajectory: Trajectory) -> Figure | None:
@@ -276,7 +274,7 @@ def _draw_rows(axes: Axes, trajectory: Trajectory, rows: list[tuple[str, int, st
             used.add(int(code))
             of_it = states == code
             bars = np.column_stack([begins[of_it], (ends - begins)[of_it]])
-            height = _HEIGHTS[code]
+            height = STATE_STYLES[code].height
             low = place + 0.5 - height / 2
             axes.broken_barh([(b, w) for b, w in bars], (low, height), **_style(int(code)))
     return used
@@ -316,11 +314,10 @@ def _add_legend(axes: Axes, used: set[int]) -> None:
 
 
 def _style(code: int) -> dict[str, Any]:
-    colour = STATE_COLOURS[code]
-    hollow = bool(_HATCHES[code])
+    style = STATE_STYLES[ContactState(code)]
     return {
-        "facecolor": "none" if hollow else colour,
-        "edgecolor": colour,
-        "hatch": _HATCHES[code],
+        "facecolor": "none" if style.hatch else style.colour,
+        "edgecolor": style.colour,
+        "hatch": style.hatch,
         "linewidth": 0.6,
     }

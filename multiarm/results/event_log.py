@@ -17,9 +17,10 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import shorten
-from typing import Any
+from typing import Any, NamedTuple
 
 from multiarm.notation import count_of, number, value_text
+from multiarm.results.channels import ContactState
 
 Event = dict[str, Any]
 START = "start"
@@ -44,16 +45,25 @@ _UNITS = {
     "N_s": "N s", "N_m": "N m", "1_s": "1/s", "m": "m", "rad": "rad", "N": "N", "J": "J", "W": "W",
     "kg": "kg", "s": "s",
 }  # fmt: skip
-STATE_SIGNS = (
-    "\N{DOTTED CIRCLE}",
-    "\N{BLACK CIRCLE}",
-    "\N{BULLSEYE}",
-    "\N{BLACK SQUARE}",
-    "\N{WHITE CIRCLE}",
-)
-"""Of contacts, by the codes of `channels.ContactState`."""
-STATE_COLOURS = ("#8a94a0", "#3b7dd8", "#d07c1e", "#8a5fc4", "#2f9e67")
-"""Of contacts, by the codes of `channels.ContactState`."""
+
+
+class StateStyle(NamedTuple):
+    """How figures and replays show a state of contacts."""
+
+    sign: str  # one character
+    colour: str  # #rrggbb
+    height: float  # of a bar in a row of height 1
+    hatch: str = ""  # of a bar, as in matplotlib; a bar without one is full
+
+
+STATE_STYLES = {
+    ContactState.OPEN: StateStyle("\N{DOTTED CIRCLE}", "#8a94a0", 0.06),
+    ContactState.TOUCHING: StateStyle("\N{BLACK CIRCLE}", "#3b7dd8", 0.35),
+    ContactState.SLIDING: StateStyle("\N{BULLSEYE}", "#d07c1e", 0.8, "////"),
+    ContactState.STICKING: StateStyle("\N{BLACK SQUARE}", "#8a5fc4", 0.8),
+    ContactState.RESTING: StateStyle("\N{WHITE CIRCLE}", "#2f9e67", 0.35, "...."),
+}
+"""Of the states that are recorded."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.results.channels import ContactState
-from multiarm.results.event_log import FAMILIES, LOST, MADE, STATE_COLOURS, Family
+from multiarm.results.event_log import FAMILIES, LOST, MADE, STATE_STYLES, Family
 from multiarm.viewer import commands
 from multiarm.viewer.animation import (
     Animation,
@@ -107,7 +107,8 @@ def _state_shapes(dot: float) -> dict[int, Mesh]:
         ContactState.RESTING: ring(1.5 * dot, 1.9 * dot, 0.35 * dot),
     }
     return {
-        state: shape.painted(commands.rgb(STATE_COLOURS[state])) for state, shape in shapes.items()
+        state: shape.painted(commands.rgb(STATE_STYLES[state].colour))
+        for state, shape in shapes.items()
     }
 
 

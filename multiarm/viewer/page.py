@@ -29,8 +29,7 @@ from multiarm.reports import pages
 from multiarm.results.channels import ContactState
 from multiarm.results.event_log import (
     FAMILIES,
-    STATE_COLOURS,
-    STATE_SIGNS,
+    STATE_STYLES,
     Event,
     Group,
     family_of,
@@ -119,7 +118,8 @@ def _states(animation: Animation) -> list[list[str]]:
     codes = {
         int(code) for c in animation.contacts if c.state is not None for code in set(c.state.flat)
     }
-    return [[ContactState(k).word, STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(codes)]
+    states = map(ContactState, sorted(codes))
+    return [[s.word, STATE_STYLES[s].sign, STATE_STYLES[s].colour] for s in states]
 
 
 def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:
