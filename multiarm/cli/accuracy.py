@@ -25,6 +25,8 @@ from multiarm.cli.options import (
     chosen,
     file_option,
     option,
+    plot_option,
+    switch,
 )
 from multiarm.cli.studies import draw_files, rendered, write_files
 from multiarm.terminal.console import output, print_error
@@ -59,13 +61,12 @@ def accuracy(
     arms: Arms = None,
     peers: Annotated[
         bool,
-        typer.Option(
-            "--peers/--no-peers",
-            help="Run the scene in Pinocchio, and in MuJoCo if it is installed.",
+        switch(
+            "--peers/--no-peers", "Run the scene in Pinocchio, and in MuJoCo if it is installed."
         ),
     ] = True,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Every second setting only, and fewer repeats.")
+        bool, switch("--quick", "Every second setting only, and fewer repeats.")
     ] = False,
     error: Annotated[
         Quantity,
@@ -75,11 +76,8 @@ def accuracy(
             "NAME",
         ),
     ] = Quantity.motion,
-    every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
-    plot: Annotated[
-        Path | None,
-        file_option("Draw the diagram to a file; its ending (png, svg, pdf) is the format."),
-    ] = None,
+    every: Annotated[bool, switch("--all", "Print every point.")] = False,
+    plot: Annotated[Path | None, plot_option("Draw the diagram")] = None,
     html: Annotated[
         Path | None,
         file_option("Write one HTML page: the diagram with values, and all points.", "FILE.html"),

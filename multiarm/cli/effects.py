@@ -19,6 +19,8 @@ from multiarm.cli.options import (
     chosen,
     file_option,
     option,
+    plot_option,
+    switch,
 )
 from multiarm.cli.studies import rendered, write_files
 from multiarm.errors import MultiarmError
@@ -46,22 +48,19 @@ def effects(
     arms: Arms = None,
     listing: Annotated[
         bool,
-        typer.Option("--list", help="List the effects with their parameters, or show one in full."),
+        switch("--list", "List the effects with their parameters, or show one in full."),
     ] = False,
     candidates: Annotated[
         bool,
-        typer.Option(
+        switch(
             "--candidates",
-            help="Add each effect that the scene does not have too, with its usual parameters.",
+            "Add each effect that the scene does not have too, with its usual parameters.",
         ),
     ] = False,
     rounds: Annotated[
         int, option("Timed runs of each, at most; more smooth out noise.", min=1)
     ] = 9,
-    plot: Annotated[
-        Path | None,
-        file_option("Draw the ledger to a file; its ending (png, svg, pdf) is the format."),
-    ] = None,
+    plot: Annotated[Path | None, plot_option("Draw the ledger")] = None,
     html: Annotated[
         Path | None,
         file_option("Write one HTML page: the ledger, drawn and in numbers.", "FILE.html"),

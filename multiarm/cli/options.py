@@ -30,6 +30,7 @@ __all__ = [
     "chosen",
     "file_option",
     "option",
+    "plot_option",
     "switch",
 ]
 
@@ -59,6 +60,11 @@ def switch(name: str, text: str, panel: str | None = None) -> Any:
 def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
     """An option that names a file to be written."""
     return option(text, metavar, default=default, panel=FILES)
+
+
+def plot_option(text: str) -> Any:
+    """An option that names the file of a figure."""
+    return file_option(f"{text}; the file's ending (png, svg, pdf) is the format.")
 
 
 SceneFile = Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")]

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, refuse_targets
-from multiarm.cli.options import JsonFile, file_option
+from multiarm.cli.options import JsonFile, file_option, switch
 from multiarm.cli.studies import rendered, write_files
 from multiarm.notation import number
 from multiarm.terminal.console import columns, output, print_error
@@ -26,7 +26,7 @@ def stability(
         ),
     ] = None,
     listing: Annotated[
-        bool, typer.Option("--list", help="Only list the cases and what is hard about them.")
+        bool, switch("--list", "Only list the cases and what is hard about them.")
     ] = False,
     html: Annotated[
         Path | None,
