@@ -86,27 +86,19 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     write_text(path, text + "\n", "--json")
 
 
-def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
-    """Read a scene to compile, and print which code it and a sweep over it name.
+def scene_to_run(path: Path, no_code: bool) -> Scene:
+    """Read a scene to compile, and print which code it names.
 
     Raises
     ------
     SceneError
         The scene cannot be read; there is code, and ``no_code`` refuses it.
-    SweepError
-        The sweep cannot be read.
     """
     from multiarm.scene import load_scene, named_code, refuse_code
 
     scene = load_scene(path, code=not no_code)
     print_warnings(scene.warnings)
     named = named_code(scene)
-    if over is not None:
-        from multiarm.sweeps.checking import sweep_code
-        from multiarm.sweeps.spec import examined, read_sweep
-
-        spec, _ = examined(*read_sweep(over, {}))  # planning the sweep reports its faults
-        named += [] if spec is None else sweep_code(scene, spec)
     if no_code:
         refuse_code(named)
     print_loaded(named)

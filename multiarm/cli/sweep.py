@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +10,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.options import (
     FILES,
     Accuracy,
@@ -24,6 +22,8 @@ from multiarm.cli.options import (
     chosen,
     file_option,
     option,
+    plot_option,
+    switch,
 )
 from multiarm.errors import SweepError
 from multiarm.notation import count_of, number
@@ -35,6 +35,7 @@ from multiarm.terminal.console import (
     messages,
     output,
     print_error,
+    print_loaded,
     print_warnings,
     print_written,
 )
@@ -86,24 +87,14 @@ def sweep(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder of the sweep; an existing one is resumed.",
-            show_default="the sweep's file name with .sweep, in the current folder",
-            metavar="NAME.sweep",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
-    fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Begin again in the folder.", rich_help_panel=FILES),
-    ] = False,
-    plot: Annotated[
-        Path | None,
         file_option(
-            "Draw the quantities over the varied values; the file's ending (png, svg, pdf) "
-            "is the format."
+            "Folder of the sweep; an existing one is resumed.",
+            "NAME.sweep",
+            default="the sweep's file name with .sweep, in the current folder",
         ),
     ] = None,
+    fresh: Annotated[bool, switch("--fresh", "Begin again in the folder.", FILES)] = False,
+    plot: Annotated[Path | None, plot_option("Draw the quantities over the varied values")] = None,
     csv: Annotated[Path | None, file_option("Write the table as CSV.", "FILE.csv")] = None,
     parquet: Annotated[
         Path | None, file_option("Write the table as Parquet.", "FILE.parquet")
@@ -130,21 +121,23 @@ def sweep(
     written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
     for source in (scene, over):
         check_targets(written, source=source)
-    loaded = scene_to_run(scene, no_code, over)
-    from multiarm.sweeps.sweep import sweep as run_sweep
+    from multiarm.scene import load_scene
+    from multiarm.sweeps.plan import make_plan
+    from multiarm.sweeps.sweep import run_plan
 
+    loaded = load_scene(scene, code=not no_code)
+    print_warnings(loaded.warnings)
+    keys = {**chosen(repeat=repeat, seed=seed), "run": chosen(duration=duration, accuracy=accuracy)}
+    plan = make_plan(loaded, over, **keys)
+    print_loaded(plan.code)
     with SweepProgress(quiet) as progress:
-        result = run_sweep(
-            loaded,
-            over,
-            out=target,
+        result = run_plan(
+            plan,
+            target,
             workers=workers,
             dask=True if dask == "config" else dask,
-            repeat=repeat,
-            seed=seed,
             progress=progress,
             resume=not fresh,
-            **chosen(duration=duration, accuracy=accuracy),
         )
     summary = result.summary()
     if not quiet:
@@ -159,48 +152,30 @@ def sweep(
     _end(summary, target, quiet)
 
 
-def _write(sweep: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
+def _write(sweep: Sweep, files: dict[str, Path | None], quiet: bool) -> dict[str, str]:
     """Write the requested files; returns their paths."""
-    writers: dict[str, Callable[[Path], bool]] = {
-        "csv": partial(_write_csv, sweep),
-        "parquet": partial(_write_parquet, sweep),
-        "plot": partial(_draw, sweep),
-    }
-    written = {}
-    for what, path in targets.items():
-        if path is None or not writers[what](path):
-            continue
-        written[what] = str(path)
-        if not quiet:
+    csv, parquet, plot = files["csv"], files["parquet"], files["plot"]
+    if csv is not None:
+        with atomic_output(csv, "--csv") as partial_file:
+            sweep.table.to_csv(partial_file, index=False)
+    if parquet is not None:
+        from multiarm.sweeps.folder import without_mixed_types
+
+        with atomic_output(parquet, "--parquet") as partial_file:
+            without_mixed_types(sweep.table).to_parquet(partial_file, index=False)
+    if plot is not None:
+        from multiarm.plots.sweep_figures import sweep_overview
+
+        try:
+            save_figure(sweep_overview(sweep), plot)
+        except SweepError as error:
+            print_warnings([f"nothing was drawn: {error}"])
+            files = {**files, "plot": None}
+    written = {what: path for what, path in files.items() if path is not None}
+    if not quiet:
+        for what, path in written.items():
             print_written(what, path)
-    return written
-
-
-def _write_csv(sweep: Sweep, path: Path) -> bool:
-    with atomic_output(path, "--csv") as partial_file:
-        sweep.table.to_csv(partial_file, index=False)
-    return True
-
-
-def _write_parquet(sweep: Sweep, path: Path) -> bool:
-    """The table as Parquet; values of several types, which it does not have, are texts."""
-    from multiarm.sweeps.folder import without_mixed_types
-
-    with atomic_output(path, "--parquet") as partial_file:
-        without_mixed_types(sweep.table).to_parquet(partial_file, index=False)
-    return True
-
-
-def _draw(sweep: Sweep, path: Path) -> bool:
-    """Write the figure; False if there is nothing to draw."""
-    from multiarm.plots.sweep_figures import sweep_overview
-
-    try:
-        save_figure(sweep_overview(sweep), path)
-    except SweepError as error:
-        print_warnings([f"nothing was drawn: {error}"])
-        return False
-    return True
+    return {what: str(path) for what, path in written.items()}
 
 
 def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:

@@ -27,6 +27,7 @@ from matplotlib.ticker import NullLocator
 
 from multiarm.errors import SweepError
 from multiarm.plots.style import BLUE, INK, RED, STYLE
+from multiarm.results.files import COMPLETED
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
@@ -153,23 +154,23 @@ class _Data:
     """Axes, quantities and failed runs of a figure."""
 
     def __init__(self, sweep: Sweep) -> None:
-        varied = [column.name for column in sweep.columns if column.group == "values"]
-        quantities = {c.name: c for c in sweep.columns if c.group == "quantities"}
-        numbers = {name: sweep.table[name].to_numpy(float, na_value=np.nan) for name in quantities}
+        numbers = {
+            name: sweep.table[name].to_numpy(float, na_value=np.nan) for name in sweep.quantities
+        }
         drawn = [name for name, values in numbers.items() if np.isfinite(values).any()]
         if not drawn:
             raise SweepError(f"'{sweep.path}' has no run with a number to draw")
-        variables = [variable(path, sweep.table[path].to_numpy()) for path in varied]
+        variables = [variable(path, sweep.table[path].to_numpy()) for path in sweep.paths]
         self.axes = [axis for axis in variables if axis is not None][:MOST_PATHS]
         if not self.axes:
             raise SweepError(
                 f"'{sweep.path}': there is nothing to draw over: "
-                f"{', '.join(varied) or 'no value'} varies as a number, or takes few values"
+                f"{', '.join(sweep.paths) or 'no value'} varies as a number, or takes few values"
             )
         self.values = {name: numbers[name] for name in drawn[:MOST_QUANTITIES]}
-        units = {name: quantities[name].unit for name in self.values}
-        self.labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
-        self.failed = (sweep.table["status"] != "completed").to_numpy(bool)
+        units = sweep.table.attrs["units"]
+        self.labels = {n: f"{n} [{units[n]}]" if n in units else n for n in self.values}
+        self.failed = (sweep.table["status"] != COMPLETED).to_numpy(bool)
 
 
 _RUN: dict[str, Any] = {"color": INK, "marker": ".", "markersize": 2.5, "alpha": 0.35, "lw": 0}

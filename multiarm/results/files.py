@@ -19,7 +19,7 @@ from typing import Any
 
 from multiarm.errors import MultiarmError
 
-STATUSES = ("completed", "interrupted", "failed")
+STATUSES = COMPLETED, INTERRUPTED, FAILED = "completed", "interrupted", "failed"
 """How a run may end."""
 CLOSED = "this trajectory was closed; load it from its file, or simulate again"
 """Message for reading samples that were released."""

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
@@ -19,11 +18,12 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from multiarm.errors import SceneError
 from multiarm.scene import parse_path
-from multiarm.scene.faults import Parts, fault, shown
+from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import Number, OneOf, Positive, Range, Spec, list_of, rising
 
-__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "is_integer", "plain_value"]
+__all__ = ["AxisSpec", "Count", "NonNegativeCount", "is_integer", "paths_of", "plain_value"]
 
 
 def plain_value(value: Any) -> Any:
@@ -136,6 +136,12 @@ def _standard_normal(u: float) -> float:
     return float(ndtri(u))
 
 
+def paths_of(key: str) -> tuple[str, ...]:
+    """The paths in a key of ``over``: one, or several separated by commas."""
+    parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", key)
+    return tuple(part.strip() for part in parts)
+
+
 VALUES: dict[str, Callable[[Any], list[Any]]] = {
     "values": list,
     "linspace": lambda v: np.linspace(*v).tolist(),
@@ -202,11 +208,6 @@ class AxisSpec(OneOf):
         return next(name for name, content in self if content is not None)
 
     @property
-    def content(self) -> Any:
-        """What stands below the key."""
-        return getattr(self, self.name)
-
-    @property
     def drawn(self) -> bool:
         """Whether values are drawn at random."""
         return self.name in QUANTILES
@@ -214,50 +215,43 @@ class AxisSpec(OneOf):
     @cached_property
     def values_in_turn(self) -> list[Any]:
         """The enumerated values; none if they are drawn."""
-        return [] if self.drawn else VALUES[self.name](self.content)
+        return [] if self.drawn else VALUES[self.name](getattr(self, self.name))
 
-    def value(self, place: Any) -> Any:
-        """The enumerated value of a number from 0 on; a drawn one at the quantile u in (0, 1)."""
+    @property
+    def count(self) -> int:
+        """Number of enumerated values; 1 if they are drawn."""
+        return 1 if self.drawn else len(self.values_in_turn)
+
+    def at(self, place: Any, paths: int) -> Sequence[Any]:
+        """The values of so many paths that vary together.
+
+        ``place`` is the number of an enumerated value, from 0 on; of a drawn one the quantile u in
+        (0, 1).
+        """
+        if self.rows is not None:
+            return self.rows[int(place)]
         if self.drawn:
-            return QUANTILES[self.name](self.content, place)
-        return self.values_in_turn[place]
+            value = QUANTILES[self.name](getattr(self, self.name), place)
+        else:
+            value = self.values_in_turn[int(place)]
+        return [value] * paths
+
+    def problems(self, key: str) -> Iterator[str]:
+        """What is wrong with the paths in its key, and with their number."""
+        paths = paths_of(key)
+        for path in paths:
+            try:
+                parse_path(path)
+            except SceneError as error:
+                yield from (fault.problem for fault in error.faults)
+        for k, row in enumerate(self.rows or ()):
+            if not isinstance(row, list) or len(row) != len(paths):
+                yield (
+                    f"rows[{k}] must be a list of {len(paths)}, a value for each path, got "
+                    f"{shown(row)}"
+                )
 
     def written(self) -> Any:
         """The axis as in a sweep file."""
         written = self.model_dump(mode="json", include={self.name})
         return written.get("values", written)
-
-
-@dataclass(frozen=True, eq=False)
-class Axis:
-    """The values of one path of the scene, or of several that vary together."""
-
-    written: str  # the key in the sweep file
-    spec: AxisSpec
-
-    @property
-    def paths(self) -> tuple[str, ...]:
-        """The paths in the key: one, or several separated by commas."""
-        parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", self.written)
-        return tuple(part.strip() for part in parts)
-
-    @property
-    def parts(self) -> tuple[Parts, ...]:
-        """The keys and numbers of each path."""
-        return tuple(map(parse_path, self.paths))
-
-    @property
-    def drawn(self) -> bool:
-        """Whether its values are drawn at random."""
-        return self.spec.drawn
-
-    @property
-    def count(self) -> int:
-        """Number of enumerated values; 1 if they are drawn."""
-        return 1 if self.drawn else len(self.spec.values_in_turn)
-
-    def at(self, place: Any) -> dict[str, Any]:
-        """Path -> value, see :meth:`AxisSpec.value`."""
-        value = self.spec.value(place)
-        values = value if self.spec.rows is not None else [value] * len(self.paths)
-        return dict(zip(self.paths, values, strict=True))

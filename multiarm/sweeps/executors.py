@@ -87,7 +87,7 @@ def _until_a_worker_dies(
     rows: Generator[Row, None, None] = parallel(tasks())
     try:
         for row in rows:
-            del under_way[row.run]
+            del under_way[row["run"]]
             yield row
     except TerminatedWorkerError:
         return [*under_way.values()]

@@ -22,7 +22,6 @@ import secrets
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -33,22 +32,22 @@ from pyarrow import parquet
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from multiarm.errors import SweepError
-from multiarm.results.files import atomic_file, resolved
+from multiarm.results.files import atomic_file
 from multiarm.results.sinks import provenance
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import counted, place
-from multiarm.sweeps.plan import SweepPlan, program_version
-from multiarm.sweeps.spec import Column, SweepSpec, parse_sweep
+from multiarm.sweeps.plan import SweepPlan
+from multiarm.sweeps.spec import FIRST, LAST, Column, SweepSpec
 
 if TYPE_CHECKING:
     from multiarm.sweeps.run import Row
 
 __all__ = [
+    "Header",
     "PartWriter",
-    "Stored",
     "create",
     "is_sweep",
-    "read",
+    "read_header",
     "read_rows",
     "without_mixed_types",
 ]
@@ -59,40 +58,42 @@ DIFFERENT_LINES = 6
 """Of a text, in a message, at most."""
 
 
-class About(BaseModel):
-    """What decides on the numbers of the runs, besides the texts of scene and sweep."""
+class Header(BaseModel):
+    """What decides on the numbers of the runs."""
 
     model_config = ConfigDict(frozen=True)
 
+    scene: str  # its text, in scene.yaml
+    sweep: str  # its text, in sweep.yaml
     format: Literal["multiarm sweep"] = "multiarm sweep"
     version: Literal[4] = 4
     folder: str  # where relative paths of the scene start
-    files: dict[str, str]
-    functions: list[str]
+    files: dict[str, str]  # path -> SHA-256
+    functions: list[str]  # SHA-256 of the functions of quantities
     provenance: dict[str, Any]
 
+    @classmethod
+    def of(cls, plan: SweepPlan) -> Header:
+        """The header of a plan."""
+        return cls(
+            scene=dump_scene(plan.scene),
+            sweep=plan.spec.text(),
+            folder=str(plan.scene.folder),
+            files=plan.files,
+            functions=plan.functions,
+            provenance={key: value for key, value in provenance("").items() if key != "scene"},
+        )
 
-@dataclass(frozen=True)
-class Stored:
-    """The folder of a sweep, and what it says of it."""
-
-    path: Path
-    about: About
-    scene: str
-    text: str
-    spec: SweepSpec
-
-    def differences(self, plan: SweepPlan) -> list[str]:
-        """Differences to a plan that change the motion of its runs."""
+    def differences(self, here: Header) -> list[str]:
+        """Differences to another header that change the motion of the runs."""
         lines = [
-            *_changed_lines("scene", self.scene, dump_scene(plan.scene)),
-            *_changed_lines("sweep", self.text, plan.spec.text()),
+            *_changed_lines("scene", self.scene, here.scene),
+            *_changed_lines("sweep", self.sweep, here.sweep),
         ]
-        there, here = self.about.provenance.get("version", "of unknown version"), program_version()
-        if not lines and there != here:
-            lines = [f"it was begun by multiarm {there}, this is {here}"]
-        files = self.about.files.items() ^ plan.files.items()
-        changed = sorted({name for name, _ in files})
+        begun_by = self.provenance.get("version", "of unknown version")
+        if not lines and begun_by != here.provenance["version"]:
+            lines = [f"it was begun by multiarm {begun_by}, this is {here.provenance['version']}"]
+        changed = sorted({name for name, _ in self.files.items() ^ here.files.items()})
         return [*lines, *(f"the file '{name}' has changed, or is missing" for name in changed)]
 
 
@@ -119,16 +120,11 @@ def create(path: Path, plan: SweepPlan) -> None:
         raise SweepError(
             f"'{path}' exists and is not the folder of a sweep: choose another name, or remove it"
         )
-    about = About(
-        folder=str(plan.scene.folder),
-        files=plan.files,
-        functions=plan.functions,
-        provenance={key: value for key, value in provenance("").items() if key != "scene"},
-    )
+    header = Header.of(plan)
     texts = {
-        "scene.yaml": dump_scene(plan.scene),
-        "sweep.yaml": plan.spec.text(),
-        "about.json": about.model_dump_json(indent=1),
+        "scene.yaml": header.scene,
+        "sweep.yaml": header.sweep,
+        "about.json": header.model_dump_json(indent=1, exclude={"scene", "sweep"}),
     }
     partial = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
     with _on_disk(path):
@@ -143,15 +139,14 @@ def create(path: Path, plan: SweepPlan) -> None:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def read(path: str | os.PathLike) -> Stored:
-    """The folder of a sweep, without its rows.
+def read_header(folder: Path) -> Header:
+    """What the folder of a sweep says of it.
 
     Raises
     ------
     SweepError
         Missing, damaged, no sweep, or of another version.
     """
-    folder = resolved(path, SweepError)
     if not folder.exists():
         raise SweepError(f"there is no sweep '{folder}'; multiarm sweep and ma.sweep() make one")
     if folder.is_file():
@@ -162,12 +157,11 @@ def read(path: str | os.PathLike) -> Stored:
     if not is_sweep(folder):
         raise SweepError(f"'{folder}' is not the folder of a sweep: it has no 'about.json'")
     try:
-        scene, text, raw = (
+        scene, sweep, about = (
             (folder / name).read_text(encoding="utf-8", errors="surrogateescape")
             for name in ("scene.yaml", "sweep.yaml", "about.json")
         )
-        about = About.model_validate(json.loads(raw))
-        return Stored(folder, about, scene, text, parse_sweep(text))
+        return Header.model_validate({**json.loads(about), "scene": scene, "sweep": sweep})
     except ValidationError as error:
         first = error.errors()[0]
         if first["loc"] in (("format",), ("version",)):
@@ -177,8 +171,6 @@ def read(path: str | os.PathLike) -> Stored:
                 "(--fresh, in Python resume=False)"
             ) from None
         raise _damaged(folder / "about.json", f"{place(first['loc'])}: {first['msg']}") from None
-    except SweepError as error:
-        raise SweepError(error.faults, source=str(folder / "sweep.yaml")) from None
     except (OSError, ValueError, RecursionError) as error:
         raise _damaged(folder, error) from error
 
@@ -194,11 +186,11 @@ _NULLABLE = {
 
 
 def _field(column: Column, type_: pa.DataType | None = None) -> pa.Field:
-    metadata = {"unit": column.unit, "description": column.words, "kind": column.group}
+    metadata = {"unit": column.unit, "description": column.words}
     return pa.field(column.name, type_ or _TYPES.get(column.name, pa.float64()), metadata=metadata)
 
 
-def read_rows(stored: Stored) -> pandas.DataFrame:
+def read_rows(folder: Path, spec: SweepSpec) -> pandas.DataFrame:
     """The rows of finished runs, in their order, without the values that vary.
 
     Index: run.  Columns: status, message, the quantities, wall_time, worker; a missing entry is
@@ -209,9 +201,9 @@ def read_rows(stored: Stored) -> pandas.DataFrame:
     SweepError
         A part is damaged.
     """
-    schema = pa.schema(map(_field, (c for c in stored.spec.columns if c.group != "values")))
+    schema = pa.schema(map(_field, (*FIRST, *spec.quantities, *LAST)))
     tables = [schema.empty_table()]
-    for part in sorted((stored.path / "parts").glob("*.parquet")):
+    for part in sorted((folder / "parts").glob("*.parquet")):
         try:
             tables.append(parquet.read_table(part, columns=schema.names).cast(schema))
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -221,8 +213,8 @@ def read_rows(stored: Stored) -> pandas.DataFrame:
             ) from error
     rows = pa.concat_tables(tables).to_pandas(types_mapper=_NULLABLE.get)
     rows = rows.drop_duplicates("run").set_index("run").sort_index()
-    if len(rows) and not 1 <= rows.index[0] <= rows.index[-1] <= stored.spec.count:
-        raise _damaged(stored.path, f"its runs are not among 1 to {stored.spec.count}")
+    if len(rows) and not 1 <= rows.index[0] <= rows.index[-1] <= spec.count:
+        raise _damaged(folder, f"its runs are not among 1 to {spec.count}")
     return rows
 
 
@@ -234,12 +226,13 @@ class PartWriter:
     """
 
     def __init__(self, folder: Path, plan: SweepPlan) -> None:
-        self._folder, self._columns = folder, plan.spec.columns
-        self._values = {path: _arrow(plan.table[path].tolist()) for path in plan.paths}
-        self._writer, self._number = secrets.token_hex(4), 0
+        self._folder, self._prefix, self._number = folder, secrets.token_hex(4), 0
+        self._values = pa.table(
+            {path: _arrow(plan.spec.table[path].tolist()) for path in plan.spec.table}
+        )
+        types = dict(zip(self._values.column_names, self._values.schema.types, strict=True))
         self._schema = pa.schema(
-            _field(column, self._values[column.key].type if column.group == "values" else None)
-            for column in self._columns
+            _field(column, types.get(column.name)) for column in plan.spec.columns
         )
         self._part = self._schema.empty_table()
 
@@ -251,20 +244,15 @@ class PartWriter:
         SweepError
             The disk is full, or the folder cannot be written.
         """
-        added = pa.Table.from_pylist([self._written(row) for row in rows], schema=self._schema)
-        part = pa.concat_tables([self._part, added])
-        name = f"{self._writer}-{self._number:06d}.parquet"
+        values = self._values.take([row["run"] - 1 for row in rows]).to_pylist()
+        whole = [{**row, **of_run} for row, of_run in zip(rows, values, strict=True)]
+        part = pa.concat_tables([self._part, pa.Table.from_pylist(whole, schema=self._schema)])
+        name = f"{self._prefix}-{self._number:06d}.parquet"
         with _on_disk(self._folder):
             _write_whole(self._folder / "parts" / name, part)
         self._part = part
         if len(part) >= PART_ROWS:
             self._number, self._part = self._number + 1, self._schema.empty_table()
-
-    def _written(self, row: Row) -> dict[str, Any]:
-        values = {path: array[row.run - 1].as_py() for path, array in self._values.items()}
-        facts = vars(row)
-        cells = {"fixed": facts, "values": values, "quantities": row.quantities, "measured": facts}
-        return {column.name: cells[column.group].get(column.key) for column in self._columns}
 
 
 def without_mixed_types(table: pandas.DataFrame) -> pandas.DataFrame:

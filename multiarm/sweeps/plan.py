@@ -1,15 +1,8 @@
-"""The plan of a sweep: a table with the values of every run.
+"""The plan of a sweep: scene and sweep, checked against each other.
 
-    run = 1 + point * repeat + repetition
-
-The points of the grid go through the axes with the last one fastest.  A random value is the
-quantile Q(u) of a number u in (0, 1), so that one sampler serves all kinds:
-
-    random            u = Philox(seed, run), independent for every run
-    latin_hypercube   the runs of one grid point fill `repeat` layers of every axis once
-    sobol             the runs of one grid point are a scrambled Sobol sequence
-
-The last two are SciPy's; every grid point has its own sample, keyed by the seed and the point.
+Some scenes are made before any run: with the first values of all axes, with the last ones, and with
+each axis's values and the first ones of all other axes.  Their faults are reported at the place in
+the sweep, and they show which code and which files the values name.
 """
 
 from __future__ import annotations
@@ -18,31 +11,43 @@ import hashlib
 import inspect
 import itertools
 import os
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas
+from pydantic import BaseModel
 
-from multiarm.errors import SceneError, SweepError
-from multiarm.results.sinks import provenance
-from multiarm.scene import Scene, load_scene, named_code, refuse_code
-from multiarm.scene.code import CodeReference
-from multiarm.sweeps.axes import is_integer
-from multiarm.sweeps.checking import (
-    plan_faults,
-    quantity_faults,
-    sweep_code,
-    value_faults,
-    words,
+from multiarm.errors import Fault, MultiarmError, SceneError, SweepError
+from multiarm.scene import (
+    NamedCode,
+    Scene,
+    load_scene,
+    named_code,
+    parse_path,
+    refuse_code,
+    value_at,
 )
+from multiarm.scene.code import (
+    CodeReference,
+    function_references,
+    function_text,
+    load_function,
+    nodes,
+    reference_fault,
+)
+from multiarm.scene.faults import fault_at, place, shown
+from multiarm.sweeps.axes import AxisSpec, paths_of
 from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 
-__all__ = ["SweepPlan", "make_plan", "planned_values", "program_version", "values_of_run"]
+__all__ = ["SweepPlan", "make_plan"]
+
+MOST_RUNS = 1_000_000
+"""Of one sweep."""
 
 
 @dataclass(frozen=True)
@@ -52,26 +57,28 @@ class SweepPlan:
     scene: Scene  # with the sweep's entries of `run`
     spec: SweepSpec
 
-    @property
-    def paths(self) -> tuple[str, ...]:
-        """The paths that vary."""
-        return tuple(path for axis in self.spec.axes for path in axis.paths)
-
     @cached_property
-    def table(self) -> pandas.DataFrame:
-        """A row for each run, numbered from 1 on; a column for each path, of objects."""
-        return planned_values(self.spec)
+    def trials(self) -> Trials:
+        """Some scenes of the sweep."""
+        return _trials(self.scene, self.spec)
 
     @property
-    def count(self) -> int:
-        """Number of runs."""
-        return self.spec.count
+    def code(self) -> list[NamedCode]:
+        """The code that the scene and the sweep name, and that is not loaded yet."""
+        quantities = function_references(self.spec.keep)
+        kept = [NamedCode.function(("keep", parts[0]), function) for parts, function in quantities]
+        of_values = map(named_code, self.trials.scenes)
+        return list(dict.fromkeys(itertools.chain(named_code(self.scene), kept, *of_values)))
 
     @cached_property
-    def words(self) -> frozenset[str]:
-        """All strings in the scene, and in the paths and values of the sweep."""
-        axes = [[axis.spec.written(), axis.parts] for axis in self.spec.axes]
-        return frozenset(words([self.scene.model_dump(mode="json"), axes]))
+    def kinds(self) -> set[str]:
+        """Names of the kinds and of the effects in the scenes, ours and users'."""
+        models = [part for part in self._parts if isinstance(part, BaseModel)]
+        kinds = (getattr(model, "kind", None) for model in models)
+        return {
+            *filter(None, kinds),
+            *(name for model in models for name in model.model_extra or ()),
+        }
 
     @cached_property
     def files(self) -> dict[str, str]:
@@ -80,10 +87,19 @@ class SweepPlan:
         Runs give other numbers when such a file changes.  Robots by name belong to installed
         packages, whose versions are in the provenance.
         """
-        names = (os.path.expanduser(CodeReference(text).file or text) for text in self.words)
-        places = (os.path.join(self.scene.folder, name) for name in names)
-        paths = sorted({Path(place).resolve() for place in places if os.path.isfile(place)})
-        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+        functions = (part for part in self._parts if callable(part))
+        code = [function_text(part) for part in (*functions, *self.kinds)]
+        code += [part for part in self._parts if isinstance(part, CodeReference)]
+        paths = {part for part in self._parts if isinstance(part, Path)}
+        paths |= {*filter(None, (CodeReference(name).file for name in code))}
+        files = sorted(path.resolve() for path in paths if path.is_file())
+        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+    @cached_property
+    def _parts(self) -> list[Any]:
+        """The parts of all scenes."""
+        scenes = (self.scene, *self.trials.scenes)
+        return [part for scene in scenes for _, part in nodes(scene)]
 
     @cached_property
     def functions(self) -> list[str]:
@@ -91,13 +107,9 @@ class SweepPlan:
         entries = (entry for entry in self.spec.keep if isinstance(entry, UserQuantity))
         return [_digest(entry.function) for entry in entries]
 
-    def values(self, run: int) -> dict[str, Any]:
-        """Path -> value in the scene of a run; raises a SweepError when there is no such run."""
-        return values_of_run(self.table, run)
-
     def scene_of(self, run: int) -> Scene:
         """The scene of a run; raises a SceneError when its values make no valid scene."""
-        return self.scene.replace(self.values(run))
+        return self.scene.replace(self.spec.values(run))
 
 
 def _digest(function: Callable | CodeReference) -> str:
@@ -111,56 +123,7 @@ def _digest(function: Callable | CodeReference) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def planned_values(spec: SweepSpec) -> pandas.DataFrame:
-    """The values of all runs: a row for each, a column for each path."""
-    counts = [range(axis.count) for axis in spec.axes if not axis.drawn]
-    zipped = spec.combine == "zip" and bool(counts)
-    points = list(zip(*counts, strict=True) if zipped else itertools.product(*counts))
-    grid = np.array(points, dtype=int).reshape(len(points), len(counts))
-    in_turn = iter(np.repeat(grid, spec.repeat, axis=0).T.tolist())
-    quantiles = iter(samples(spec, len(points)).T.tolist())
-    columns: dict[str, list[Any]] = {}
-    for axis in spec.axes:
-        rows = [axis.at(place) for place in next(quantiles if axis.drawn else in_turn)]
-        columns |= {path: [row[path] for row in rows] for path in axis.paths}
-    runs = pandas.RangeIndex(1, len(points) * spec.repeat + 1, name="run")
-    return pandas.DataFrame(columns, index=runs, dtype=object)
-
-
-def values_of_run(table: pandas.DataFrame, run: int) -> dict[str, Any]:
-    """Path -> value, from the :func:`planned_values`; raises a SweepError without such a run."""
-    if not is_integer(run) or not 1 <= run <= len(table):
-        raise SweepError(f"there is no run {run}; runs are 1 to {len(table)}")
-    return table.loc[run].to_dict()
-
-
-_SMALLEST = 2.0**-54
-"""Distance of u from 0 and 1, where many quantiles are infinite."""
-
-
-def samples(spec: SweepSpec, points: int) -> np.ndarray:
-    """Numbers in (0, 1) for the drawn axes, shape (points * repeat, axes)."""
-    from scipy.stats.qmc import LatinHypercube, Sobol
-
-    axes, repeat = sum(axis.drawn for axis in spec.axes), spec.repeat
-
-    def generator(key: int) -> np.random.Generator:
-        return np.random.Generator(
-            np.random.Philox(np.random.SeedSequence(spec.seed, spawn_key=(key,)))
-        )
-
-    if axes == 0:
-        return np.zeros((points * repeat, 0))
-    if spec.sampling == "random":
-        u = np.array([generator(run).random(axes) for run in range(1, points * repeat + 1)])
-    elif spec.sampling == "latin_hypercube":
-        u = np.vstack(
-            [LatinHypercube(axes, rng=generator(p)).random(repeat) for p in range(points)]
-        )
-    else:
-        sequences = (Sobol(axes, rng=generator(point)) for point in range(points))
-        u = np.vstack([sequence.random(1) for sequence in sequences for _ in range(repeat)])
-    return np.clip(u, _SMALLEST, 1.0 - 2.0 * _SMALLEST)
+# --- checks ---------------------------------------------------------------------------------------
 
 
 def make_plan(
@@ -192,22 +155,197 @@ def make_plan(
     source = str(over) if isinstance(over, (str, os.PathLike)) else None
     data, folder = read_sweep(over, changes)
     spec, faults = examined(data, folder)
-    if spec is not None:
-        if not scene.may_load_code:
-            refuse_code([*named_code(scene), *sweep_code(scene, spec)])
-        # a function that is named in Python may lie in any folder
-        within = None if source is None or "keep" in changes else folder
-        faults += [*plan_faults(spec), *quantity_faults(spec, within)]
-        try:  # faults of `run` have the same place in the sweep as in the scene
-            scene = scene.replace({f"run.{key}": value for key, value in spec.run.items()})
-        except SceneError as error:
-            faults += error.faults
-        faults += value_faults(scene, spec)
-    if spec is None or faults:
+    if spec is None:
         raise SweepError(faults, source=source)
-    return SweepPlan(scene, spec)
+    in_run: list[Fault] = []
+    try:  # faults of `run` have the same place in the sweep as in the scene
+        scene = scene.replace({f"run.{key}": value for key, value in spec.run.items()})
+    except SceneError as error:
+        in_run = error.faults
+    plan = SweepPlan(scene, spec)
+    if not scene.may_load_code:
+        refuse_code(plan.code)
+    # a function that is named in Python may lie in any folder
+    within = None if source is None or "keep" in changes else folder
+    faults += [*_plan_faults(spec), *_quantity_faults(spec, within), *in_run, *plan.trials.faults]
+    if faults:
+        raise SweepError(faults, source=source)
+    return plan
 
 
-def program_version() -> str:
-    """The version of multiarm."""
-    return provenance("")["version"]
+def _plan_faults(spec: SweepSpec) -> list[Fault]:
+    """Faults of the axes, and of their combination, that do not depend on the scene."""
+    faults = [
+        fault_at(("over", key), problem)
+        for key, axis in spec.over.items()
+        for problem in axis.problems(key)
+    ]
+    faults += [
+        fault_at(("over", path), "stands twice in the sweep; keep one of the two")
+        for path in _repeated(path for key in spec.over for path in paths_of(key))
+    ]
+    steps = {key: axis.count for key, axis in spec.over.items() if not axis.drawn}
+    if spec.combine == "zip" and len({*steps.values()}) > 1:
+        counts = ", ".join(f"{count} of {key}" for key, count in steps.items())
+        problem = f"'zip' needs as many values of every path, there are {counts}"
+        faults.append(fault_at(("combine",), problem))
+    if spec.repeat > 1 and len(steps) == len(spec.over):
+        problem = (
+            f"{spec.repeat} runs of each point would be the same run, for no path is drawn at "
+            "random; leave it out, or draw one, such as (uniform: [0, 1])"
+        )
+        faults.append(fault_at(("repeat",), problem))
+    elif spec.repeat == 1 and spec.sampling != "random":
+        problem = (
+            f"{spec.sampling!r} spreads the runs of one point of the grid, and there is one; set "
+            "their number with 'repeat'"
+        )
+        faults.append(fault_at(("sampling",), problem))
+    if spec.count > MOST_RUNS:
+        problem = f"makes {spec.count:,} runs; at most {MOST_RUNS:,} are possible"
+        faults.append(fault_at(("over",), problem))
+    return faults
+
+
+def _quantity_faults(spec: SweepSpec, folder: Path | None) -> list[Fault]:
+    """Faults of the quantities: missing functions, duplicate names.
+
+    Functions are loaded.  Those of a sweep file lie in its ``folder``.
+    """
+    faults = []
+    for _, function in function_references(spec.keep):
+        reason = reference_fault(function, folder)
+        try:
+            if not reason:
+                load_function(function)
+        except MultiarmError as error:
+            reason = str(error)
+        if reason:
+            faults.append(fault_at(("keep",), reason))
+    for name in _repeated(column.name for column in spec.outputs):
+        problem = f"{name!r} stands twice; give one of them another 'name'"
+        faults.append(fault_at(("keep",), problem))
+    return faults
+
+
+def _repeated(names: Iterable[str]) -> list[str]:
+    """The names that stand twice, in order."""
+    counts = Counter(names)
+    return sorted(name for name, count in counts.items() if count > 1)
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Scenes that some values of a sweep make, and the faults of values that make none."""
+
+    scenes: tuple[Scene, ...]
+    faults: tuple[Fault, ...]
+
+
+def _trials(scene: Scene, spec: SweepSpec) -> Trials:
+    """Trials of a sweep, without axes that are faulty whatever the scene.
+
+    Of computed values only the first wrong one is reported.
+    """
+    over = {key: axis for key, axis in spec.over.items() if not any(axis.problems(key))}
+    scenes, faults = [], dict[Hashable, Fault]()
+    for places in _tried_places([*over.values()], spec.combine == "zip"):
+        trial = dict(zip(over, places, strict=True))
+        values: dict[str, Any] = {}
+        for key, at in trial.items():
+            paths = paths_of(key)
+            values |= zip(paths, over[key].at(at, len(paths)), strict=True)
+        try:
+            scenes.append(scene.replace(values))
+        except SceneError as error:
+            for fault in error.faults:
+                in_sweep = _in_sweep(scene, fault, over, trial, values)
+                faults.setdefault((in_sweep.parts, fault.parts), in_sweep)
+    return Trials(tuple(scenes), tuple(faults.values()))
+
+
+TRIED, TRIED_NAMES = 24, 1000
+"""Values of an axis that are tried, at most: of numbers, of texts and tables."""
+TAILS = (0.5, 0.001, 0.999)
+"""Quantiles of a drawn axis that are tried."""
+
+
+def _tried_places(axes: list[AxisSpec], zipped: bool) -> Iterator[list[Any]]:
+    """Places of all axes: the first ones, the last ones, and those of each axis in turn."""
+    shortest = min((axis.count for axis in axes if not axis.drawn), default=1)
+    options = [
+        _some_places(axis, shortest if zipped and not axis.drawn else axis.count) for axis in axes
+    ]
+    if zipped:
+        longest = max(
+            (o for o, axis in zip(options, axes, strict=True) if not axis.drawn),
+            key=len,
+            default=[],
+        )
+        options = [o if axis.drawn else longest for o, axis in zip(options, axes, strict=True)]
+    first = [places[0] for places in options]
+    yield first
+    yield [places[-1] for places in options]
+    for k, axis in enumerate(axes):
+        together = [zipped and not (axis.drawn or second.drawn) for second in axes]
+        if True in together[:k]:
+            continue  # tried with an earlier axis
+        for at in options[k][1:]:
+            yield [at if j == k or together[j] else default for j, default in enumerate(first)]
+
+
+def _some_places(axis: AxisSpec, count: int) -> list[Any]:
+    """Places of an axis that are tried; more of one whose values may name code or files."""
+    if axis.drawn and axis.choice is None:
+        return [*TAILS]
+    values = axis.values_in_turn
+    if axis.choice is not None:
+        values, count = axis.choice, len(axis.choice)
+    most = TRIED_NAMES if any(map(_names_something, values)) else TRIED
+    numbers = np.linspace(0, count - 1, min(count, most), dtype=int).tolist()
+    return numbers if axis.choice is None else [(number + 0.5) / count for number in numbers]
+
+
+def _names_something(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(map(_names_something, value))
+    return isinstance(value, (str, dict))
+
+
+def _in_sweep(
+    scene: Scene,
+    fault: Fault,
+    over: Mapping[str, AxisSpec],
+    trial: Mapping[str, Any],
+    values: Mapping[str, Any],
+) -> Fault:
+    """A fault of the scene at the place in the sweep that causes it."""
+    where, problem = fault.parts, fault.problem
+    causes = [
+        (parts, key, path)
+        for key in trial
+        for path in paths_of(key)
+        for parts in [parse_path(path)]
+        if parts[: len(where)] == where[: len(parts)]  # one place contains the other
+    ]
+    if not causes:
+        tried = ", ".join(f"{path} = {shown(value)}" for path, value in values.items())
+        return fault_at(("over",), f"no scene is made by {tried}: {fault}")
+    parts, key, path = max(causes, key=lambda cause: len(cause[0]))
+    below = where[len(parts) :]
+    if not below and not _leads_somewhere(scene, path):
+        return fault_at(("over", key), problem)
+    if below:
+        problem = f"its {place(below, '').removeprefix('.')}: {problem}"
+    if over[key].values is not None:
+        return fault_at(("over", key, trial[key]), problem)
+    return fault_at(("over", key, over[key].name), f"the value {shown(values[path])}: {problem}")
+
+
+def _leads_somewhere(scene: Scene, path: str) -> bool:
+    """Whether a scene can have a value at a path."""
+    try:
+        value_at(scene, path)
+    except SceneError:
+        return False
+    return True

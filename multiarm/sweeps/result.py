@@ -18,11 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas
 
+from multiarm.errors import SweepError
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.sweeps.folder import read, read_rows
-from multiarm.sweeps.plan import SweepPlan, planned_values, values_of_run
-from multiarm.sweeps.spec import Column
+from multiarm.results.files import COMPLETED, resolved
+from multiarm.sweeps.folder import Header, read_header, read_rows
+from multiarm.sweeps.plan import SweepPlan
+from multiarm.sweeps.spec import Column, parse_sweep
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -47,10 +49,13 @@ class Sweep:
     """
 
     def __init__(self, path: str | os.PathLike, code: bool = False):
-        self._stored = read(path)
-        self._rows = read_rows(self._stored)
-        self._code = code
-        self.path = self._stored.path
+        self.path = resolved(path, SweepError)
+        self._header, self._code = read_header(self.path), code
+        try:
+            self._spec = parse_sweep(self._header.sweep)
+        except SweepError as error:
+            raise SweepError(error.faults, source=str(self.path / "sweep.yaml")) from None
+        self._rows = read_rows(self.path, self._spec)
 
     __dir__ = public_names
 
@@ -65,7 +70,7 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of planned runs."""
-        return self._stored.spec.count
+        return self._spec.count
 
     @property
     def complete(self) -> bool:
@@ -80,44 +85,39 @@ class Sweep:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns of the table: run, status, message, values, quantities, wall time, worker."""
-        return self._stored.spec.columns
+        return self._spec.columns
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Paths in the scene that vary."""
-        return tuple(column.key for column in self._stored.spec.of_group("values"))
+        """Paths in the scene that vary: columns of the table."""
+        return self._spec.paths
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Outputs of each run."""
-        return tuple(column.key for column in self._stored.spec.of_group("quantities"))
+        """Outputs of each run: columns of the table."""
+        return tuple(column.name for column in self._spec.quantities)
 
     @property
     def provenance(self) -> Mapping[str, Any]:
         """Version, computer and time of the start."""
-        return dict(self._stored.about.provenance)
+        return dict(self._header.provenance)
 
     @cached_property
     def scene(self) -> Scene:
         """The scene that is varied."""
         from multiarm.scene import parse_scene
 
-        return parse_scene(self._stored.scene, self._stored.about.folder, self._code)
+        return parse_scene(self._header.scene, self._header.folder, self._code)
 
     @property
     def text(self) -> str:
         """The sweep as YAML."""
-        return self._stored.text
+        return self._header.sweep
 
     @cached_property
     def plan(self) -> SweepPlan:
-        """The plan: values of each run."""
-        return SweepPlan(self.scene, self._stored.spec)
-
-    @cached_property
-    def _planned(self) -> pandas.DataFrame:
-        """The values of each run, without the scene, whose robots may not be on this computer."""
-        return planned_values(self._stored.spec)
+        """The plan: the scene, and the values of each run."""
+        return SweepPlan(self.scene, self._spec)
 
     @cached_property
     def status_counts(self) -> dict[str, int]:
@@ -132,26 +132,25 @@ class Sweep:
         Columns: ``run``, ``status``, ``message``, the values that vary by their paths, the
         quantities, ``wall_time`` [s] and ``worker``.  ``attrs["units"]`` maps columns to units.
         """
-        values = self._planned.loc[self._rows.index]
-        complete = values.notna().all()
-        table = self._rows.copy()
-        for column in self._stored.spec.of_group("values"):
-            cells = values[column.key]  # objects: None stays what the sweep gave
-            table[column.name] = cells.infer_objects() if complete[column.key] else cells
-        table = table.reset_index()
-        table = table[[column.name for column in self.columns]]
+        values = self._spec.table.loc[self._rows.index]
+        complete = values.notna().all()  # else objects: None stays what the sweep gave
+        values = values.astype(
+            {path: values[path].infer_objects().dtype for path in values if complete[path]}
+        )
+        table = self._rows.join(values).reset_index()[[column.name for column in self.columns]]
         table.attrs["units"] = {column.name: column.unit for column in self.columns if column.unit}
         return table
 
     def summary(self) -> SweepSummary:
         """How the runs ended and how each quantity spreads."""
-        quantities = self._stored.spec.of_group("quantities")
         return SweepSummary(
             count=self.count,
             done=len(self),
             statuses=self.status_counts,
             wall_time=math.fsum(self._rows["wall_time"].dropna()),
-            spreads=tuple(_spread(self._rows[column.name], column) for column in quantities),
+            spreads=tuple(
+                _spread(self._rows[column.name], column) for column in self._spec.quantities
+            ),
             failures=_failures(self._rows),
         )
 
@@ -163,7 +162,7 @@ class Sweep:
         SweepError
             There is no such run.
         """
-        return values_of_run(self._planned, run)
+        return self._spec.values(run)
 
     def scene_of(self, run: int) -> Scene:
         """The scene of one run.
@@ -191,7 +190,7 @@ class Sweep:
         from multiarm.sweeps.run import simulate_run
 
         scene = self.scene_of(run)
-        differs = self._stored.differences(self.plan)
+        differs = self._header.differences(Header.of(self.plan))
         if differs:
             warnings.warn(
                 f"this run may give other numbers than its row has: {'; '.join(differs)}",
@@ -296,7 +295,7 @@ def _spread(cells: pandas.Series, column: Column) -> Spread:
 
 def _failures(rows: pandas.DataFrame) -> tuple[Failure, ...]:
     """The different messages of runs that did not complete, the first few."""
-    failed = rows.loc[rows["status"] != "completed", ["status", "message"]]
+    failed = rows.loc[rows["status"] != COMPLETED, ["status", "message"]]
     alike = failed["message"].str.replace(_NUMBER, "#", regex=True).rename("alike")
     failures = [
         Failure(group["status"].iloc[0], group["message"].iloc[0], len(group), int(group.index[0]))

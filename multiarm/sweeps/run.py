@@ -11,7 +11,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -20,17 +20,24 @@ from uuid import uuid4
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
-from multiarm.results.files import printable
+from multiarm.results.files import COMPLETED, FAILED, INTERRUPTED, printable
+from multiarm.results.sinks import provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene, with_code
 from multiarm.scene.code import CodeReference, is_reference, load_function
-from multiarm.simulation.certified import INTERRUPTED
+from multiarm.simulation.certified import INTERRUPTED as CHECK_INTERRUPTED
 from multiarm.simulation.simulate import simulate
-from multiarm.sweeps.plan import SweepPlan, program_version
+from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.quantities import UserQuantity, measure
 from multiarm.threads import one_thread
 
 __all__ = ["Context", "Row", "lost_run", "prepare", "run", "simulate_run"]
+
+Row = dict[str, Any]
+"""What a sweep stores of one run: column -> entry, without the values; what is missing is left out.
+
+A run that was simulated is "failed" too if a quantity of the user's raised an error.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ class Context:
     folder: str  # where relative paths of the scene, and of values in it, start
     code: bool  # whether workers may load code that the scene, and values in it, name
     keep: tuple[str | UserQuantity, ...]
+    quantities: tuple[str, ...]  # the columns of their numbers
     certificate: bool  # check runs of some accuracy
     version: str  # of multiarm: another one may give other numbers
     # user classes that were registered in the process that began the sweep, and where
@@ -56,27 +64,19 @@ class Context:
             folder=str(plan.scene.folder),
             code=plan.scene.may_load_code,
             keep=plan.spec.keep,
+            quantities=tuple(column.name for column in plan.spec.quantities),
             certificate=plan.spec.certificate,
             version=program_version(),
-            classes=tuple(
-                (registry.group, kind)
-                for registry in REGISTRIES
-                for name, kind in registry.registered.items()
-                if name in plan.words and not is_reference(name)  # files are read by each worker
-            ),
+            classes=tuple(_registered_classes(plan)),
         )
 
 
-@dataclass(frozen=True)
-class Row:
-    """What a sweep stores of one run."""
-
-    run: int  # its number, from 1 on
-    status: str  # "completed" or "failed", the latter also if a user's quantity raised an error
-    message: str  # why it did not complete
-    quantities: dict[str, float | None]  # by name; none of a run that could not be measured
-    wall_time: float  # [s]
-    worker: str  # computer and process
+def _registered_classes(plan: SweepPlan) -> Iterator[tuple[str, type]]:
+    """The registered classes that the scenes of a plan name, without those in files."""
+    for registry in REGISTRIES:
+        for name, kind in registry.registered.items():
+            if name in plan.kinds and not is_reference(name):  # each worker reads files for itself
+                yield registry.group, kind
 
 
 def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
@@ -91,20 +91,27 @@ def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
     """
     base = prepare(context)  # loads the libraries whose threads are limited below
     began = time.perf_counter()
-    numbers: dict[str, float | None] = {}
+    numbers: Row = {}
     try:
         with one_thread():  # workers share the processors already
             trajectory = _simulated(context, base, values)
         status, message = trajectory.status, trajectory.message
-        if status == "completed":
-            numbers, fault = measure(context.keep, trajectory, base.load)
-            status, message = ("failed", fault) if fault else (status, message)
+        if status == COMPLETED:
+            measured, fault = measure(context.keep, trajectory, base.load)
+            numbers = dict(zip(context.quantities, measured.values(), strict=True))
+            status, message = (FAILED, fault) if fault else (status, message)
     except MultiarmError as error:
-        status, message = "failed", f"the run could not begin: {error}"
+        status, message = FAILED, f"the run could not begin: {error}"
     except USER_FAULTS as error:  # user-defined functions and effects may raise anything
-        status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
-    wall_time = time.perf_counter() - began
-    return Row(number, status, printable(message), numbers, wall_time, _worker())
+        status, message = FAILED, f"the run broke off: {type(error).__name__}: {error}"
+    return {
+        "run": number,
+        "status": status,
+        "message": printable(message),
+        **numbers,
+        "wall_time": time.perf_counter() - began,
+        "worker": _worker(),
+    }
 
 
 def lost_run(number: int) -> Row:
@@ -113,7 +120,7 @@ def lost_run(number: int) -> Row:
         "its worker died every time: the process was ended, by lack of memory perhaps, or broke "
         "down in compiled code"
     )
-    return Row(number, "failed", message, {}, 0.0, "")
+    return {"run": number, "status": FAILED, "message": message, "wall_time": 0.0, "worker": ""}
 
 
 def simulate_run(scene: Scene, certificate: bool) -> Trajectory:
@@ -189,9 +196,9 @@ def _simulated(context: Context, base: Base, values: Mapping[str, Any]) -> Traje
     trajectory = simulate(system, certificate=context.certificate)
     _raise_interrupt(trajectory)
     by_accuracy = system.scene.run.accuracy is not None
-    if context.certificate and by_accuracy and trajectory.status == "completed":
+    if context.certificate and by_accuracy and trajectory.status == COMPLETED:
         certificate = trajectory.certificate
-        if certificate is None or certificate.get("reason") == INTERRUPTED:
+        if certificate is None or certificate.get("reason") == CHECK_INTERRUPTED:
             raise KeyboardInterrupt  # Ctrl-C ended the check of the run
     return trajectory
 
@@ -200,6 +207,11 @@ def _raise_interrupt(trajectory: Trajectory) -> None:
     """Raise if Ctrl-C ended the run: then there is no result."""
     if trajectory.status == INTERRUPTED:
         raise KeyboardInterrupt
+
+
+def program_version() -> str:
+    """The version of multiarm."""
+    return provenance("")["version"]
 
 
 def _worker() -> str:

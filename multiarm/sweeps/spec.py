@@ -1,16 +1,32 @@
-"""The schema of a sweep file: which values of the scene vary, how, and which outputs are kept.
+"""A sweep file: which values of the scene vary and how, and which outputs are kept.
 
-This module checks the text only; :mod:`multiarm.sweeps.checking` checks it against a scene.
+The values of all runs are a table, which follows from the file alone.
+
+    run = 1 + point * repeat + repetition
+
+The points of the grid go through the axes with the last one fastest.  A random value is the
+quantile Q(u) of a number u in (0, 1), so that one sampler serves all kinds:
+
+    random            u = Philox(seed, run), independent for every run
+    latin_hypercube   the runs of one grid point fill `repeat` layers of every axis once
+    sobol             the runs of one grid point are a scrambled Sobol sequence
+
+The last two are SciPy's; every grid point has its own sample, keyed by the seed and the point.
+:mod:`multiarm.sweeps.plan` checks a sweep against a scene.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
+import pandas
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 
 from multiarm.errors import Fault, SceneError, SweepError
@@ -19,13 +35,20 @@ from multiarm.scene.code import located
 from multiarm.scene.faults import explain, fault, fault_at, shown, unknown
 from multiarm.scene.text import parse_yaml, read_text, written_yaml
 from multiarm.scene.values import Spec
-from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, plain_value
+from multiarm.sweeps.axes import (
+    AxisSpec,
+    Count,
+    NonNegativeCount,
+    is_integer,
+    paths_of,
+    plain_value,
+)
 from multiarm.sweeps.quantities import KNOWN, MEASURED, UserQuantity
 
 __all__ = [
     "DEFAULT_KEEP",
-    "ENDING",
-    "FIXED",
+    "FIRST",
+    "LAST",
     "Column",
     "QuantityEntry",
     "SweepSpec",
@@ -96,22 +119,22 @@ def _plain_table(value: Any) -> Any:
 class Column(NamedTuple):
     """A column of a sweep's table."""
 
-    name: str  # in the table
-    group: str  # fixed, values, quantities, or measured: may differ when a run is repeated
-    key: str  # the path or the quantity
+    name: str
     unit: str = ""
     words: str = ""
 
 
-FIXED = (
-    Column("run", "fixed", "run", "", "number of the run, from 1 on"),
-    Column("status", "fixed", "status", "", "how it ended"),
-    Column("message", "fixed", "message", "", "why it did not complete"),
+FIRST = (
+    Column("run", words="number of the run, from 1 on"),
+    Column("status", words="how it ended"),
+    Column("message", words="why it did not complete"),
 )
-ENDING = (
-    Column("wall_time", "measured", "wall_time", "s", "time that it took"),
-    Column("worker", "measured", "worker", "", "computer and process that ran it"),
+LAST = (
+    Column("wall_time", "s", "time that it took"),
+    Column("worker", words="computer and process that ran it"),
 )
+"""Columns that may differ when a run is repeated."""
+_TAKEN = {column.name for column in (*FIRST, *LAST)}
 
 
 class SweepSpec(Spec):
@@ -149,41 +172,65 @@ class SweepSpec(Spec):
     run: Annotated[dict[str, Any], BeforeValidator(_plain_table)] = Field(default_factory=dict)
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The axes, in the order of the file."""
-        return tuple(Axis(key, spec) for key, spec in self.over.items())
-
-    @property
     def count(self) -> int:
         """Number of runs."""
-        counts = [axis.count for axis in self.axes if not axis.drawn]
+        counts = [axis.count for axis in self.over.values() if not axis.drawn]
         return self.repeat * math.prod(counts[:1] if self.combine == "zip" else counts)
 
     @property
-    def columns(self) -> tuple[Column, ...]:
-        """Columns of the table; a path or quantity is prefixed if another has its name."""
-        taken = {column.name for column in (*FIXED, *ENDING)}
-        paths = [path for axis in self.axes for path in axis.paths]
-        values = [
-            Column(f"$.{path}" if path in taken else path, "values", path, "", "value in the scene")
-            for path in paths
-        ]
-        taken |= {column.name for column in values}
-        outputs: list[tuple[str, str, str]] = []
+    def paths(self) -> tuple[str, ...]:
+        """The paths that vary, each the name of a column: ``$.run`` is the path ``run``."""
+        paths = [path for key in self.over for path in paths_of(key)]
+        return tuple(f"$.{path}" if path in _TAKEN else path for path in paths)
+
+    @property
+    def outputs(self) -> tuple[Column, ...]:
+        """The quantities, each by its own name."""
+        outputs: list[Column] = []
         for entry in self.keep:
             if isinstance(entry, UserQuantity):
-                outputs += [(name, entry.unit, entry.words) for name in entry.names]
+                outputs += [Column(name, entry.unit, entry.words) for name in entry.names]
             elif entry != MEASURED:
-                outputs.append((entry, *KNOWN[entry][:2]))
-        quantities = [
-            Column(f"quantity {key}" if key in taken else key, "quantities", key, unit, words)
-            for key, unit, words in outputs
-        ]
-        return (*FIXED, *values, *quantities, *ENDING)
+                outputs.append(Column(entry, *KNOWN[entry][:2]))
+        return tuple(outputs)
 
-    def of_group(self, group: str) -> list[Column]:
-        """The columns of a group."""
-        return [column for column in self.columns if column.group == group]
+    @property
+    def quantities(self) -> tuple[Column, ...]:
+        """Columns of the quantities; one whose name another column has is prefixed."""
+        taken = {*_TAKEN, *self.paths}
+        return tuple(
+            column._replace(name=f"quantity {column.name}") if column.name in taken else column
+            for column in self.outputs
+        )
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the table."""
+        values = (Column(path, words="value in the scene") for path in self.paths)
+        return (*FIRST, *values, *self.quantities, *LAST)
+
+    @cached_property
+    def table(self) -> pandas.DataFrame:
+        """The values of all runs, numbered from 1 on: a row for each, a column for each path."""
+        counts = [range(axis.count) for axis in self.over.values() if not axis.drawn]
+        zipped = self.combine == "zip" and bool(counts)
+        points = list(zip(*counts, strict=True) if zipped else itertools.product(*counts))
+        grid = np.array(points, dtype=int).reshape(len(points), len(counts))
+        in_turn = iter(np.repeat(grid, self.repeat, axis=0).T.tolist())
+        quantiles = iter(_samples(self, len(points)).T.tolist())
+        columns: list[Sequence[Any]] = []
+        for key, axis in self.over.items():
+            places = next(quantiles if axis.drawn else in_turn)
+            columns += zip(*(axis.at(at, len(paths_of(key))) for at in places), strict=True)
+        runs = pandas.RangeIndex(1, self.count + 1, name="run")
+        table = dict(zip(self.paths, map(list, columns), strict=True))
+        return pandas.DataFrame(table, index=runs, dtype=object)
+
+    def values(self, run: int) -> dict[str, Any]:
+        """Path -> value in the scene of a run; raises a SweepError when there is no such run."""
+        if not is_integer(run) or not 1 <= run <= self.count:
+            raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
+        return self.table.loc[run].to_dict()
 
     def text(self) -> str:
         """Canonical YAML that :func:`parse_sweep` reads back."""
@@ -193,6 +240,35 @@ class SweepSpec(Spec):
             "run": self.run,
         }
         return written_yaml(data)
+
+
+_SMALLEST = 2.0**-54
+"""Distance of u from 0 and 1, where many quantiles are infinite."""
+
+
+def _samples(spec: SweepSpec, points: int) -> np.ndarray:
+    """Numbers in (0, 1) for the drawn axes, shape (points * repeat, axes)."""
+    from scipy.stats.qmc import LatinHypercube, Sobol
+
+    axes, repeat = sum(axis.drawn for axis in spec.over.values()), spec.repeat
+
+    def generator(key: int) -> np.random.Generator:
+        return np.random.Generator(
+            np.random.Philox(np.random.SeedSequence(spec.seed, spawn_key=(key,)))
+        )
+
+    if axes == 0:
+        return np.zeros((points * repeat, 0))
+    if spec.sampling == "random":
+        u = np.array([generator(run).random(axes) for run in range(1, points * repeat + 1)])
+    elif spec.sampling == "latin_hypercube":
+        u = np.vstack(
+            [LatinHypercube(axes, rng=generator(p)).random(repeat) for p in range(points)]
+        )
+    else:
+        sequences = (Sobol(axes, rng=generator(point)) for point in range(points))
+        u = np.vstack([sequence.random(1) for sequence in sequences for _ in range(repeat)])
+    return np.clip(u, _SMALLEST, 1.0 - 2.0 * _SMALLEST)
 
 
 def parse_sweep(source: str | Mapping[str, Any]) -> SweepSpec:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
-from multiarm.results.files import resolved
+from multiarm.results.files import COMPLETED, resolved
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
 from multiarm.sweeps.axes import is_integer
-from multiarm.sweeps.folder import PartWriter, Stored, create, is_sweep, read, read_rows
+from multiarm.sweeps.folder import Header, PartWriter, create, is_sweep, read_header, read_rows
 from multiarm.sweeps.plan import SweepPlan, make_plan
 from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.result import Sweep, load_sweep
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from multiarm.sweeps.run import Row
 
-__all__ = ["SweepReport", "sweep"]
+__all__ = ["SweepReport", "run_plan", "sweep"]
 
 SweepReport = Callable[[int, int, int], None]
 """Called with the runs that are done, all of them, and those that failed."""
@@ -108,9 +109,6 @@ def sweep(
         When the sweep is wrong, naming all faults; the folder belongs to another sweep or cannot be
         written; the cluster does not answer or cannot run the jobs.
     """
-    from multiarm.sweeps.executors import connected
-
-    _check_executor(workers, dask)
     keys = {
         "keep": None if keep is None else _entries(keep),
         "repeat": repeat,
@@ -121,16 +119,32 @@ def sweep(
         "run": run or None,
     }
     plan = make_plan(scene, over, **{key: v for key, v in keys.items() if v is not None})
+    return run_plan(plan, out, workers=workers, dask=dask, progress=progress, resume=resume)
+
+
+def run_plan(
+    plan: SweepPlan,
+    out: str | os.PathLike,
+    *,
+    workers: int | None = None,
+    dask: str | bool | Client | None = None,
+    progress: bool | SweepReport | None = None,
+    resume: bool = True,
+) -> Sweep:
+    """Carry out a plan; parameters, result and errors are those of :func:`sweep`."""
+    from multiarm.sweeps.executors import connected
+
+    _check_executor(workers, dask)
     with (
         displayed(progress, SweepProgress) as show,
         # before the folder: if the cluster does not answer, earlier rows must not be lost
         connected(dask) if dask else nullcontext() as client,
     ):
-        stored = _folder(out, plan, resume)
-        missing = plan.table.index.difference(read_rows(stored).index).tolist()
+        folder = _folder(out, plan, resume)
+        missing = plan.spec.table.index.difference(read_rows(folder, plan.spec).index).tolist()
         rows = _rows(plan, missing, workers, client)
-        _fill(PartWriter(stored.path, plan), rows, plan.count - len(missing), plan.count, show)
-    return load_sweep(stored.path, code=plan.scene.may_load_code)
+        _fill(PartWriter(folder, plan), rows, plan.spec.count - len(missing), plan.spec.count, show)
+    return load_sweep(folder, code=plan.scene.may_load_code)
 
 
 def _entries(keep: Any) -> list[Any]:
@@ -139,7 +153,7 @@ def _entries(keep: Any) -> list[Any]:
     return [keep] if single or not isinstance(keep, Iterable) else list(keep)
 
 
-def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> Stored:
+def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> Path:
     """The folder of this sweep, which is made if there is none.
 
     Raises
@@ -150,9 +164,9 @@ def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> Stored:
     folder = resolved(out, SweepError)
     if not (resume and is_sweep(folder)):
         create(folder, plan)
-    stored = read(folder)
-    differs = stored.differences(plan)
-    if not differs and stored.about.functions != plan.functions:
+    there, here = read_header(folder), Header.of(plan)
+    differs = there.differences(here)
+    if not differs and there.functions != here.functions:
         differs = ["the text of a function that gives a quantity"]
     if differs:
         lines = "\n  ".join(differs)
@@ -160,32 +174,36 @@ def _folder(out: str | os.PathLike, plan: SweepPlan, resume: bool) -> Stored:
             f"'{folder}' holds another sweep; choose another folder, or begin again in this one "
             f"(--fresh, in Python resume=False). Differences (- there, + here):\n  {lines}"
         )
-    return stored
+    return folder
 
 
 def _rows(
     plan: SweepPlan, missing: list[int], workers: int | None, client: Client | None
-) -> Iterator[Row]:
+) -> Generator[Row, None, None]:
     """Rows of the missing runs, as they end."""
     from multiarm.jit.ahead import processors
     from multiarm.sweeps.executors import run_here, run_in_processes, run_on_cluster
     from multiarm.sweeps.run import Context
 
     if not missing:
-        return iter(())
+        return
     context = Context.of(plan)
-    values = plan.table.loc[missing].to_dict("records")
-    jobs = list(zip(missing, values, strict=True))
-    if client is not None:
-        return run_on_cluster(context, jobs, client)
+    jobs = list(zip(missing, plan.spec.table.loc[missing].to_dict("records"), strict=True))
     workers = workers or processors()
-    if workers == 1:
-        return run_here(context, jobs)
-    return run_in_processes(context, jobs, min(workers, len(missing)))
+    if client is not None:
+        yield from run_on_cluster(context, jobs, client)
+    elif workers == 1:
+        yield from run_here(context, jobs)
+    else:
+        yield from run_in_processes(context, jobs, min(workers, len(missing)))
 
 
 def _fill(
-    writer: PartWriter, rows: Iterator[Row], done: int, count: int, show: SweepReport
+    writer: PartWriter,
+    rows: Generator[Row, None, None],
+    done: int,
+    count: int,
+    show: SweepReport,
 ) -> None:
     """Append rows to the folder until all are there or Ctrl-C is pressed.
 
@@ -200,7 +218,7 @@ def _fill(
             for row in rows:
                 waiting.put(row)
                 done += 1
-                failed += row.status != "completed"
+                failed += row["status"] != COMPLETED
                 show(done, count, failed)
                 if writing.done():
                     break  # the disk is full
@@ -208,8 +226,7 @@ def _fill(
             pass  # the finished runs are kept
         finally:
             waiting.put(None)
-            if isinstance(rows, Generator):
-                rows.close()
+            rows.close()
     writing.result()
 
 

@@ -293,7 +293,7 @@ def test_workers_of_a_sweep_know_those_that_were_registered_here():
     plan = make_plan(scene_of("none"), over, keep=["final_z"], run=RUN)
     context, jobs = Context.of(plan), jobs_of(plan)
     here = repeatable(run_here(context, jobs))
-    assert [row.status for row in here] == ["completed"] * 2
+    assert [row["status"] for row in here] == ["completed"] * 2
     assert repeatable(run_in_processes(context, jobs, 2)) == here
 
 

@@ -351,7 +351,7 @@ def test_a_sweep_of_a_scene_without_its_code_runs_none(stranger):
             ma.sweep(scene, over, out=out, workers=1)
     plan = SweepPlan(scene, parse_sweep({"over": {"object.mass": [1.0]}}))
     row = run(Context.of(plan), 1, {"object.mass": 1.0})  # as any worker would carry it out
-    assert row.status == "failed" and stranger.place in row.message
+    assert row["status"] == "failed" and stranger.place in row["message"]
     assert not out.exists() and stranger.marks() == set()
 
 

@@ -155,7 +155,7 @@ def everything_of_run(path: Path) -> None:
 def everything_of_sweep(path: Path) -> None:
     sweep = ma.load_sweep(path)
     sweep.table, sweep.summary(), sweep.scene, sweep.count, sweep.complete, sweep.provenance
-    sweep.plan.values(1), repr(sweep)
+    sweep.plan.spec.values(1), repr(sweep)
 
 
 @cache

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 MASS, LIFT, GRIP = "object.mass", "arms.left.base.xyz[2]", "joints[0].at"
 OVER = {MASS: [5.0, 10.0, 20.0], LIFT: {"uniform": [-1e-3, 1e-3]}}
 RUN = {"duration": 0.02, "arms": "compiled"}
@@ -35,22 +33,22 @@ MEASURED = ["wall_time", "worker"]
 
 def jobs_of(plan, runs=None):
     """Number and values of all runs, or of some."""
-    numbers = range(1, plan.count + 1) if runs is None else runs
-    return [(number, plan.values(number)) for number in numbers]
+    numbers = range(1, plan.spec.count + 1) if runs is None else runs
+    return [(number, plan.spec.values(number)) for number in numbers]
 
 
 def same(row):
     """What of a row can be repeated."""
-    return replace(row, wall_time=0.0, worker="")
+    return {**row, "wall_time": 0.0, "worker": ""}
 
 
 def repeatable(rows):
     """Rows by their runs, without what is measured; every run once."""
     rows = list(rows)
-    assert len({row.run for row in rows}) == len(rows)
-    assert all(row.wall_time >= 0.0 for row in rows)
-    return sorted(map(same, rows), key=lambda row: row.run)
+    assert len({row["run"] for row in rows}) == len(rows)
+    assert all(row["wall_time"] >= 0.0 for row in rows)
+    return sorted(map(same, rows), key=lambda row: row["run"])
 
 
 def statuses(rows):
-    return {row.run: (row.status, row.message) for row in rows}
+    return {row["run"]: (row["status"], row["message"]) for row in rows}

@@ -17,7 +17,7 @@ import numpy as np
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.sweeps.folder import PartWriter, create, is_sweep, read, read_rows
+from multiarm.sweeps.folder import PartWriter, create, is_sweep, read_rows
 from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.run import Row
 from multiarm.sweeps.spec import parse_sweep
@@ -54,21 +54,21 @@ def row_of(run: int, worker: str = "here") -> Row:
     failed = run % FAILING == 0
     gap, force = (float(x) for x in rng.standard_normal(2))
     numbers = {"gap": gap, "force": force * 10.0 ** rng.integers(-300, 300), "never": None}
-    return Row(
-        run=run,
-        status="failed" if failed else "completed",
-        message=f"the step of run {run} is too small" if failed else "",
-        quantities=dict.fromkeys(NAMES) if failed else numbers,
-        wall_time=0.0 if failed else float(rng.random()),
-        worker=worker,
-    )
+    return {
+        "run": run,
+        "status": "failed" if failed else "completed",
+        "message": f"the step of run {run} is too small" if failed else "",
+        **(dict.fromkeys(NAMES) if failed else numbers),
+        "wall_time": 0.0 if failed else float(rng.random()),
+        "worker": worker,
+    }
 
 
 def opened(path: Path, plan: SweepPlan) -> tuple[PartWriter, list[int]]:
     """A writer that goes on with a folder, or begins it, and the runs that are there."""
     if not is_sweep(path):
         create(path, plan)
-    return PartWriter(path, plan), read_rows(read(path)).index.tolist()
+    return PartWriter(path, plan), read_rows(path, plan.spec).index.tolist()
 
 
 def write_on(path: Path, plan: SweepPlan, order: int) -> None:
@@ -77,7 +77,7 @@ def write_on(path: Path, plan: SweepPlan, order: int) -> None:
     writer, made = opened(path, plan)
     safe = len(made)
     print(safe, flush=True)
-    rng, left = random.Random(order), sorted({*range(1, plan.count + 1)} - {*made})
+    rng, left = random.Random(order), sorted({*range(1, plan.spec.count + 1)} - {*made})
     # in threads of work that finish out of order, as real workers do
     left.sort(key=lambda run: run + rng.uniform(0, 40))
     while left:

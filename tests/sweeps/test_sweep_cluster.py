@@ -81,7 +81,7 @@ def test_a_cluster_gives_the_same_rows_whichever_workers_die(scene, tmp_path):
         workers[0].kill()
         rows += coming
         assert repeatable(rows) == expected
-        assert len({row.worker for row in rows}) > 1
+        assert len({row["worker"] for row in rows}) > 1
         ended = statuses(executors.run_on_cluster(Context.of(deadly), jobs_of(deadly), c))
     assert [ended[run][0] for run in (1, 2, 3)] == ["completed", "failed", "completed"]
     assert ended[2][1].startswith("its worker died")

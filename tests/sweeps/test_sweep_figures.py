@@ -21,7 +21,6 @@ from multiarm.plots.sweep_figures import (
     sweep_overview,
     variable,
 )
-from multiarm.sweeps.spec import Column
 
 UNITS = {"gap": "m", "force": "N", "never": "J"}
 MASSES, DRAGS = [5.0, 10.0, 20.0], [0.01, 0.1, 1.0, 10.0]
@@ -39,7 +38,7 @@ def grid_row(run: int):
 
 
 def sweep_of(count, row=grid_row):
-    """What a figure takes of a sweep: its path, its columns and its table."""
+    """What a figure takes of a sweep: its path, the names of its columns, and its table."""
     rows = [row(run) for run in range(1, count + 1)]
     paths = list(row(1)[0])
     table = pandas.DataFrame([values for values, *_ in rows], columns=paths)
@@ -49,12 +48,8 @@ def sweep_of(count, row=grid_row):
         numbers = pandas.Series([row[k] for row in rows], dtype="Float64")
         table[name] = numbers.where(done)
     table["never"] = pandas.Series([pandas.NA] * count, dtype="Float64")
-    columns = [Column(name=path, group="values", key=path, words="") for path in paths]
-    columns += [
-        Column(name=name, group="quantities", key=name, unit=unit, words="")
-        for name, unit in UNITS.items()
-    ]
-    return SimpleNamespace(path="s.sweep", columns=columns, table=table)
+    table.attrs["units"] = UNITS
+    return SimpleNamespace(path="s.sweep", paths=paths, quantities=[*UNITS], table=table)
 
 
 @pytest.fixture(scope="module")

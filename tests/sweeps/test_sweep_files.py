@@ -65,14 +65,8 @@ def write_on():
 def rows_of(sweep) -> list[Row]:
     """Rows as a worker gives them: a missing entry is None."""
     table = sweep.table.astype(object)
-    return [
-        Row(
-            *(row[name] for name in ("run", "status", "message")),
-            {name: row[name] for name in sweep.quantities},
-            *(row[name] for name in ("wall_time", "worker")),
-        )
-        for row in table.where(table.notna(), None).to_dict("records")
-    ]
+    table = table.drop(columns=list(sweep.paths))
+    return table.where(table.notna(), None).to_dict("records")
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +82,7 @@ def sweep(tmp_path_factory):
 def test_rows_come_out_as_they_were_put_in_and_in_the_order_of_the_runs(sweep):
     assert rows_of(sweep) == [row_of(run) for run in range(1, sweep.count + 1)]
     for path, name in zip(sweep.paths, ("object.mass", "effects.joint_damping"), strict=False):
-        assert sweep.table[name].tolist() == sweep.plan.table[path].tolist()
+        assert sweep.table[name].tolist() == sweep.plan.spec.table[path].tolist()
     types = {type(value) for value in sweep.table["effects.joint_damping"]}
     assert types == {int, float, type(None), bool}, "1 and True are not one value"
 
@@ -105,7 +99,7 @@ def test_what_is_missing_is_missing_and_no_nan(sweep):
 
 def test_a_column_whose_name_is_taken_is_told_apart(sweep):
     assert sweep.table["run"][2] == 3
-    assert sweep.table["$.run"][2] == sweep.values_of(3)["run"]
+    assert sweep.table["$.run"][2] == sweep.values_of(3)["$.run"]
 
 
 def test_a_table_is_readable_where_the_robots_of_the_scene_are_not(tmp_path):
@@ -128,7 +122,7 @@ def test_the_parts_can_be_read_without_this_program(sweep):
     table = pandas.read_parquet(sweep.path / "parts").set_index("run").sort_index()
     assert table.index.tolist() == list(range(1, sweep.count + 1))
     assert table["object.mass"][3] == sweep.values_of(3)["object.mass"]
-    assert table["gap"][3] == row_of(3).quantities["gap"]
+    assert table["gap"][3] == row_of(3)["gap"]
     assert table["effects.joint_damping"][3] == str(sweep.values_of(3)["effects.joint_damping"])
     first = next((sweep.path / "parts").glob("*.parquet"))
     schema = pyarrow.parquet.read_schema(first)
@@ -140,7 +134,7 @@ def test_a_sweep_that_is_not_complete_says_which_runs_it_has(tmp_path):
     sweep = load_sweep(written(tmp_path / "s.sweep", 40, runs=[7, 3, 40]))
     assert (sweep.runs.tolist(), sweep.complete) == ([3, 7, 40], False)
     assert repr(sweep) == "Sweep(3 of 40 runs: 3 completed)"
-    assert sweep.values_of(8) == sweep.plan.values(8)
+    assert sweep.values_of(8) == sweep.plan.spec.values(8)
     with refused(SweepError, "run 41"):
         sweep.values_of(41)
 
@@ -162,7 +156,7 @@ def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path, write
         if path.exists():
             rows = rows_of(load_sweep(path))
             assert len(rows) >= max(said, safe), "what it said to be safe is safe"
-            assert all(same(row) == same(row_of(row.run)) for row in rows)
+            assert all(same(row) == same(row_of(row["run"])) for row in rows)
             safe = len(rows)
     assert 0 < safe < count
     words, code = write_on(path, count, 99)
@@ -223,7 +217,7 @@ def test_a_kill_before_any_step_of_writing_costs_at_most_what_was_appended(tmp_p
         if path.exists():
             rows = rows_of(load_sweep(path))
             assert len(rows) in (safe, safe + 2)
-            assert rows == [row_of(row.run) for row in rows]
+            assert rows == [row_of(row["run"]) for row in rows]
         life(path, (7 * first) % 5)  # and again while it resumes
         life(path, None)
         assert rows_of(load_sweep(path)) == [row_of(run) for run in range(1, 11)]
@@ -339,7 +333,7 @@ def test_a_full_disk_ends_the_writing_in_words_and_keeps_the_rows(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))
     try:
         with refused(SweepError, "s.sweep"):
-            for start in range(1, plan.count, 100):
+            for start in range(1, plan.spec.count, 100):
                 writer.append([row_of(run) for run in range(start, start + 100)])
                 safe += 100
     finally:

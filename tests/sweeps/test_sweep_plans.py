@@ -38,10 +38,10 @@ def test_a_product_goes_through_all_combinations_the_last_path_fastest(scene):
         {MASS: mass, DAMPING: damping, "name": "a"}
         for mass, damping, _ in itertools.product([1.0, 2.0], [0.0, 0.5, 1.0], range(2))
     ]
-    assert plan.count == 12
+    assert plan.spec.count == 12
     assert [run for run, _ in jobs_of(plan)] == list(range(1, 13))
     assert [values for _, values in jobs_of(plan)] == expected
-    assert plan.paths == (MASS, DAMPING, "name")
+    assert plan.spec.paths == (MASS, DAMPING, "name")
 
 
 def test_a_zip_goes_through_all_paths_together(scene):
@@ -54,7 +54,7 @@ def test_a_zip_goes_through_all_paths_together(scene):
 def test_drawn_paths_do_not_count_in_a_zip(scene):
     over = {MASS: [1.0, 2.0], LIFT: {"uniform": [0, 1]}, DAMPING: [3, 4]}
     plan = make_plan(scene, over, combine="zip", repeat=5)
-    assert plan.count == 10
+    assert plan.spec.count == 10
     assert [values[DAMPING] for _, values in jobs_of(plan)] == [3] * 5 + [4] * 5
 
 
@@ -62,8 +62,8 @@ def test_several_paths_move_together(scene):
     both = f"{LIFT}, arms.right.base.xyz[2]"
     pair = "object.pose.xyz[0], object.pose.xyz[1]"
     plan = make_plan(scene, {both: [0.0, 0.1], pair: {"rows": [[0, 1], [2, 3]]}})
-    assert plan.count == 4
-    assert plan.values(4) == {
+    assert plan.spec.count == 4
+    assert plan.spec.values(4) == {
         LIFT: 0.1, "arms.right.base.xyz[2]": 0.1, "object.pose.xyz[0]": 2, "object.pose.xyz[1]": 3,
     }  # fmt: skip
 
@@ -96,7 +96,7 @@ def test_the_scene_of_a_run_has_its_values_and_the_run_of_the_sweep(scene):
         {MASS: 7.0, "run.duration": 0.5, "run.output_step": 0.1, "run.accuracy": 1e-3}
     )
     with refused(SweepError, "run 3"):
-        plan.values(3)
+        plan.spec.values(3)
     # another choice of steps replaces the file's
     plan = make_plan(scene, over, run={"integrator": "rk4", "step": 1e-3})
     assert plan.scene.run.accuracy is None and plan.scene.run.step == 1e-3
@@ -141,13 +141,13 @@ def test_values_of_a_run_depend_on_seed_and_number_alone(scene, sampling):
     order = list(expected)
     random.Random(1).shuffle(order)
     elsewhere = pickle.loads(pickle.dumps(plan))
-    assert {run: elsewhere.values(run) for run in order} == expected
+    assert {run: elsewhere.spec.values(run) for run in order} == expected
     assert dict(jobs_of(plan, range(30, 49))) == {run: expected[run] for run in range(30, 49)}
     assert dict(jobs_of(plan, [40, 3])) == {run: expected[run] for run in (40, 3)}
     # they are drawn anew at each point of the grid, and for another seed
     assert len({values[LIFT] for values in expected.values()}) == 48
     other = make_plan(scene, over, repeat=16, seed=8, sampling=sampling)
-    assert all(other.values(run)[LIFT] != expected[run][LIFT] for run in order)
+    assert all(other.spec.values(run)[LIFT] != expected[run][LIFT] for run in order)
 
 
 def test_samples_belong_to_a_run_or_to_a_grid_point(scene):
@@ -179,7 +179,7 @@ def test_one_more_drawn_path_at_the_end_leaves_the_others_as_they_are(scene):
     more = {**few, DAMPING: {"uniform": [0, 1]}}
     pair = [make_plan(scene, over, repeat=9, seed=1) for over in (few, more)]
     for run in range(1, 10):
-        assert pair[0].values(run)[LIFT] == pair[1].values(run)[LIFT]
+        assert pair[0].spec.values(run)[LIFT] == pair[1].spec.values(run)[LIFT]
 
 
 def strata(plan, path, count):
@@ -212,8 +212,8 @@ def test_sobol_points_are_a_net(scene):
 def test_a_plan_has_at_most_a_million_runs(scene):
     over = {MASS: {"linspace": [1, 2, 1000]}, LIFT: {"uniform": [0, 1]}}
     plan = make_plan(scene, over, repeat=2)
-    assert plan.count == len(plan.table) == 2000
-    assert plan.values(2000)[MASS] == 2.0
+    assert plan.spec.count == len(plan.spec.table) == 2000
+    assert plan.spec.values(2000)[MASS] == 2.0
     with refused(SweepError, "$.over"):
         make_plan(scene, over, repeat=1001)
 
@@ -236,6 +236,25 @@ def test_of_a_long_axis_some_values_are_tried_the_first_and_the_last_among_them(
         make_plan(scene, {MASS: {"linspace": [1, -1, 10_000]}})
 
 
+def test_code_and_files_are_those_that_scenes_of_the_sweep_name_and_no_texts_like_them(
+    scene, tmp_path
+):
+    for file in ("egg.py", "loads.py", "name.py"):
+        (tmp_path / file).touch()
+    egg = {"arm": "left", "kind": f"{tmp_path}/egg.py:Egg"}
+    pushes = [[{"on": "object", "function": f"{tmp_path}/loads.py:push_{k}"}] for k in range(30)]
+    names = [f"{tmp_path}/name.py:{k}" for k in range(30)]
+    for combine, masses in (("product", [5.0]), ("zip", list(range(1, 31)))):
+        over = {MASS: masses, "effects.external_wrenches": pushes, "name": names}
+        over["joints[0]"] = [egg] * len(masses)
+        plan = make_plan(scene, over, combine=combine)
+        assert {code.what for code in plan.code} == {
+            f"the joint kind 'Egg' of {tmp_path}/egg.py",
+            *(f"the function 'push_{k}' of {tmp_path}/loads.py" for k in range(30)),
+        }
+        assert [*plan.files] == [str(tmp_path / file) for file in ("egg.py", "loads.py")]
+
+
 # --- text ---------------------------------------------------------------------------------------
 
 
@@ -253,7 +272,7 @@ def test_a_stored_plan_is_the_plan(scene):
     again = SweepPlan(plan.scene, parse_sweep(plan.spec.text()))
     assert again.spec.text() == plan.spec.text()
     assert dict(jobs_of(again)) == dict(jobs_of(plan))
-    assert [own.key for own in again.spec.of_group("quantities")] == ["steps"]
+    assert [column.name for column in again.spec.quantities] == ["steps"]
 
 
 def test_a_file_is_read_as_the_table_in_it(scene, tmp_path):
@@ -270,9 +289,9 @@ run: {duration: 1.0}
     (tmp_path / "sweep.yaml").write_text(text)
     (tmp_path / "quantities.py").write_text("def wobble(trajectory):\n    return 1.0\n")
     plan = make_plan(scene, tmp_path / "sweep.yaml", seed=8)
-    assert (plan.count, plan.spec.seed, plan.scene.run.duration) == (120, 8, 1.0)
-    assert plan.values(120)[DAMPING] == 10 and plan.values(1)[DAMPING] == 0.1
-    assert [own.key for own in plan.spec.of_group("quantities")] == [
+    assert (plan.spec.count, plan.spec.seed, plan.scene.run.duration) == (120, 8, 1.0)
+    assert plan.spec.values(120)[DAMPING] == 10 and plan.spec.values(1)[DAMPING] == 0.1
+    assert [column.name for column in plan.spec.quantities] == [
         "largest_contact_force",
         "wobble",
     ]
