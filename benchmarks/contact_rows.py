@@ -19,13 +19,8 @@ import pandas
 from matplotlib.figure import Figure
 from timing import Burst, fastest, measure, one_thread
 
-from multiarm.contacts.kernel import (
-    BODY_WIDTH,
-    CONTACT_WIDTH,
-    RELATIVE_WIDTH,
-    write_row,
-    write_rows,
-)
+from multiarm.contacts.kernel import CONTACT_WIDTH, write_row, write_rows
+from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
 from multiarm.contacts.table import KIND, pack
 from multiarm.geometry.records import (
@@ -43,6 +38,7 @@ from multiarm.geometry.records import (
 from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
+from multiarm.jit.rows import fields_of
 from multiarm.plots.style import BLUE
 
 ROWS = 24
@@ -145,8 +141,8 @@ def _burst(contacts: list[Contact]) -> Burst:
 
 def _moving(speed: float) -> np.ndarray:
     body = np.zeros(BODY_WIDTH)
-    body[:9] = np.eye(3).ravel()
-    body[12:18] = speed
+    motion = fields_of(BodyMotion, body)
+    motion.rotation[:], motion.velocity[:], motion.spin[:] = np.eye(3), speed, speed
     return body
 
 

@@ -19,8 +19,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms, TipKinematics
+from multiarm.arms.terms import ArmStructure, ArmTerms, LinkPose, LinkTerms, TipKinematics
+from multiarm.contacts.motion import BodyMotion
 from multiarm.errors import ModelError
+from multiarm.jit.rows import as_row
 from multiarm.notation import count_of
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
@@ -296,18 +298,25 @@ def _link_terms(
     energy = pin.computePotentialEnergy(model, data, q)
     jacobian = pin.computeJointJacobians(model, data, q).reshape(6, model.nv).copy()
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    poses = [np.concatenate([X.rotation.T.ravel(), X.translation]) for X in data.oMi.tolist()[1:]]
+    poses = [as_row(LinkPose(X.rotation, X.translation)) for X in data.oMi.tolist()[1:]]
     R, twist = data.oMi[tip].rotation, data.v[tip]
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    drift = pin.getClassicalAcceleration(model, data, tip, axes).vector
-    body = [R.ravel(), poses[tip - 1][9:], R @ twist.linear, R @ twist.angular, drift]
+    drift = pin.getClassicalAcceleration(model, data, tip, axes)
+    body = BodyMotion(
+        rotation=R,
+        origin=data.oMi[tip].translation,
+        velocity=R @ twist.linear,
+        spin=R @ twist.angular,
+        acceleration=drift.linear,
+        spin_rate=drift.angular,
+    )
     return LinkTerms(
         inertia=inertia + np.triu(inertia, 1).T,
         jacobian=jacobian,
         bias=bias,
         gravity_torque=gravity_torque,
         poses=np.array(poses),
-        body=np.concatenate(body),
+        body=as_row(body),
         energy=np.array([energy]),
         coriolis=coriolis,
     )

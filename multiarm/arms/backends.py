@@ -23,9 +23,19 @@ import pinocchio as pin
 
 from multiarm.arms.arm import Arm, named_with_prefix
 from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
-from multiarm.arms.terms import POINTER_WIDTH, ArmFunctions, ArmState, Coriolis
+from multiarm.arms.terms import (
+    ADDRESSES,
+    ArmFunctions,
+    ArmState,
+    Coriolis,
+    CoriolisCalls,
+    LinkPose,
+    MatrixAddress,
+    TermAddresses,
+)
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import PythonCallback
+from multiarm.jit.rows import as_row, fields_of, width
 
 # More arms in a model mean fewer calls, but a larger and mostly empty inertia matrix: the cost per
 # arm is flat around eight.
@@ -82,8 +92,8 @@ class ArmBackends:
         first_joints = np.cumsum([0, *(arm.dof for arm in in_order)])
         self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
         self.configuration = 0
-        left = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
-        for places in _neighbours(left):
+        of_pinocchio = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
+        for places in _neighbours(of_pinocchio):
             start = int(first_joints[places[0]]), self.configuration
             members = [in_order[place] for place in places]
             group = ArmGroup(members, places[0], start, gravity, with_gravity_torque)
@@ -136,14 +146,14 @@ class ArmBackends:
             When a compiled matrix is not Pinocchio's.
         """
         if self._coriolis is None:
-            places = np.zeros((len(self.by_arm), 2), dtype=np.int64)
-            coriolis, call = Coriolis(np.zeros(4, dtype=np.int64), places), None
+            matrices = np.zeros((len(self.by_arm), width(MatrixAddress)), dtype=np.int64)
+            coriolis, call = Coriolis(CoriolisCalls(), matrices), None
             if self._compiled is not None:
                 self._compiled.connect_coriolis(coriolis)
             if self._groups:
-                updates = [group.bind_coriolis(self._state, places) for group in self._groups]
+                updates = [group.bind_coriolis(self._state, matrices) for group in self._groups]
                 call = PythonCallback(_all_of(updates), status)
-                coriolis.calls[0] = call.address
+                coriolis.calls.callback = call.address
             self._coriolis = coriolis, call
         return self._coriolis
 
@@ -169,7 +179,7 @@ class ArmBackends:
         return update
 
     def _table(self) -> np.ndarray:
-        pointers = np.zeros((len(self.by_arm), POINTER_WIDTH), dtype=np.int64)
+        pointers = np.zeros((len(self.by_arm), ADDRESSES), dtype=np.int64)
         if self._compiled is not None:
             pointers[list(self._compiled.places)] = self._compiled.pointers
         for group in self._groups:
@@ -184,12 +194,21 @@ class Ground:
     """
 
     def __init__(self, gravity: np.ndarray):
-        pose = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+        pose = as_row(LinkPose(np.eye(3), np.zeros(3)))
         still, drift = np.zeros(6), np.concatenate([-gravity, np.zeros(3)])
         self._kept = pose, still, drift
-        at = [array.ctypes.data for array in (still, pose, still, drift)]
-        # inertia and its stride, Jacobian, bias, gravity: none; pose, twist, drift
-        self.pointers = np.array([at[0], 1, at[0], at[0], at[0], *at[1:]], dtype=np.int64)
+        nothing = _address(still)
+        addresses = TermAddresses(
+            inertia=nothing,
+            stride=1,
+            jacobian=nothing,
+            bias=nothing,
+            gravity_torque=nothing,
+            pose=_address(pose),
+            twist=_address(still),
+            drift=_address(drift),
+        )
+        self.pointers = np.array(addresses, dtype=np.int64)
 
 
 class ArmGroup:
@@ -226,7 +245,7 @@ class ArmGroup:
         self.q_slots = np.array([j.idx_q for j in model.joints[1:]], dtype=np.int64)
         if not np.array_equal([j.idx_v for j in model.joints[1:]], np.arange(model.nv)):
             raise ModelError("Pinocchio did not number the joints of several arms in order")
-        self.pointers = np.zeros((len(arms), POINTER_WIDTH), dtype=np.int64)
+        self.pointers = np.zeros((len(arms), ADDRESSES), dtype=np.int64)
         self._first_dof = first_dof
         self._tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
         self._fill_pointers()
@@ -258,8 +277,8 @@ class ArmGroup:
 
         return update_with_gravity_torque if self._with_gravity_torque else update
 
-    def bind_coriolis(self, state: ArmState, places: np.ndarray) -> Callable[[], None]:
-        """Function that updates the matrices of Coriolis forces; writes their ``places``."""
+    def bind_coriolis(self, state: ArmState, matrices: np.ndarray) -> Callable[[], None]:
+        """Function that updates the matrices of Coriolis forces; writes where these are."""
         model, data, n = self.model, self.model.createData(), self.model.nv
         q, v = state.q[self.numbers], state.rates[self.joints]
         run = pin.computeCoriolisMatrix
@@ -271,11 +290,12 @@ class ArmGroup:
         at = _address(data.C)
         _require_layout(sorted(data.C.strides) == [8, 8 * n] or n == 1, "C is not stored densely")
         first_dof, group = self._first_dof[:-1], slice(self.place, self.place + len(self.pointers))
-        places[group, 0], places[group, 1] = at + 8 * (n + 1) * first_dof, n
+        of_group = fields_of(MatrixAddress, matrices[group])
+        of_group.at[:], of_group.stride[:] = at + 8 * (n + 1) * first_dof, n
         return update
 
     def pose_address(self, arm: int, joint: int) -> int:
-        """Address of the pose of a joint of the group's arm number ``arm``; see ``POSE_AT``."""
+        """Address of the pose of a joint of the group's arm number ``arm``."""
         return _address(self.data.oMi[int(self._first_dof[arm]) + joint].rotation)
 
     def potential_energy(self, state: ArmState) -> float:
@@ -300,15 +320,15 @@ class ArmGroup:
             for motion in (twist, drift):
                 near = _address(motion.angular) == _address(motion.linear) + 24
                 _require_layout(near, "Motion is not [linear, angular]")
-            self.pointers[row] = (
-                _address(data.M) + 8 * (d * n + d),
-                n,
-                _address(J) + 8 * 6 * d,
-                _address(data.nle) + 8 * d,
-                _address(data.g) + 8 * d,
-                at,
-                _address(twist.linear),
-                _address(drift.linear),
+            self.pointers[row] = TermAddresses(
+                inertia=_address(data.M) + 8 * (d * n + d),
+                stride=n,
+                jacobian=_address(J) + 8 * 6 * d,
+                bias=_address(data.nle) + 8 * d,
+                gravity_torque=_address(data.g) + 8 * d,
+                pose=at,
+                twist=_address(twist.linear),
+                drift=_address(drift.linear),
             )
 
 

@@ -1,9 +1,8 @@
 r"""Derivatives of arms: of the motion of the link that carries the tip, of the inverse dynamics.
 
-An arm is a chain of joints that turn or slide.  Twists :math:`(v, \omega)`, accelerations and
-wrenches are in world axes and about the arm's base; :math:`\times` is the product of two twists,
-:math:`\times^*` that of a twist and a wrench.  Outwards, with the column :math:`S_j` of a joint,
-and with the base accelerated by minus gravity,
+An arm is a chain of rigid bodies with the equations of :mod:`multiarm.arms.chain`;
+:math:`\times^*` is the product of a twist and a wrench.  Outwards, with the base accelerated by
+minus gravity,
 
 .. math::
     v_j = v_{j-1} + S_j \dot q_j, \qquad
@@ -18,16 +17,9 @@ and with the base accelerated by minus gravity,
     \delta a = \ddot\Psi_j + \dot\Psi_j\times v + S_j\times a \quad &&\text{(of its position)} \\
     \delta v &= S_j, \qquad \delta a = 2\dot\Psi_j + S_j\times v \quad &&\text{(of its rate)} .
 
-*Inverse dynamics.*  The force that moves a link, :math:`f = I a + v\times^* I v`, changes with its
-twist by :math:`2 B m + I (v\times m)`.  With linear momentum p and first moment h of the link, B
-depends on the angular part of m only,
-
-.. math::
-    2 B m = \begin{bmatrix} 2\,\omega_m\times p\\ G\,\omega_m\end{bmatrix}, \qquad
-    G = [\omega] I_0 + ([\omega] I_0)^T - [I_0 \omega] - 2\,v h^T + 2\,(h\cdot v)\,1,
-
-as its other terms cancel by Jacobi's identity.  Inwards, I, B and f of all links beyond a joint are
-summed, f without a load that is fixed in its link.  For j at or before i,
+*Inverse dynamics.*  The force f that moves a link changes with its twist by
+:math:`2 B m + I (v\times m)`, I the inertia about the base.  Inwards, I, B and f of all links
+beyond a joint are summed, f without a load that is fixed in its link.  For j at or before i,
 
 .. math::
     \frac{\partial\tau_j}{\partial q_i} &= S_j\cdot(I\ddot\Psi_i + 2B\dot\Psi_i + S_i\times^* f),
@@ -48,90 +40,112 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.arms.chain import (
+    ChainJoint,
+    add_pair,
+    add_scaled_pair,
+    chain_joints,
+    column_of,
+    inertial_force,
+    link_inertia,
+    moments,
+    next_frame,
+    power,
+    sub_pair,
+    times_inertia,
+    twice_turning_matrix,
+    twist_product,
+    write_motion,
+)
 from multiarm.arms.terms import ArmStructure
+from multiarm.contacts.motion import open_body
 from multiarm.jit.kernels import clear, inlined, kernel
+from multiarm.jit.rows import Axes, Number, Pair, Rotation, Symmetric, Vector, row_of, width
 from multiarm.jit.structs import Floats1, Floats2, Ints1
 from multiarm.jit.vectors import (
+    AXES,
     ZERO,
     add,
     add_cross,
     add_rotated,
     add_scaled,
     add_symmetric,
-    add_times,
     compose,
     cross,
     dot,
-    put,
-    put_rotation,
-    put_symmetric,
     rotate,
-    rotate_symmetric,
-    rotation,
+    rotate_back,
     scale,
-    sub,
-    symmetric,
-    times,
     vec,
 )
 
-# A body: rotation (9, row by row), then its motion: origin, a turn (zero), velocity of the origin,
-# angular velocity, acceleration of the origin, angular acceleration.  A displacement of a motion
-# has the same parts.
-MOTION, BODY_SIZE = 9, 27
-PLACE, TURN, LINEAR, ANGULAR, LINEAR_RATE, ANGULAR_RATE, MOTION_WIDTH = range(0, 21, 3)
 
-# Columns of ``ArmLinks.frames`` and ``ArmLinks.bodies``.
-_AXES, _ORIGIN, _SLIDE, _AXIS, _FRAME_WIDTH = 0, 9, 12, 15, 18
-_MASS, _CENTRE, _INERTIA, _BODY_WIDTH = 0, 1, 4, 10
+class Displacement(NamedTuple):
+    """Derivative of a :class:`multiarm.contacts.motion.BodyMotion` by one coordinate."""
 
-# Numbers of a joint and its link in the scratch: rotation and origin; pairs of vectors S, v, a,
-# and the rates of S; of all links beyond: mass, first and second moment, momentum, G, force.
-(
-    _R, _P, _S, _V, _A, _PSI, _PSI_RATE, _M, _MOMENT, _SECOND, _MOMENTUM, _G, _F, LINK_SCRATCH
-) = 0, 9, 12, 18, 24, 30, 36, 42, 43, 46, 52, 55, 64, 70  # fmt: skip
+    shift: Vector
+    turn: Vector
+    velocity: Vector
+    spin: Vector
+    acceleration: Vector
+    spin_rate: Vector
+
+
+class Link(NamedTuple):
+    """A joint and its link: their motion; then, of all links beyond, their inertia and force."""
+
+    rotation: Rotation  # axes of the link
+    origin: Vector
+    column: Pair
+    twist: Pair
+    rate: Pair  # of the twist
+    column_rate: Pair
+    column_acceleration: Pair
+    mass: Number
+    moment: Vector
+    second: Symmetric
+    momentum: Vector  # linear
+    turning: Axes  # the matrix G
+    force: Pair
+
+
+DISPLACEMENT_WIDTH, LINK_WIDTH = width(Displacement), width(Link)
+open_displacement, open_joint = row_of(Displacement), row_of(ChainJoint)
+_open_link = row_of(Link)
 
 
 class ArmLinks(NamedTuple):
-    """Joints and links of all arms, chains of joints that turn or slide.
+    """Joints and links of all arms.
 
     Attributes
     ----------
     first : int64 ndarray, shape (n + 1,)
         First joint of each arm.
-    frames : ndarray, shape (joints, 18)
-        At zero, in the frame of the joint before or in the world: rotation and origin; the joint's
-        slide and turn for a unit of its coordinate, own axes.
-    bodies : ndarray, shape (joints, 10)
-        Mass, centre, inertia about it (xx, xy, xz, yy, yz, zz), own axes.
+    joints : ndarray, shape (joints, 34)
+        Every :class:`multiarm.arms.chain.ChainJoint`.
+    bases : ndarray, shape (n, 3)
+        Origins of the first joints in the world [m].
     gravity : ndarray, shape (3,)
     """
 
     first: Ints1
-    frames: Floats2
-    bodies: Floats2
+    joints: Floats2
+    bases: Floats2
     gravity: Floats1
 
 
 def arm_links(arms: Sequence[ArmStructure], gravity: np.ndarray) -> ArmLinks:
     """The joints and links of some arms."""
-    frames, bodies = [], []
-    for arm in arms:
-        for k, slides in enumerate(arm.slides):
-            slide, axis = (arm.axes[k] * part for part in (slides, not slides))
-            frames.append([*arm.rotations[k].ravel(), *arm.translations[k], *slide, *axis])
-            inertia = arm.inertias[k][np.triu_indices(3)]
-            bodies.append([arm.masses[k], *arm.centres[k], *inertia])
     return ArmLinks(
         np.cumsum([0, *(arm.slides.size for arm in arms)]).astype(np.int64),
-        np.array(frames),
-        np.array(bodies),
+        np.concatenate([chain_joints(arm) for arm in arms]),
+        np.array([arm.translations[0] for arm in arms]),
         np.array(gravity, dtype=float),
     )
 
 
 @kernel
-def write_motions(links, i, angles, rates, accelerations, scratch, link, moved):
+def write_motions(links, i, angles, rates, accelerations, scratch, body, moved):
     """Write the motions of an arm's links, and how the one that carries the tip is displaced.
 
     Parameters
@@ -142,97 +156,70 @@ def write_motions(links, i, angles, rates, accelerations, scratch, link, moved):
     angles, rates, accelerations : (joints,)
         Of all arms.
     scratch : (n_i, 70), written
-    link : (27,), written
-        Rotation and motion of the link, world axes.
+        Every :class:`Link`.
+    body : (24,), written
+        Motion of the link that carries the tip, world axes.
     moved : (2 n_i, 18), written
         Its displacement by the positions, and by the velocities, world axes.
     """
     d0, n = links.first[i], links.first[i + 1] - links.first[i]
-    base, gravity = vec(links.frames[d0], _ORIGIN), vec(links.gravity, 0)
+    base, gravity = vec(links.bases[i], 0), vec(links.gravity, 0)
+    axes, p, twist, rate = AXES, ZERO, (ZERO, ZERO), (scale(-1.0, gravity), ZERO)
     for k in range(n):
-        j = d0 + k
-        _place_joint(links.frames[j], angles[j], base, scratch, k)
-        s = scratch[k]
-        v, w, a, alpha = ZERO, ZERO, scale(-1.0, gravity), ZERO
-        if k > 0:
-            (v, w), (a, alpha) = _pair(scratch[k - 1], _V), _pair(scratch[k - 1], _A)
-        S = _pair(s, _S)
-        v, w = add_scaled(v, rates[j], S[0]), add_scaled(w, rates[j], S[1])
-        rate = twist_product((v, w), S)
-        a = add_scaled(add_scaled(a, accelerations[j], S[0]), rates[j], rate[0])
-        alpha = add_scaled(add_scaled(alpha, accelerations[j], S[1]), rates[j], rate[1])
-        _put_pair(s, _V, (v, w))
-        _put_pair(s, _A, (a, alpha))
-        _put_pair(s, _PSI, rate)
-        _put_pair(s, _PSI_RATE, _plus(twist_product((a, alpha), S), twist_product((v, w), rate)))
-    _write_link(n, base, gravity, scratch, link, moved)
-
-
-@inlined
-def _place_joint(frame, q, base, scratch, k):
-    """Write the rotation and origin of a joint's frame, and its column."""
-    R, p = rotation(frame, _AXES), vec(frame, _ORIGIN)
-    if k > 0:
-        before = rotation(scratch[k - 1], _R)
-        p = add_rotated(vec(scratch[k - 1], _P), before, p)
-        R = compose(before, R)
-    else:
-        p = sub(p, base)
-    slide, axis = rotate(R, vec(frame, _SLIDE)), rotate(R, vec(frame, _AXIS))
-    p = add_scaled(p, q, slide)
-    c, s = math.cos(q), math.sin(q)
-    R = _turned(R[0], axis, c, s), _turned(R[1], axis, c, s), _turned(R[2], axis, c, s)
-    put_rotation(scratch[k], _R, R)
-    put(scratch[k], _P, p)
-    _put_pair(scratch[k], _S, (add_cross(slide, p, axis), axis))
-
-
-@inlined
-def _turned(a, axis, c, s):
-    """A vector turned about a unit axis, or left where the axis is zero."""
-    b = cross(axis, a)
-    return add_scaled(add_scaled(a, s, b), 1.0 - c, cross(axis, b))
-
-
-@inlined
-def _write_link(n, base, gravity, scratch, link, moved):
-    """Write the motion of the last link, which carries the tip, and its displacements."""
-    tip = scratch[n - 1]
-    r, (v, w), (a, alpha) = vec(tip, _P), _pair(tip, _V), _pair(tip, _A)
-    u = add_cross(v, w, r)  # velocity of the link's origin
-    put_rotation(link, 0, rotation(tip, _R))
-    motion = link[MOTION:]
-    put(motion, PLACE, add(r, base))
-    put(motion, TURN, ZERO)
-    put(motion, LINEAR, u)
-    put(motion, ANGULAR, w)
-    put(motion, LINEAR_RATE, add_cross(add_cross(add(a, gravity), alpha, r), w, u))
-    put(motion, ANGULAR_RATE, alpha)
+        joint, link, q = open_joint(links.joints[d0 + k]), _open_link(scratch[k]), angles[d0 + k]
+        angle = joint.turns * q
+        axes, p = next_frame(joint, axes, p, q, math.sin(angle), math.cos(angle))
+        S = column_of(joint, axes[2], p)
+        twist = add_scaled_pair(twist, rates[d0 + k], S)
+        column_rate = twist_product(twist, S)
+        rate = add_scaled_pair(rate, accelerations[d0 + k], S)
+        rate = add_scaled_pair(rate, rates[d0 + k], column_rate)
+        link.rotation, link.origin = compose(axes, joint.link_axes), p
+        link.column, link.twist, link.rate, link.column_rate = S, twist, rate, column_rate
+        link.column_acceleration = add_pair(
+            twist_product(rate, S), twist_product(twist, column_rate)
+        )
+        inertia = link_inertia(joint, axes, p)
+        mass, moment, second = moments(inertia)
+        link.mass, link.moment, link.second = mass, moment, second
+        link.momentum, _ = times_inertia(mass, moment, second, twist)
+        link.turning = twice_turning_matrix(moment, second, twist[0], twist[1])
+        link.force = inertial_force(inertia, twist, rate)
+    tip = _open_link(scratch[n - 1])
+    write_motion(open_body(body), tip.rotation, p, base, twist, rate, gravity)
     for j in range(n):
+        displace_by_position(_open_link(scratch[j]), p, twist, rate, open_displacement(moved[j]))
         clear(moved[n + j])
-        s = scratch[j]
-        S, rate, second = _pair(s, _S), _pair(s, _PSI), _pair(s, _PSI_RATE)
-        shift, along = add_cross(S[0], S[1], r), twist_product(S, (v, w))
-        # by the position
-        of_v, around = _plus(rate, along), twist_product(S, (a, alpha))
-        of_a = _plus(second, _plus(twist_product(rate, (v, w)), around))
-        of_u = add_cross(add_cross(of_v[0], of_v[1], r), w, shift)
-        rate_of_u = add_cross(add_cross(of_a[0], of_a[1], r), alpha, shift)
-        out = moved[j]
-        put(out, PLACE, shift)
-        put(out, TURN, S[1])
-        put(out, LINEAR, of_u)
-        put(out, ANGULAR, of_v[1])
-        put(out, LINEAR_RATE, add_cross(add_cross(rate_of_u, of_v[1], u), w, of_u))
-        put(out, ANGULAR_RATE, of_a[1])
-        # by the velocity, for which the origin moves by ``shift`` in a unit of time
-        of_a = add_scaled(along[0], 2.0, rate[0]), add_scaled(along[1], 2.0, rate[1])
-        rate_of_u = add_cross(add_cross(of_a[0], of_a[1], r), S[1], u)
-        out = moved[n + j]
-        put(out, LINEAR, shift)
-        put(out, ANGULAR, S[1])
-        put(out, LINEAR_RATE, add_cross(rate_of_u, w, shift))
-        put(out, ANGULAR_RATE, of_a[1])
+        displace_by_rate(_open_link(scratch[j]), p, twist, open_displacement(moved[n + j]))
+
+
+@inlined
+def displace_by_position(link, p, twist, rate, out):
+    """Write how a link with origin ``p`` is displaced by the position of a joint before it."""
+    (v, w), alpha = twist, rate[1]
+    S, column_rate = link.column, link.column_rate
+    of_twist = add_pair(column_rate, twist_product(S, twist))
+    of_rate = add_pair(twist_product(column_rate, twist), twist_product(S, rate))
+    of_rate = add_pair(link.column_acceleration, of_rate)
+    u, shift = add_cross(v, w, p), add_cross(S[0], S[1], p)
+    of_u = add_cross(add_cross(of_twist[0], of_twist[1], p), w, shift)
+    rate_of_u = add_cross(add_cross(of_rate[0], of_rate[1], p), alpha, shift)
+    out.shift, out.turn = shift, S[1]
+    out.velocity, out.spin = of_u, of_twist[1]
+    out.acceleration = add_cross(add_cross(rate_of_u, of_twist[1], u), w, of_u)
+    out.spin_rate = of_rate[1]
+
+
+@inlined
+def displace_by_rate(link, p, twist, out):
+    """Write how its motion changes with the rate of that joint: the pose does not."""
+    (v, w), S = twist, link.column
+    # the origin moves by ``shift`` in a unit of time
+    u, shift = add_cross(v, w, p), add_cross(S[0], S[1], p)
+    of_rate = add_scaled_pair(twist_product(S, twist), 2.0, link.column_rate)
+    rate_of_u = add_cross(add_cross(of_rate[0], of_rate[1], p), S[1], u)
+    out.velocity, out.spin = shift, S[1]
+    out.acceleration, out.spin_rate = add_cross(rate_of_u, w, shift), of_rate[1]
 
 
 @kernel
@@ -243,44 +230,53 @@ def write_inverse_dynamics(links, i, load, scratch, by_q, by_v):
     which is used up.  ``load`` (6,) is the wrench f on the link that carries the tip, about its
     origin in its axes [N, N m]; it stays constant in these.
     """
-    d0, n = links.first[i], links.first[i + 1] - links.first[i]
-    for k in range(n):
-        _write_body(links.bodies[d0 + k], scratch[k])
-    tip = scratch[n - 1]
-    force, couple = _about_base(tip, load)
-    _put_pair(tip, _F, (sub(vec(tip, _F), force), sub(vec(tip, _F + 3), couple)))
+    n = links.first[i + 1] - links.first[i]
+    tip = _open_link(scratch[n - 1])
+    tip.force = sub_pair(tip.force, _about_base(tip, load))
     for k in range(n - 1, -1, -1):
-        s = scratch[k]
-        S, rate, second, f = _pair(s, _S), _pair(s, _PSI), _pair(s, _PSI_RATE), _pair(s, _F)
-        m, h, inertia = s[_M], vec(s, _MOMENT), symmetric(s, _SECOND)
-        P, G = vec(s, _MOMENTUM), rotation(s, _G)
+        link = _open_link(scratch[k])
+        S, rate, f = link.column, link.column_rate, link.force
+        m, h, inertia = link.mass, link.moment, link.second
+        P, G = link.momentum, link.turning
         # the columns of the joint
-        of_q = _times_inertia(m, h, inertia, second)
+        of_q = times_inertia(m, h, inertia, link.column_acceleration)
         of_q = (
             add_cross(add_scaled(of_q[0], 2.0, cross(rate[1], P)), S[1], f[0]),
             add_rotated(add_cross(add_cross(of_q[1], S[1], f[1]), S[0], f[0]), G, rate[1]),
         )
-        of_v = _times_inertia(m, h, inertia, rate)
+        of_v = times_inertia(m, h, inertia, rate)
         of_v = (
             scale(2.0, add_cross(of_v[0], S[1], P)),
             add_rotated(scale(2.0, of_v[1]), G, S[1]),
         )
         # its rows, by twists and accelerations of the joints before
-        momentum = _times_inertia(m, h, inertia, S)
-        turning = add_scaled(
-            (dot(G[0], S[1]), dot(G[1], S[1]), dot(G[2], S[1])), 2.0, cross(P, S[0])
-        )
-        by_q[k, k], by_v[k, k] = _power(S, of_q), _power(S, of_v)
+        momentum = times_inertia(m, h, inertia, S)
+        turning = add_scaled(rotate_back(G, S[1]), 2.0, cross(P, S[0]))
+        by_q[k, k], by_v[k, k] = power(S, of_q), power(S, of_v)
         for j in range(k):
-            joint = scratch[j]
-            S_j, rate_j = _pair(joint, _S), _pair(joint, _PSI)
-            by_q[j, k], by_v[j, k] = _power(S_j, of_q), _power(S_j, of_v)
-            by_q[k, j] = _power(_pair(joint, _PSI_RATE), momentum) + dot(rate_j[1], turning)
-            by_v[k, j] = 2.0 * _power(rate_j, momentum) + dot(S_j[1], turning)
+            before = _open_link(scratch[j])
+            S_j, rate_j = before.column, before.column_rate
+            by_q[j, k], by_v[j, k] = power(S_j, of_q), power(S_j, of_v)
+            by_q[k, j] = power(before.column_acceleration, momentum) + dot(rate_j[1], turning)
+            by_v[k, j] = 2.0 * power(rate_j, momentum) + dot(S_j[1], turning)
         if k > 0:
-            before = scratch[k - 1]
-            for c in range(_M, LINK_SCRATCH):
-                before[c] += s[c]
+            _add_beyond(_open_link(scratch[k - 1]), link)
+
+
+@inlined
+def _add_beyond(link, beyond):
+    """Add inertia and force of the links beyond a link to its own."""
+    x, y, z = beyond.turning
+    X, Y, Z = link.turning
+    link.mass += beyond.mass
+    link.moment, link.second = (
+        add(link.moment, beyond.moment), add_symmetric(link.second, beyond.second)
+    )  # fmt: skip
+    link.momentum, link.turning = (
+        add(link.momentum, beyond.momentum),
+        (add(X, x), add(Y, y), add(Z, z)),
+    )
+    link.force = add_pair(link.force, beyond.force)
 
 
 @kernel
@@ -289,87 +285,13 @@ def subtract_torques(n, wrench, scratch, table, column):
 
     The wrench is about the link's origin in its axes.
     """
-    force, couple = _about_base(scratch[n - 1], wrench)
+    about_base = _about_base(_open_link(scratch[n - 1]), wrench)
     for j in range(n):
-        table[j, column] -= _power(_pair(scratch[j], _S), (force, couple))
+        table[j, column] -= power(_open_link(scratch[j]).column, about_base)
 
 
 @inlined
 def _about_base(tip, wrench):
-    R = rotation(tip, _R)
+    R = tip.rotation
     force = rotate(R, vec(wrench, 0))
-    return force, add_cross(rotate(R, vec(wrench, 3)), vec(tip, _P), force)
-
-
-@inlined
-def _write_body(body, s):
-    """Write the moments of one link, its momentum, G, and the force that moves it."""
-    R, mass = rotation(s, _R), body[_MASS]
-    c = add_rotated(vec(s, _P), R, vec(body, _CENTRE))
-    h = scale(mass, c)
-    xx, yy, zz = h[0] * c[0], h[1] * c[1], h[2] * c[2]
-    around = (yy + zz, -h[0] * c[1], -h[0] * c[2], xx + zz, -h[1] * c[2], xx + yy)
-    inertia = add_symmetric(rotate_symmetric(R, symmetric(body, _INERTIA)), around)
-    v, a = _pair(s, _V), _pair(s, _A)
-    w, u = v[1], v[0]
-    p, l = _times_inertia(mass, h, inertia, v)
-    f, n = _times_inertia(mass, h, inertia, a)
-    s[_M] = mass
-    put(s, _MOMENT, h)
-    put_symmetric(s, _SECOND, inertia)
-    put(s, _MOMENTUM, p)
-    _put_pair(s, _F, (add_cross(f, w, p), add_cross(add_cross(n, w, l), u, p)))
-    # columns of [w] I_0, whose sum with its transpose is symmetric
-    X = cross(w, inertia[0:3])
-    Y = cross(w, (inertia[1], inertia[3], inertia[4]))
-    Z = cross(w, (inertia[2], inertia[4], inertia[5]))
-    o, along = times(inertia, w), 2.0 * dot(h, u)
-    xy, xz, yz = X[1] + Y[0], X[2] + Z[0], Y[2] + Z[1]
-    t = scale(-2.0, u)
-    put(s, _G, (2.0 * X[0] + along + t[0] * h[0], xy + o[2] + t[0] * h[1], xz - o[1] + t[0] * h[2]))
-    put(
-        s,
-        _G + 3,
-        (xy - o[2] + t[1] * h[0], 2.0 * Y[1] + along + t[1] * h[1], yz + o[0] + t[1] * h[2]),
-    )
-    put(
-        s,
-        _G + 6,
-        (xz + o[1] + t[2] * h[0], yz - o[0] + t[2] * h[1], 2.0 * Z[2] + along + t[2] * h[2]),
-    )
-
-
-@inlined
-def twist_product(a, b):
-    """``a x b`` of two twists, pairs of vectors."""
-    return add_cross(cross(a[1], b[0]), a[0], b[1]), cross(a[1], b[1])
-
-
-@inlined
-def _times_inertia(mass, moment, second, twist):
-    """Momentum of a body at a twist."""
-    linear = add_cross(scale(mass, twist[0]), twist[1], moment)
-    return linear, add_times(cross(moment, twist[0]), second, twist[1])
-
-
-@inlined
-def _plus(a, b):
-    """``a + b`` of two pairs of vectors."""
-    return add(a[0], b[0]), add(a[1], b[1])
-
-
-@inlined
-def _power(twist, wrench):
-    return dot(twist[0], wrench[0]) + dot(twist[1], wrench[1])
-
-
-@inlined
-def _pair(row, at):
-    """Two vectors, one after the other."""
-    return vec(row, at), vec(row, at + 3)
-
-
-@inlined
-def _put_pair(row, at, pair):
-    put(row, at, pair[0])
-    put(row, at + 3, pair[1])
+    return force, add_cross(rotate(R, vec(wrench, 3)), tip.origin, force)

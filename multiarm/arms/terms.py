@@ -1,4 +1,4 @@
-"""Terms of arm dynamics: the table of their addresses for kernels, and named arrays of them."""
+"""Terms of arm dynamics: where kernels find them, and named arrays of them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,39 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.jit.pointers import PythonCallback
+from multiarm.jit.rows import Axes, Number, Vector, row_of, width
+from multiarm.jit.structs import Int, Numbers
 from multiarm.public import public_names
 
-# Columns of the table of addresses of each arm's float64 terms: inertia M and its stride in
-# numbers, Jacobian, bias, gravity torque; pose, twist and drift of the link that carries the tip,
-# in Pinocchio's layout (0 for compiled arms, which write its motion into ``ArmState.bodies``).
-M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT, POINTER_WIDTH = range(9)
+
+class TermAddresses(NamedTuple):
+    """Addresses of an arm's float64 terms, a row of int64.
+
+    Pose, twist and drift are those of the link that carries the tip, in Pinocchio's layout; 0 for
+    compiled arms, which write its motion into ``ArmState.bodies``.
+    """
+
+    inertia: Number
+    stride: Number  # of the inertia, in numbers
+    jacobian: Number  # (n, 6): the columns one after the other
+    bias: Number
+    gravity_torque: Number
+    pose: Number = 0
+    twist: Number = 0
+    drift: Number = 0
+
+
+ADDRESSES, open_addresses = width(TermAddresses), row_of(TermAddresses)
+
+
+class LinkPose(NamedTuple):
+    """Pose of a link in the world, as Pinocchio keeps it."""
+
+    axes: Axes
+    origin: Vector  # [m]
+
+
+POSE_WIDTH, open_pose = width(LinkPose), row_of(LinkPose)
 
 
 class ArmTerms(NamedTuple):
@@ -83,7 +110,7 @@ class ArmState(NamedTuple):
     q : (numbers,)
         The same positions as Pinocchio's configuration of its arms.
     bodies : (arms, 24)
-        Motion of the links that carry the tips, see :mod:`multiarm.contacts.kernel`.
+        Motion of the links that carry the tips, see :class:`multiarm.contacts.motion.BodyMotion`.
     """
 
     angles: np.ndarray
@@ -105,17 +132,35 @@ class ArmFunctions(NamedTuple):
     callbacks: dict[str, PythonCallback]
 
 
-class Coriolis(NamedTuple):
-    """Addresses of the arms' matrices of Coriolis forces and of the functions that update them.
+class CoriolisCalls(Numbers):
+    """Addresses of the functions that update the arms' matrices of Coriolis forces; 0: none."""
 
-    calls : int64 (4,)
-        Address of a callback (0: none), and of a compiled function (0: none), its struct and size.
-    places : int64 (arms, 2)
-        Addresses and strides.
+    callback: Int  # Pinocchio's
+    compiled: Int  # with the address and the size of its struct:
+    compiled_struct: Int
+    compiled_size: Int
+
+
+class MatrixAddress(NamedTuple):
+    """Where a matrix is: a row of int64."""
+
+    at: Number
+    stride: Number  # in numbers
+
+
+open_matrix = row_of(MatrixAddress)
+
+
+class Coriolis(NamedTuple):
+    """The arms' matrices of Coriolis forces, and what updates them.
+
+    calls : CoriolisCalls
+    matrices : int64 (arms, 2)
+        The :class:`MatrixAddress` of each arm.
     """
 
-    calls: np.ndarray
-    places: np.ndarray
+    calls: CoriolisCalls
+    matrices: np.ndarray
 
 
 class ArmStructure(NamedTuple):
@@ -154,9 +199,9 @@ class LinkTerms(NamedTuple):
     bias, gravity_torque : (n,)
         Coriolis, centrifugal and gravity forces; the gravity forces alone.
     poses : (n, 12)
-        Of the links of all joints in the world: rotation by columns, origin [m].
+        Of the links of all joints in the world, see :class:`LinkPose`.
     body : (24,)
-        Motion of the link that carries the tip, see :mod:`multiarm.contacts.kernel`.
+        Motion of the link that carries the tip, see :class:`multiarm.contacts.motion.BodyMotion`.
     energy : (1,)
         Potential energy [J], zero at the world's origin.
     coriolis : (n, n)

@@ -135,16 +135,16 @@ class StandSearch:
         self, base: np.ndarray, mount: np.ndarray, poses: list[np.ndarray], starts: int
     ) -> Reach | None:
         arm = self.robot.arm
-        there, home = moved_base(arm, base), arm.files.base @ np.linalg.inv(base)
+        motion, back = moved_base(arm, base), arm.files.base @ np.linalg.inv(base)
 
         def clear(posture: np.ndarray, number: int) -> float:
-            points = arm.skeleton(posture) @ there[:3, :3].T + there[:3, 3]
+            points = arm.skeleton(posture) @ motion[:3, :3].T + motion[:3, 3]
             return self.clear(base, points, poses[number])
 
         def allowed(posture: np.ndarray, _number: int) -> bool:
             return self.allowed is None or self.allowed(base, posture)
 
-        places = [home @ X @ mount for X in poses]
+        places = [back @ X @ mount for X in poses]
         return self.robot.search(places, self.rng, starts, clear, allowed)
 
 
@@ -265,7 +265,7 @@ class _BaseSearch:
     arm : Arm
     written : BaseSpec
     body : ObjectSpec
-    on_tip, there : ndarray, shape (4, 4)
+    on_tip, place : ndarray, shape (4, 4)
         The joint's frame in the tip's; its place in the world.
     free : tuple of int
         Components of the pose that the joint leaves free.
@@ -279,7 +279,7 @@ class _BaseSearch:
     written: BaseSpec
     body: ObjectSpec
     on_tip: np.ndarray
-    there: np.ndarray
+    place: np.ndarray
     free: tuple[int, ...]
     reach: float
     bases: list[np.ndarray]
@@ -319,8 +319,8 @@ class _BaseSearch:
             Of a base (4, 4) and a posture (n,) there: whether the arm may stand so.
         """
         pose, rng = self.body.pose.matrix(), np.random.default_rng(0)
-        mount = np.linalg.solve(pose, self.there)
-        clear_of_object = clear_of(self.body, self.there, meshes=allowed is not None)
+        mount = np.linalg.solve(pose, self.place)
+        clear_of_object = clear_of(self.body, self.place, meshes=allowed is not None)
 
         def clear(base: np.ndarray, points: np.ndarray, _pose: np.ndarray) -> float:
             ways = points_on_links(points)[:, None] - np.reshape(self.bases, (-1, 3))
@@ -351,8 +351,10 @@ class _BaseSearch:
         return None
 
     def _has_room(self, base: BaseSpec) -> bool:
-        distances = [np.linalg.norm(np.subtract(base.xyz, place)) for place in self.bases]
-        near = np.linalg.norm(base.xyz - self.there[:3, 3]) <= self.near
+        distances = [
+            np.linalg.norm(np.subtract(base.xyz, base_of_another)) for base_of_another in self.bases
+        ]
+        near = np.linalg.norm(base.xyz - self.place[:3, 3]) <= self.near
         return bool(near) and all(distance >= self.apart for distance in distances)
 
     @property
@@ -362,7 +364,7 @@ class _BaseSearch:
     @property
     def _above_ground(self) -> bool:
         """Whether the base must be above the ground, as its place is."""
-        return "z" in self.written.solve and self.there[2, 3] > 0.0
+        return "z" in self.written.solve and self.place[2, 3] > 0.0
 
     def _drawn(self, around: BaseSpec, part: float, count: int) -> list[BaseSpec]:
         """Bases around one, or where it is to be found around the place that it is found for.
@@ -373,7 +375,7 @@ class _BaseSearch:
         values = np.tile([*around.xyz, *around.rpy], (count, 1))
         if around.solve:
             shifts = [k for k in varied if k < 3]
-            values[:, shifts] = self.there[shifts, 3]
+            values[:, shifts] = self.place[shifts, 3]
         spans = np.array([part * self.near] * 3 + [part * np.pi] * 3)[varied]
         draws = np.random.default_rng(0).uniform(-1.0, 1.0, (count, len(varied)))
         values[:, varied] = np.round(values[:, varied] + spans * draws, DECIMALS)
@@ -385,13 +387,13 @@ class _BaseSearch:
         """Bases from which the arm reaches its place, and those rounded."""
         numbers = np.array([*self.written.xyz, *self.written.rpy])
         spans = [self.near] * 3 + [np.pi] * 3
-        middle = [*self.there[:3, 3], *numbers[3:]]
+        middle = [*self.place[:3, 3], *numbers[3:]]
         varied = {k: (middle[k] - spans[k], middle[k] + spans[k]) for k in self._varied}
         if self._above_ground:
             varied[2] = (max(varied[2][0], 0.0), varied[2][1])
         bases = []
         moving = search.on_moving_base(self.written, varied)
-        for course in islice(moving.courses([self.there], rng, WHOLE_STARTS), MOST_BASES):
+        for course in islice(moving.courses([self.place], rng, WHOLE_STARTS), MOST_BASES):
             numbers[[k for k in BASE_JOINTS if k in varied]] = course[0][: len(varied)]
             bases += [self._base(np.round(numbers, DECIMALS)), self._base(numbers)]
         return bases

@@ -1,7 +1,7 @@
 r"""Inverse kinematics: joint positions with which an arm holds its tip at wanted poses.
 
 A posture makes the pose error zero but for the components that the joint leaves free; the method
-(:mod:`multiarm.assembly.chain`) goes there from starts spread over the ranges of the joints.  Of
+(:mod:`multiarm.assembly.reaching`) goes there from starts spread over the ranges of the joints.  Of
 the postures found, the best is farthest from singular ones and from its limits, at every pose.
 
 *What it proves.*  A search that ends without a posture proves nothing.  A place is out of reach for
@@ -19,16 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.chain import (
-    ORIGIN,
-    REACHED,
-    ROTATION,
-    SLIDES,
-    chain_row,
-    chain_table,
-    reach_place,
-    write_pose,
-)
+from multiarm.arms.chain import ChainJoint
+from multiarm.arms.terms import ArmStructure
+from multiarm.assembly.reaching import REACHED, chain_to, reach_place, write_pose
+from multiarm.jit.rows import fields_of
 from multiarm.scene import Pose
 from multiarm.spatial import difference, matrix_to_quaternion
 
@@ -122,15 +116,15 @@ class InverseKinematics:
         to_limits: bool = False,
     ) -> None:
         self.arm = arm
-        structure, tip = arm.structure(), np.eye(4)
+        self._structure, tip = arm.structure(), np.eye(4)
         tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
-        end = tip if frame is None else tip @ frame
+        self._end = end = tip if frame is None else tip @ frame
         self._to_limits = to_limits
         self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH
-        self.lower, self.upper = _bounds(arm, structure.slides if to_limits else None)
+        self.lower, self.upper = _bounds(arm, self._structure.slides if to_limits else None)
         self.free = tuple(free)
         self._counted = np.setdiff1d(np.arange(6), free)
-        self._chain = chain_table(structure, end)
+        self._chain = chain_to(self._structure, end)
 
     def farther_than_it_reaches(self, place: np.ndarray) -> tuple[float, float] | None:
         """Distance of a place from the first joint, and the reach that it exceeds [m].
@@ -138,11 +132,12 @@ class InverseKinematics:
         None where the place may be within reach: the reach is that of a chain whose every link
         points the same way, with all sliding joints at their farthest.
         """
-        slides = self._chain[:-1, SLIDES] != 0.0
+        joints = fields_of(ChainJoint, self._chain)
+        slides = joints.slides[:-1] != 0.0
         travels = np.maximum(np.abs(self.lower), np.abs(self.upper))[slides]
-        links = np.linalg.norm(self._chain[1:, ORIGIN:], axis=1)
+        links = np.linalg.norm(joints.offset[1:], axis=1)
         reach = float(np.sum(links) + np.sum(travels))
-        shift = place[:3, :3].T @ (place[:3, 3] - self._chain[0, ORIGIN:])
+        shift = place[:3, :3].T @ (place[:3, 3] - joints.offset[0])
         distance = float(np.linalg.norm(shift[self._counted[self._counted < 3]]))
         return (distance, reach) if distance > reach * (1.0 + TIE) else None
 
@@ -159,12 +154,14 @@ class InverseKinematics:
             What varies, of x, y, z [m], roll, pitch, yaw [rad], and within what bounds; a posture
             begins with them, in the order of :data:`BASE_JOINTS`.
         """
-        search, rows = shallow_copy(self), []
+        search = shallow_copy(self)
         frame, ranges = np.eye(4), []
+        axes, frames = [], []  # of the joints below the arm
         for k in BASE_JOINTS:
             axis = np.eye(3)[k % 3]
             if k in varied:
-                rows.append(chain_row(frame[:3, :3], frame[:3, 3], k < 3, axis))
+                axes.append(axis)
+                frames.append(frame)
                 ranges.append(varied[k])
                 frame = np.eye(4)
             elif k < 3:
@@ -174,11 +171,12 @@ class InverseKinematics:
                 frame[:3, :3] = frame[:3, :3] @ Pose(rpy=(x, y, z)).rotation()
         if max(varied) < 3:
             frame[:3, :3] = base.rotation()
-        mount, first = np.eye(4), self._chain[0].copy()
-        mount[:3, :3], mount[:3, 3] = first[ROTATION:ORIGIN].reshape(3, 3), first[ORIGIN:]
-        mount = frame @ np.linalg.solve(self.arm.files.base, mount)
-        first[ROTATION:ORIGIN], first[ORIGIN:] = mount[:3, :3].ravel(), mount[:3, 3]
-        search._chain = np.vstack([*rows, first, self._chain[1:]])
+        structure, mount = self._structure, np.eye(4)
+        mount[:3, :3], mount[:3, 3] = structure.rotations[0], structure.translations[0]
+        frames.append(frame @ np.linalg.solve(self.arm.files.base, mount))
+        slides = [k < 3 for k in BASE_JOINTS if k in varied]
+        search._structure = _on_joints(structure, slides, axes, np.array(frames))
+        search._chain = chain_to(search._structure, self._end)
         lower, upper = np.transpose(ranges)
         search.lower = np.concatenate([lower, self.lower])
         search.upper = np.concatenate([upper, self.upper])
@@ -239,9 +237,9 @@ class InverseKinematics:
         """The nearest posture found to a place that none reaches."""
         ends = [self._solve(place, rng.uniform(self.lower, self.upper)) for _ in range(starts)]
         posture, _ = min(ends, key=lambda end: end[1])
-        there, _ = self.pose(posture)
-        turn = difference(*(matrix_to_quaternion(X[:3, :3]) for X in (there, place)))
-        return Miss(posture, place[:3, 3] - there[:3, 3], float(np.linalg.norm(turn)))
+        pose, _ = self.pose(posture)
+        turn = difference(*(matrix_to_quaternion(X[:3, :3]) for X in (pose, place)))
+        return Miss(posture, place[:3, 3] - pose[:3, 3], float(np.linalg.norm(turn)))
 
     def pose(self, posture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose (4, 4) of the frame in the world, and its Jacobian (6, n), world axes."""
@@ -287,6 +285,20 @@ class InverseKinematics:
         room = np.minimum(course - self.lower, self.upper - course)
         room = (room + MARGIN if self._to_limits else room) / half
         return Reach(course, dexterity, float(np.min(room[:, limited], initial=1.0)), clearance)
+
+
+def _on_joints(
+    arm: ArmStructure, slides: list[bool], axes: list[np.ndarray], frames: np.ndarray
+) -> ArmStructure:
+    """An arm on massless joints below it; ``frames`` (k + 1, 4, 4) are theirs and its own first."""
+    still = ArmStructure(*(np.zeros((len(axes), *part.shape[1:])) for part in arm))
+    both = ArmStructure(*map(np.concatenate, zip(still, arm, strict=True)))
+    return both._replace(
+        slides=np.append(slides, arm.slides),
+        axes=np.vstack([*axes, arm.axes]),
+        rotations=np.concatenate([frames[:, :3, :3], arm.rotations[1:]]),
+        translations=np.concatenate([frames[:, :3, 3], arm.translations[1:]]),
+    )
 
 
 def points_on_links(origins: np.ndarray) -> np.ndarray:

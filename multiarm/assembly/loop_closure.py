@@ -35,11 +35,13 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
+from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.coordinates import difference, retracted
 from multiarm.dynamics.equations import update_kinematics
@@ -47,8 +49,7 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.errors import MultiarmError, SolverError
-
-CLOSED, STUCK, FAR = "closed", "stuck", "far"
+from multiarm.jit.rows import fields_of
 
 # Largest radius of the trust region [rad, fractions of the scene's size].
 RADIUS = 0.1
@@ -60,7 +61,8 @@ def scene_size(data: Data) -> float:
     """Characteristic length of the scene [m]: of its lever arms, its object and its arms."""
     arrays, constants = data.arrays, data.model.constants
     levers = arrays.rows.kinematics[:, :3] - arrays.state.object_pose[:3]
-    reaches = arrays.bodies.links[: len(data.model.bases), 9:12] - data.model.bases
+    origins = fields_of(BodyMotion, arrays.bodies.links).origin
+    reaches = origins[: len(data.model.bases)] - data.model.bases
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
     gyration = constants.object_inertia.trace() / constants.object_mass
     return math.sqrt(max(*squares, gyration))
@@ -76,12 +78,38 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
     return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
 
+def gaps_by_arm(data: Data, column: int = GAP) -> dict[str, float]:
+    """Largest magnitude of one column of the contact kinematics, by arm."""
+    parts = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, column]))
+    return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
+
+
+def joints_at_limit(data: Data) -> tuple[str, ...]:
+    """Joints at one of their limits in the data."""
+    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
+    near = np.min(np.abs(limits - data.arrays.state.joint_positions[:, None]), axis=1) <= 1e-9
+    return tuple(name for name, at in zip(data.model.joint_names, near, strict=True) if at)
+
+
+class Outcome(Enum):
+    """How :func:`close_gaps` ended."""
+
+    CLOSED = "the gaps are closed"
+    STUCK = "no motion reduces the gaps"
+    FAR = "a part moved too far"
+
+
 @dataclass(frozen=True)
 class Closing:
-    """Outcome of :func:`close_gaps`; the kinematics at the end are in the data."""
+    """Result of :func:`close_gaps`; the kinematics at the end are in the data."""
 
-    status: str  # CLOSED, STUCK (no motion reduces the gaps) or FAR (a part moved too far)
+    outcome: Outcome
     changes: np.ndarray  # (k,), magnitude of the displacement in the units of ``u``
+
+    @property
+    def closed(self) -> bool:
+        """Whether the gaps are closed."""
+        return self.outcome is Outcome.CLOSED
 
     @property
     def change(self) -> float:
@@ -102,44 +130,44 @@ def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
     SolverError
         When the inertia of an arm is not positive definite.
     """
-    begin = here = linkage.here()
+    begin = posture = linkage.posture()
     radius, crossings, ranks = RADIUS, 0, linkage.branches(begin)
     guards = np.zeros((0, linkage.unit.size))
-    status = STUCK
+    outcome = Outcome.STUCK
     for _ in range(120):
-        if here.worst <= tolerance:
-            status = CLOSED
+        if posture.worst <= tolerance:
+            outcome = Outcome.CLOSED
             break
-        if np.max(linkage.changes(begin, here)) > FARTHEST:
-            status = FAR
+        if np.max(linkage.changes(begin, posture)) > FARTHEST:
+            outcome = Outcome.FAR
             break
-        u = _step(here, guards, radius, *linkage.room(here))
-        promised = 1.0 - (np.linalg.norm(here.gaps + here.rows @ u) / here.norm) ** 2
+        u = _step(posture, guards, radius, *linkage.room(posture))
+        promised = 1.0 - (np.linalg.norm(posture.gaps + posture.rows @ u) / posture.norm) ** 2
         if not promised > 1e-8:  # of the squared gaps
-            out = None if guards.size else _buckled(linkage, here)
+            out = None if guards.size else _buckled(linkage, posture)
             if out is None:
                 break
-            here, radius = out, RADIUS
+            posture, radius = out, RADIUS
             continue
-        there = linkage.moved(here, u)
-        progress = -1.0 if there is None else (1.0 - (there.norm / here.norm) ** 2) / promised
-        if there is None or not (progress >= 0.1 or there.worst <= tolerance):
+        trial = linkage.moved(posture, u)
+        progress = -1.0 if trial is None else (1.0 - (trial.norm / posture.norm) ** 2) / promised
+        if trial is None or not (progress >= 0.1 or trial.worst <= tolerance):
             radius = 0.5 * min(radius, float(np.max(np.abs(u))))
             continue
-        ends = linkage.branch_ends(here, there, ranks)
+        ends = linkage.branch_ends(posture, trial, ranks)
         if ends:
             crossings += 1
             # three steps that would leave the branch are shortened, later ones led along its end
             if crossings > 3 and not guards.size:
-                guards = np.array([linkage.guard(here, k, ranks[k]) for k in ends])
+                guards = np.array([linkage.guard(posture, k, ranks[k]) for k in ends])
             else:
                 radius = 0.5 * min(radius, float(np.max(np.abs(u))))
             continue
-        here, guards = there, guards[:0]
+        posture, guards = trial, guards[:0]
         if progress > 0.5:
             radius = min(RADIUS, 2.0 * radius)
-    linkage.place(here)
-    return Closing(status, linkage.changes(begin, here))
+    linkage.place(posture)
+    return Closing(outcome, linkage.changes(begin, posture))
 
 
 @dataclass(frozen=True)
@@ -235,7 +263,7 @@ class Linkage:
             r, c = r + held.size, c + n
         return blocks
 
-    def here(self) -> Posture:
+    def posture(self) -> Posture:
         """The posture in the data, whose kinematics are current."""
         b, work = self._data.arrays, self._data.work
         J = np.zeros((self.rows.size, self.unit.size))
@@ -276,12 +304,12 @@ class Linkage:
         """The posture displaced by ``u``; None where a contact has no normal."""
         try:
             self.place(posture, u)
-        except MultiarmError:  # a surface ends there
+        except MultiarmError:  # a surface ends
             self._data.forgive()
             return None
         if not np.all(np.isfinite(self._data.arrays.rows.kinematics)):
             return None
-        return self.here()
+        return self.posture()
 
     def _snap(self, angles: np.ndarray) -> None:
         """Remove roundings from the positions of joints at a limit."""
@@ -309,12 +337,12 @@ class Linkage:
         singular = [np.linalg.svd(posture.rows[block], compute_uv=False) for block in self.blocks]
         return [int(np.sum(s > 1e-4 * np.max(s, initial=0.0))) for s in singular]
 
-    def branch_ends(self, here: Posture, there: Posture, ranks: list[int]) -> list[int]:
+    def branch_ends(self, posture: Posture, trial: Posture, ranks: list[int]) -> list[int]:
         """Arms (numbers of their blocks) that passed a singular posture between two near ones."""
         return [
             k
             for k, (block, rank) in enumerate(zip(self.blocks, ranks, strict=True))
-            if _determinant(*_compression(here.rows[block], rank), there.rows[block]) <= 0.0
+            if _determinant(*_compression(posture.rows[block], rank), trial.rows[block]) <= 0.0
         ]
 
     def guard(self, posture: Posture, k: int, rank: int) -> np.ndarray:
@@ -324,8 +352,8 @@ class Linkage:
         for j in range(block[1].start, block[1].stop):
             values = []
             for h in (change, -change):
-                there = self.moved(posture, h * np.eye(self.unit.size)[j])
-                rows = posture.rows if there is None else there.rows
+                moved = self.moved(posture, h * np.eye(self.unit.size)[j])
+                rows = posture.rows if moved is None else moved.rows
                 values.append(_determinant(*frame, rows[block]))
             row[j] = (values[0] - values[1]) / (2 * change)
         size = np.linalg.norm(row)
@@ -357,35 +385,35 @@ def _step(
     return np.clip(lsq_linear(matrix, right, bounds, method="bvls").x, *bounds)
 
 
-def _buckled(linkage: Linkage, here: Posture) -> Posture | None:
+def _buckled(linkage: Linkage, posture: Posture) -> Posture | None:
     """A posture on the path along which a flat linkage buckles, if there is one.
 
     Both directions are equal; the one in which the farthest moving part grows is taken.
     """
     probe = 1e-4  # displacement over which the curvature is measured
-    _, s, Vt = np.linalg.svd(here.rows)
+    _, s, Vt = np.linalg.svd(posture.rows)
     null = Vt[int(np.sum(s > 1e-6 * s[0])) :]
     curvature = np.zeros((len(null), len(null)))
     for column, v in enumerate(null):
-        sides = [linkage.moved(here, h * v) for h in (probe, -probe)]
+        sides = [linkage.moved(posture, h * v) for h in (probe, -probe)]
         if sides[0] is None or sides[1] is None:
             return None
-        slope = (sides[0].rows - sides[1].rows).T @ here.gaps / (2 * probe)
+        slope = (sides[0].rows - sides[1].rows).T @ posture.gaps / (2 * probe)
         curvature[:, column] = null @ slope
     if not len(null):
         return None
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    if not values[0] < -1e-6 * here.norm * linkage.size:
+    if not values[0] < -1e-6 * posture.norm * linkage.size:
         return None
     way = vectors[:, 0] @ null
     way *= np.sign(way[np.argmax(np.abs(way))]) / np.max(np.abs(way))
-    length = min(RADIUS, 2.0 * here.norm / np.sqrt(-values[0]))
-    low, high = linkage.room(here)
+    length = min(RADIUS, 2.0 * posture.norm / np.sqrt(-values[0]))
+    low, high = linkage.room(posture)
     for _ in range(40):
         for u in (length * way, -length * way):
-            there = linkage.moved(here, u) if np.all((low <= u) & (u <= high)) else None
-            if there is not None and there.norm < 0.9 * here.norm:
-                return there
+            trial = linkage.moved(posture, u) if np.all((low <= u) & (u <= high)) else None
+            if trial is not None and trial.norm < 0.9 * posture.norm:
+                return trial
         length *= 0.7
     return None
 

@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from multiarm.assembly.loop_closure import CLOSED, Linkage, close_gaps, projection_tolerance
-from multiarm.assembly.start import joint_names
+from multiarm.assembly.loop_closure import Linkage, close_gaps, projection_tolerance
 from multiarm.contacts.kernel import GAP
 from multiarm.control.object_path import pose_of, quintic, route
 from multiarm.control.program import JointPath
@@ -109,7 +108,7 @@ def _segment(
         if np.max(np.abs(series[:, -4:])) < 1e-8:  # [rad, m]
             return series, state
     worst = int(np.argmax(np.max(np.abs(series[:, -4:]), axis=1)))
-    joint = joint_names(data.model)[worst]
+    joint = data.model.joint_names[worst]
     raise ControlError(
         f"control.path: on the way to waypoint {number} the joints do not move smoothly "
         f"(worst: {joint}); an arm passes a singular posture there, choose another path or posture"
@@ -183,7 +182,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
     free = np.full((data.model.layout.joints, 2), [-np.inf, np.inf])
     for i in range(len(data.model.arm_names)):
         require_ok(data, update_kinematics(data.struct))
-        if close_gaps(Linkage(data, [i], False, free), tolerance).status != CLOSED:
+        if not close_gaps(Linkage(data, [i], False, free), tolerance).closed:
             return False
     return True
 

@@ -54,7 +54,7 @@ class PostureSearch:
     arm : Arm
     on_tip : ndarray, shape (4, 4)
         The joint's frame in the tip's.
-    there : ndarray, shape (4, 4)
+    place : ndarray, shape (4, 4)
         The joint's place in the world.
     free : tuple of int
         Components of the pose that the joint leaves free.
@@ -63,7 +63,7 @@ class PostureSearch:
 
     arm: Arm
     on_tip: np.ndarray
-    there: np.ndarray
+    place: np.ndarray
     free: tuple[int, ...]
     body: ObjectSpec
 
@@ -78,7 +78,7 @@ class PostureSearch:
         Where none is found well inside the limits, the whole ranges of the joints are searched.
         The joint's frames are shifted against each other only where they cannot coincide.
         """
-        clear_of_object = clear_of(self.body, self.there, meshes=allowed is not None)
+        clear_of_object = clear_of(self.body, self.place, meshes=allowed is not None)
         coincide = False
 
         def clear(posture: np.ndarray, _number: int) -> float:
@@ -92,9 +92,9 @@ class PostureSearch:
         for search, starts in self._searches():
             if coincide and any(k < 3 for k in search.free):
                 continue
-            if search.farther_than_it_reaches(self.there) is None:
+            if search.farther_than_it_reaches(self.place) is None:
                 rng = np.random.default_rng(0)
-                reach = search.search([self.there], rng, starts, clear, accepted)
+                reach = search.search([self.place], rng, starts, clear, accepted)
                 if reach is not None:
                     return reach.postures[0]
         return None
@@ -111,13 +111,13 @@ class PostureSearch:
         """What a user may do where :meth:`best` finds nothing."""
         searches = self._searches()
         misses = [
-            search.nearest(self.there, np.random.default_rng(0), starts)
+            search.nearest(self.place, np.random.default_rng(0), starts)
             for search, starts in searches
             if search.free == self.free
         ]
         weight = 0.0 if self.free else LENGTH
         miss = min(misses, key=lambda m: float(np.linalg.norm([*m.shift, weight * m.turn])))
-        beyond = searches[-1][0].farther_than_it_reaches(self.there)
+        beyond = searches[-1][0].farther_than_it_reaches(self.place)
         if beyond is None:
             total = sum(starts for _, starts in searches)
             text = (
@@ -242,22 +242,22 @@ def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bo
     """Whether a posture leaves a gap in the joint that no assembly would close."""
     if joint.as_listed:  # its contacts may be anywhere
         return False
-    on_tip, there = joint_places(scene, joint)
-    here = arm.tip_pose(posture) @ on_tip
-    gap = there[:3, :3].T @ (here[:3, 3] - there[:3, 3])
+    on_tip, place = joint_places(scene, joint)
+    frame = arm.tip_pose(posture) @ on_tip
+    gap = place[:3, :3].T @ (frame[:3, 3] - place[:3, 3])
     gap[[k for k in joint.free or () if k < 3]] = 0.0
     return bool(np.linalg.norm(gap) > NEAR * np.max(arm.levers(on_tip[:3, 3])))
 
 
 def clear_of(
-    body: ObjectSpec, there: np.ndarray, meshes: bool = False
+    body: ObjectSpec, place: np.ndarray, meshes: bool = False
 ) -> Callable[[np.ndarray, np.ndarray], float]:
     """How well links keep apart from the object's box, and from the ground.
 
     Parameters
     ----------
     body : ObjectSpec
-    there : ndarray, shape (4, 4)
+    place : ndarray, shape (4, 4)
         The joint's place in the world.
     meshes : bool
         Whether the box of a mesh counts, too.
@@ -276,7 +276,7 @@ def clear_of(
         if corners is not None:
             seen = (points_on_links(skeleton[:-1]) - pose[:3, 3]) @ pose[:3, :3]
             outside = np.maximum(corners[0] - seen, seen - corners[1]).max(axis=1)
-        if base[2, 2] > 0.9 and base[2, 3] < there[2, 3]:  # upright, and lower than its place
+        if base[2, 2] > 0.9 and base[2, 3] < place[2, 3]:  # upright, and lower than its place
             above = skeleton[2:-1, 2] - base[2, 3]
         return clearance(outside, above)
 

@@ -22,35 +22,36 @@ Nothing is divided by a singular value: dependent rows and singular arms need no
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from multiarm.assembly.loop_closure import (
-    CLOSED,
-    FAR,
-    FARTHEST,
-    Closing,
     Linkage,
     close_gaps,
+    gaps_by_arm,
+    joints_at_limit,
     projection_tolerance,
     scene_size,
 )
+from multiarm.assembly.robots import Robots
+from multiarm.assembly.start_faults import cannot_close, inside, too_far
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.contacts.table import JointRow
-from multiarm.contacts.unilateral import LIMIT, Constraint
-from multiarm.dynamics.contact_geometry import patch_margin, place_state
+from multiarm.contacts.motion import BodyMotion
+from multiarm.dynamics.contact_geometry import locate_pairs, patch_margin, place_state
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import lost_contact, require_ok
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import ModelError, SceneError
 from multiarm.integration.projection import project_velocities
 from multiarm.integration.reporting_guards import contacts_off_patch
+from multiarm.jit.rows import fields_of
 from multiarm.scene import Scene
-from multiarm.scene.faults import counted
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.spatial import matrix_to_quaternion
 
 # Gaps below this part of the scene's size count as touching.
 TOUCHING = 1e-9
@@ -79,7 +80,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     size = scene_size(data)
     limit = 0.1 * size
     if not all(gap <= limit for gap in gaps.values()):
-        raise SceneError(_too_far(data, scene, name, gaps, limit))
+        raise SceneError(too_far(data, scene, name, gaps, limit))
     limits, outside = _limits(data, written)
     held = _close(data, name, gaps, limits, size)
     _check_way_round(data, scene, name)
@@ -110,12 +111,47 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     )
 
 
-def unassembled(data: Data) -> StartReport:
-    """The report of a start that is left as it is in the data."""
+def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
+    """The start as written in the scene, before it is assembled."""
+    pose, resolved = scene.object.pose.matrix(), robots.resolved.values()
+    position = [
+        pose[:3, 3],
+        matrix_to_quaternion(pose[:3, :3]),
+        *(r.posture for r in resolved),
+    ]
+    twist = np.zeros(6) if scene.object.twist is None else np.array(scene.object.twist)
+    velocity = [twist, *(r.velocity for r in resolved)]
+    return State(np.concatenate(position), np.concatenate(velocity), layout)
+
+
+def locate_contacts(data: Data, state: State) -> None:
+    """Let contacts of two surfaces be found from where they touch at a state."""
+    data.model = replace(data.model, pair_places=locate_pairs(data, state))
+
+
+def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, StartReport]:
+    """The start, assembled on the contacts that are closed there, where those are located."""
+    unilateral, closed = data.model.unilateral, data
+    if unilateral is not None:
+        closed = data.view(replace(data.model.select(unilateral.assembled), unilateral=None))
+    locate_contacts(closed, written)
+    data.model = replace(data.model, pair_places=closed.model.pair_places)
+    closed.set_state(0.0, written)
+    start, report = assemble(closed, scene)
+    check_patches(closed, start)
+    if unilateral is not None:
+        check_unilateral(data, start)
+    return start, report
+
+
+def unassembled_start(data: Data, written: State) -> tuple[State, StartReport]:
+    """The start as written, with its gaps."""
+    locate_contacts(data, written)
+    data.set_state(0.0, written)
     require_ok(data, update_kinematics(data.struct))
     gaps = gaps_by_arm(data)
     rates = gaps_by_arm(data, GAP_RATE)
-    return StartReport(gaps=gaps, gap_rates=rates, gaps_left=gaps, assembled=False)
+    return written, StartReport(gaps=gaps, gap_rates=rates, gaps_left=gaps, assembled=False)
 
 
 def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartReport]:
@@ -197,27 +233,9 @@ def check_unilateral(data: Data, start: State) -> None:
         if constraint.compliant or constraint.bilateral:
             continue
         if gap < -allowed and patch_margin(data, constraint) >= 0.0:
-            faults.append(_inside(data, constraint, -gap))
+            faults.append(inside(data, constraint, -gap))
     if faults:
         raise SceneError(faults)
-
-
-def gaps_by_arm(data: Data, column: int = GAP) -> dict[str, float]:
-    """Largest magnitude of one column of the contact kinematics, by arm."""
-    parts = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, column]))
-    return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
-
-
-def joint_names(model: Model) -> list[str]:
-    """All joints as ``arm/joint``, in the order of the stacked vectors."""
-    return [f"{arm}/{joint}" for arm, a in model.arms.items() for joint in a.joint_names]
-
-
-def joints_at_limit(data: Data) -> tuple[str, ...]:
-    """Joints at one of their limits in the data."""
-    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
-    near = np.min(np.abs(limits - data.arrays.state.joint_positions[:, None]), axis=1) <= 1e-9
-    return tuple(name for name, at in zip(joint_names(data.model), near, strict=True) if at)
 
 
 def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, size: float) -> bool:
@@ -227,26 +245,26 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
         return True
     everything = list(range(len(data.model.arm_names)))
     linkage = Linkage(data, everything, True, limits)
-    begin = linkage.here()
+    begin = linkage.posture()
     closed, swings = True, False
     for i, gap in enumerate(gaps.values()):
         if gap > tolerance:
             arm = Linkage(data, [i], False, limits)
             # a larger motion than this for its gap is a swing past a singular posture
-            far = 20.0 * arm.here().least_turn
+            far = 20.0 * arm.posture().least_turn
             end = close_gaps(arm, tolerance)
-            closed, swings = closed and end.status == CLOSED, swings or not end.change <= far
+            closed, swings = closed and end.closed, swings or not end.change <= far
     if closed and not swings:
         return True
-    arms_alone = linkage.here()
+    arms_alone = linkage.posture()
     linkage.place(begin)
     end = close_gaps(linkage, tolerance)
-    if end.status == CLOSED:
+    if end.closed:
         return False
     if closed:
         linkage.place(arms_alone)
         return True
-    raise SceneError(_cannot_close(data, name, gaps, linkage, end))
+    raise SceneError(cannot_close(data, name, gaps, linkage, end))
 
 
 def _check_way_round(data: Data, scene: Scene, name: str) -> None:
@@ -255,14 +273,15 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
     Contacts are rows of distances, and those of a weld or a slide vanish too where the joint's
     frames on arm and object differ by half a turn.
     """
-    faults, R_O = [], data.arrays.bodies.object[:9].reshape(3, 3)
-    links = dict(zip(data.model.arm_names, data.arrays.bodies.links[:, :9], strict=False))
+    faults, R_O = [], fields_of(BodyMotion, data.arrays.bodies.object).rotation
+    rotations = fields_of(BodyMotion, data.arrays.bodies.links).rotation
+    links = dict(zip(data.model.arm_names, rotations, strict=False))
     for joint in scene.joints:
         turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
         if turns is None or len(turns) > 1:
             continue
         frame, arm = data.model.frames[joint.arm], data.model.arms[joint.arm]
-        R_T = links[joint.arm].reshape(3, 3) @ arm.tip_rotation
+        R_T = links[joint.arm] @ arm.tip_rotation
         R = (R_O @ frame.on_object[:3, :3]).T @ R_T @ frame.on_tip[:3, :3]
         # the cosine of the turn between both frames, or between the axes about which they may turn
         cosine = R[turns[0], turns[0]] if turns else 0.5 * (np.trace(R) - 1.0)
@@ -283,7 +302,7 @@ def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
     angles = data.model.layout.joint_positions(written.position)
     out = (angles < limits[:, 0]) | (angles > limits[:, 1])
     limits[out] = -np.inf, np.inf
-    return limits, tuple(np.array(joint_names(data.model))[out])
+    return limits, tuple(np.array(data.model.joint_names)[out])
 
 
 def _close_rates(data: Data, size: float) -> float:
@@ -294,7 +313,7 @@ def _close_rates(data: Data, size: float) -> float:
     b, joints = data.arrays, data.model.layout.joints
     free = np.full((joints, 2), [-np.inf, np.inf])
     linkage = Linkage(data, list(range(len(data.model.arm_names))), True, free, True, size)
-    place, lost = linkage.here(), 0.0
+    place, lost = linkage.posture(), 0.0
     v = b.state.velocity / linkage.unit
     # 100 roundings of the terms that cancel in a rate
     terms = float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))
@@ -311,117 +330,3 @@ def _close_rates(data: Data, size: float) -> float:
         b.state.velocity[:] = linkage.unit * v
         require_ok(data, update_kinematics(data.struct))
     return lost
-
-
-def _inside(data: Data, constraint: Constraint, depth: float) -> str:
-    if constraint.kind != LIMIT:
-        where = f"'{constraint.arm}/{constraint.name}' is inside the arm's surface"
-        remedy = "the posture"
-        if constraint.arm == SURROUNDINGS:
-            where, remedy = f"'{constraint.name}' of the object is below the floor", "'object.pose'"
-        return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
-    first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
-    limit = data.model.records[constraint.row]
-    assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
-    at = data.arrays.state.joint_positions[first + limit.joint]
-    end = "below its lower end" if limit.side > 0.0 else "above its upper end"
-    name = f"{constraint.arm}/{data.model.joint_name(constraint.joint)}"
-    return (
-        f"$.effects.joint_limits: '{name}' starts at {at:.6g}, {end} {limit.bound:.6g}; "
-        f"correct the posture, or the range"
-    )
-
-
-def _too_far(
-    data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: float
-) -> list[str]:
-    """One fault for every joint whose gap in the data exceeds the limit [m]."""
-    kinds = {joint.arm: joint.kind for joint in scene.joints}
-    phi = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, GAP]))
-    faults, near = [], {}
-    for arm, gap in gaps.items():
-        if gap <= limit:
-            near[arm] = gap
-            continue
-        contact = data.model.contacts[arm][int(np.argmax(phi[arm]))]
-        remedy = "or `at` (or leave `at` out to join the object where the tip is)"
-        if kinds[arm] == "contacts":
-            remedy = (
-                "or the contact's geometry (of the arm in the tip's frame, of the object in its)"
-            )
-        faults.append(
-            f"{name} does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left "
-            f"at '{contact.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
-            f"{remedy}"
-        )
-    if near:
-        faults[-1] += f" (gaps of the other joints: {_listed(near)})"
-    return faults
-
-
-def _cannot_close(
-    data: Data, name: str, gaps: dict[str, float], linkage: Linkage, end: Closing
-) -> list[str]:
-    """Why the linkage of object and all arms could not be closed, from ``gaps`` as written [m].
-
-    The posture that was reached is in the data.
-    """
-    faults = _contradictions(data, name, linkage)
-    if faults:
-        return faults
-    if end.status == FAR:
-        names = [*["the object"] * 6, *(f"joint '{name}'" for name in joint_names(data.model))]
-        worst = int(np.argmax(end.changes))
-        why = f"{names[worst]} would have to move by more than "
-        why += f"{FARTHEST * linkage.unit[worst]:.3g} rad or m for it, which is no correction"
-    else:
-        left = {
-            arm: f"{gap:.3g} m at '{_worst_contact(data, arm)}'"
-            for arm, gap in gaps_by_arm(data).items()
-        }
-        why = "no motion of the arms and the object lessens what then is left, "
-        why += ", ".join(f"{arm}: {text}" for arm, text in left.items())
-        why += "; the arms are at the end of their reach, or have too few joints for these contacts"
-        stopped = joints_at_limit(data)
-        if stopped:
-            why += f"; at a limit: {', '.join(stopped)}"
-    return [
-        f"{name} does not satisfy the joints and could not be closed from there (gaps "
-        f"{_listed(gaps)}): {why}; move the postures or `at` closer together, "
-        "or leave out `at` to join the object where the tip is"
-    ]
-
-
-def _listed(gaps: dict[str, float]) -> str:
-    """Gaps of the arms [m] in one line."""
-    return ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in gaps.items())
-
-
-def _worst_contact(data: Data, arm: str) -> str:
-    phi = data.model.layout.split_contacts(data.arrays.rows.kinematics[:, GAP])[arm]
-    return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name
-
-
-def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
-    """Joints whose own contacts cannot all be closed, wherever the arm is."""
-    b, faults, tolerance = data.arrays, [], projection_tolerance(data)
-    wrenches = b.rows.Wo[linkage.rows] * linkage.unit[:6]
-    phi = b.rows.kinematics[linkage.rows, GAP]
-    for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
-        U, s, _ = np.linalg.svd(wrenches[of_arm])
-        dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
-        opposed = dependent @ (dependent.T @ phi[of_arm])
-        worst = float(np.max(np.abs(opposed), initial=0.0))
-        # at least a tenth of the joint's largest gap; contacts with less than a tenth of the worst
-        # part are not named
-        if not worst > max(0.1 * float(np.max(np.abs(phi[of_arm]), initial=0.0)), tolerance):
-            continue
-        rows = linkage.rows[of_arm][np.abs(opposed) > 0.1 * worst]
-        names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
-        faults.append(
-            f"the contacts {counted(names, 6)} of arm '{arm}' contradict each other "
-            f"at {name.removeprefix('the ')}: as surfaces of two rigid bodies they cannot all "
-            f"touch, gaps of {worst:.3g} m stay between them; leave one of them out, or correct "
-            f"its geometry"
-        )
-    return faults

@@ -22,9 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import ORIGIN_AT, SPIN, VELOCITY
+from multiarm.contacts.motion import open_body
 from multiarm.geometry.records import Contact
 from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.rows import Rotation, Vector, as_row, row_of
 from multiarm.jit.vectors import (
     add,
     add_cross,
@@ -33,15 +34,10 @@ from multiarm.jit.vectors import (
     put,
     rotate,
     rotate_back,
-    rotation,
     rotation_vector,
     sub,
-    vec,
 )
 from multiarm.scene import JointSpec
-
-# A row of joint frames: the arm's in its link (rotation row by row, origin), the object's in it.
-ON_LINK, ON_OBJECT, FRAME_WIDTH = 0, 12, 24
 
 # :func:`write_relative` writes the turns about single axes from this entry on.
 SINGLE_TURN = 6
@@ -82,12 +78,25 @@ class JointFrame:
 
     def packed(self, tip_rotation: np.ndarray, tip_translation: np.ndarray) -> np.ndarray:
         """The row for the kernel, shape (24,); the tip's frame is given in that of its link."""
-        row = np.empty(FRAME_WIDTH)
-        row[ON_LINK : ON_LINK + 9] = (tip_rotation @ self.on_tip[:3, :3]).ravel()
-        row[ON_LINK + 9 : ON_LINK + 12] = tip_rotation @ self.on_tip[:3, 3] + tip_translation
-        row[ON_OBJECT : ON_OBJECT + 9] = self.on_object[:3, :3].ravel()
-        row[ON_OBJECT + 9 : ON_OBJECT + 12] = self.on_object[:3, 3]
-        return row
+        frames = FrameRow(
+            on_link=tip_rotation @ self.on_tip[:3, :3],
+            origin_on_link=tip_rotation @ self.on_tip[:3, 3] + tip_translation,
+            on_object=self.on_object[:3, :3],
+            origin_on_object=self.on_object[:3, 3],
+        )
+        return as_row(frames)
+
+
+class FrameRow(NamedTuple):
+    """The frames of a joint for kernels: the arm's in its link, the object's in the object."""
+
+    on_link: Rotation
+    origin_on_link: Vector  # [m]
+    on_object: Rotation
+    origin_on_object: Vector  # [m]
+
+
+open_frames = row_of(FrameRow)
 
 
 class Joint(NamedTuple):
@@ -197,13 +206,15 @@ def write_relative(frame, link, body, rates, places):
         Kinematics of the link that carries the tip, and of the object.
     rates : (6,), places : (9,), written
     """
-    R_m, R_o = rotation(link, 0), rotation(body, 0)
-    M, J = compose(R_m, rotation(frame, ON_LINK)), compose(R_o, rotation(frame, ON_OBJECT))
+    arm, held = open_body(link), open_body(body)
+    R_m, R_o = arm.rotation, held.rotation
+    frames = open_frames(frame)
+    M, J = compose(R_m, frames.on_link), compose(R_o, frames.on_object)
     # from the link's origin to the arm's frame, from the object's origin to its frame, between both
-    m, j = rotate(R_m, vec(frame, ON_LINK + 9)), rotate(R_o, vec(frame, ON_OBJECT + 9))
-    x = sub(add(sub(vec(link, ORIGIN_AT), vec(body, ORIGIN_AT)), m), j)
-    omega_m, omega_o = vec(link, SPIN), vec(body, SPIN)
-    v = sub(add_cross(vec(link, VELOCITY), omega_m, m), vec(body, VELOCITY))
+    m, j = rotate(R_m, frames.origin_on_link), rotate(R_o, frames.origin_on_object)
+    x = sub(add(sub(arm.origin, held.origin), m), j)
+    omega_m, omega_o = arm.spin, held.spin
+    v = sub(add_cross(arm.velocity, omega_m, m), held.velocity)
     v = sub(v, cross(omega_o, add(j, x)))
     put(places, 0, rotate_back(J, x))
     put(rates, 0, rotate_back(J, v))

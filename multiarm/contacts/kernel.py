@@ -2,21 +2,9 @@ r"""From contact records, poses and velocities to W, dW/dt, c and phi: one compi
 
 A contact joins a point ``P`` of body A with a surface of body B (arm and object, either way round).
 Everything is in world axes, relative to an observer on B.  The motion of A relative to B is the
-same for all contacts of a joint (:func:`relative_motion`):
-
-.. math::
-    V_0 &= \dot x_A - \dot x_B - \omega_B \times r_0, \qquad
-    \Omega = \omega_A - \omega_B, \qquad
-    \Omega' = \dot\omega_A - \dot\omega_B - \omega_B\times\omega_A \\
-    A_0 &= \ddot x_A - \ddot x_B - \dot\omega_B\times r_0 - \omega_B\times(\omega_B\times r_0)
-         - 2\,\omega_B\times V_0, \qquad r_0 = x_A - x_B
-
-so that a point at ``d = P - x_A`` moves with
-
-.. math::
-    V = V_0 + \Omega\times d, \qquad A = A_0 + \Omega'\times d + \Omega\times(\Omega\times d)
-
-and a surface with outward unit normal ``n`` (a function of the point only, once B stands still) has
+same for all contacts of a joint (:mod:`multiarm.contacts.motion`): its points move with ``V``
+and ``A``.  A surface with outward unit normal ``n`` (a function of the point only, once B stands
+still) has
 
 .. math::
     \varphi = \text{gap}, \qquad \dot\varphi = n\cdot V, \qquad
@@ -69,6 +57,7 @@ from __future__ import annotations
 
 import math
 
+from multiarm.contacts.motion import motion_at, open_body, open_relative, relative_motion
 from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distance
 from multiarm.contacts.table import (
     AXIS,
@@ -105,7 +94,6 @@ from multiarm.jit.vectors import (
     put,
     rotate,
     rotate_back,
-    rotation,
     scale,
     solve,
     sub,
@@ -113,15 +101,6 @@ from multiarm.jit.vectors import (
     times,
     vec,
 )
-
-# A row of body kinematics: rotation (9, row by row), origin, velocity of the origin, angular
-# velocity, classical acceleration of the origin and angular acceleration; all in world axes.
-ORIGIN_AT, VELOCITY, SPIN, ACCELERATION, SPIN_RATE = 9, 12, 15, 18, 21
-BODY_WIDTH = 24
-
-# A row of relative motion, A as seen from B, world axes: r_0, V_0, Omega, A_0, Omega'.
-R_0, V_0, OMEGA, A_0, OMEGA_RATE = 0, 3, 6, 9, 12
-RELATIVE_WIDTH = 15
 
 # A row of contact kinematics, world axes: P, e, V, rate of n seen from B, three scalars, rate of P
 # seen from B.  A combined row has a couple in the place of V.
@@ -132,36 +111,6 @@ CONTACT_WIDTH = 18
 # Two surfaces touch along a line, and have no contact point, where the smallest relative curvature
 # across the contact is below this part of the largest.
 LINE_CONTACT = 1e-9
-
-
-@inlined
-def relative_motion(a, b, out):
-    """Write the motion of body A seen from body B (``RELATIVE_WIDTH`` numbers) into ``out``.
-
-    ``a`` and ``b`` (24,) are rows of body kinematics whose accelerations are those at ``q'' = 0``.
-    """
-    r = sub(vec(a, ORIGIN_AT), vec(b, ORIGIN_AT))
-    w_a, w, w_rate = vec(a, SPIN), vec(b, SPIN), vec(b, SPIN_RATE)
-    c = cross(w, r)
-    V = sub(sub(vec(a, VELOCITY), vec(b, VELOCITY)), c)
-    A = sub(sub(vec(a, ACCELERATION), vec(b, ACCELERATION)), cross(w_rate, r))
-    # w x (w x r) + 2 w x V = w x (c + 2 V)
-    A = sub(A, cross(w, add_scaled(c, 2.0, V)))
-    Omega_rate = sub(sub(vec(a, SPIN_RATE), w_rate), cross(w, w_a))
-    put(out, R_0, r)
-    put(out, V_0, V)
-    put(out, OMEGA, sub(w_a, w))
-    put(out, A_0, A)
-    put(out, OMEGA_RATE, Omega_rate)
-
-
-@inlined
-def motion_at(relative, d):
-    """Velocity and acceleration, seen from B, of A's material point at ``d`` from A's origin."""
-    Omega = vec(relative, OMEGA)
-    turning = cross(Omega, d)
-    A = add_cross(vec(relative, A_0), vec(relative, OMEGA_RATE), d)
-    return add(vec(relative, V_0), turning), add_cross(A, Omega, turning)
 
 
 @inlined
@@ -191,16 +140,16 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     a, b : float64 (24,)
         Kinematics of the body with the point and of the body with the surface.
     relative : float64 (15,)
-        From :func:`relative_motion` of the two.
+        From :func:`multiarm.contacts.motion.relative_motion` of the two.
     out : float64 (18,), written
         Contact point, normal into the object, slip velocity, rate of the outward normal, gap [m],
         gap rate [m/s], the gap's second derivative at zero accelerations [m/s^2], point's rate.
     """
-    R_B = rotation(b, 0)
-    d = rotate(rotation(a, 0), vec(geometry, POINT))
+    R_B = open_body(b).rotation
+    d = rotate(open_body(a).rotation, vec(geometry, POINT))
     V, A = motion_at(relative, d)
     # from a point of the surface's own geometry to P
-    f = sub(add(vec(relative, R_0), d), rotate(R_B, vec(geometry, ORIGIN)))
+    f = sub(add(open_relative(relative).shift, d), rotate(R_B, vec(geometry, ORIGIN)))
     axis = rotate(R_B, vec(geometry, AXIS))
     if kind == PLANE:
         n, n_rate, gap = axis, ZERO, dot(axis, f)
@@ -215,7 +164,7 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
         # n turns with the part of V across the surface's curved directions
         n_rate = scale(inverse, across(n, turning))
         gap = side * (distance - geometry[RADIUS])
-    point = add(vec(a, ORIGIN_AT), d)
+    point = add(open_body(a).origin, d)
     put_contact(out, into_object, point, V, n, n_rate, gap - geometry[TIP_RADIUS], V, A)
 
 
@@ -320,12 +269,12 @@ def write_contact(code, geometry, arm, body, shapes, calls, row, scratch, places
 @kernel
 def _curved(sign, geometry, a, b, shape, relative, query, calls, row):
     """A tip on a surface of any kind."""
-    d = rotate(rotation(a, 0), vec(geometry, POINT))
+    d = rotate(open_body(a).rotation, vec(geometry, POINT))
     V, A = motion_at(relative, d)
-    world_distance(shape, b, add(vec(relative, R_0), d), query, calls)
+    world_distance(shape, b, add(open_relative(relative).shift, d), query, calls)
     n, n_rate = vec(query, GRADIENT), times(symmetric(query, SECOND), V)
     gap = query[DISTANCE] - geometry[TIP_RADIUS]
-    put_contact(row, sign, add(vec(a, ORIGIN_AT), d), V, n, n_rate, gap, V, A)
+    put_contact(row, sign, add(open_body(a).origin, d), V, n, n_rate, gap, V, A)
 
 
 @inlined
@@ -343,7 +292,7 @@ def locate_pair(a, b, shapes, first, r, query, calls, place):
     frame, holds the guess and then the point of B's surface on that normal; ``r`` is A's origin
     seen from B's, a tuple in world axes.
     """
-    R = rotation(b, 0)
+    R = open_body(b).rotation
     z, step = rotate(R, vec(place, 0)), ZERO
     before, share, last = math.inf, 1.0, False
     for _ in range(600):  # at most 50 steps of 12 halvings
@@ -379,12 +328,12 @@ def locate_pair(a, b, shapes, first, r, query, calls, place):
 def _pair(sign, a, b, shapes, first, relative, query, calls, place, located, row):
     """Two curved surfaces."""
     put(located, 0, vec(place, 0))
-    r, Omega = vec(relative, R_0), vec(relative, OMEGA)
+    r, Omega = open_relative(relative).shift, open_relative(relative).spin
     if not locate_pair(a, b, shapes, first, r, query, calls, located):
         for i in range(CONTACT_WIDTH):
             row[i] = math.nan
         return
-    z = rotate(rotation(b, 0), vec(located, 0))
+    z = rotate(open_body(b).rotation, vec(located, 0))
     d = sub(z, r)
     V, A = motion_at(relative, d)
     world_distance(shapes[first + 1], a, d, query, calls)
@@ -396,7 +345,7 @@ def _pair(sign, a, b, shapes, first, relative, query, calls, place, located, row
     g = add_cross(H_A_V, Omega, n)
     H, _ = _regular(add_symmetric(H_A, H_B), n)
     u = solve(H, g)
-    put_contact(row, sign, add(vec(b, ORIGIN_AT), z), u, n, times(H_B, u), gap, V, A)
+    put_contact(row, sign, add(open_body(b).origin, z), u, n, times(H_B, u), gap, V, A)
     row[GAP_BIAS] = dot(n, A) - 2.0 * dot(n, cross(Omega, V)) + dot(V, H_A_V) - dot(u, g)
 
 
@@ -410,19 +359,19 @@ def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
         away, rate = base[GAP] + geometry[normal, TIP_RADIUS], base[GAP_RATE]
     c = add_scaled(vec(base, AT), -away, n)
     c_rate = add_scaled(add_scaled(vec(base, POINT_RATE), -rate, n), -away, n_rate)
-    V, A = motion_at(relative, sub(c, vec(a, ORIGIN_AT)))
+    V, A = motion_at(relative, sub(c, open_body(a).origin))
     # a direction of B across which the first tangent lies; near its pole, another one
-    f = rotate(rotation(b, 0), vec(geometry[k], AXIS))
+    f = rotate(open_body(b).rotation, vec(geometry[k], AXIS))
     t = cross(f, n)
     if not norm(t) > 0.2:  # sine of the angle between normal and direction
-        f = rotate(rotation(b, 0), vec(geometry[k], ORIGIN))
+        f = rotate(open_body(b).rotation, vec(geometry[k], ORIGIN))
         t = cross(f, n)
     inverse = 1.0 / norm(t)
     t = scale(inverse, t)
     t_rate = across(t, scale(inverse, cross(f, n_rate)))
     if codes[k, LINK] == 2:  # n x t and its rate
         t, t_rate = cross(n, t), add_cross(cross(n_rate, t), n, t_rate)
-    A = add_cross(A, vec(relative, OMEGA), sub(c_rate, V))
+    A = add_cross(A, open_relative(relative).spin, sub(c_rate, V))
     put_contact(row, sign, c, c_rate, t, t_rate, 0.0, V, A)
 
 

@@ -32,11 +32,9 @@ from multiarm.contacts.kernel import (
     AT,
     NORMAL,
     NORMAL_RATE,
-    ORIGIN_AT,
     POINT_RATE,
-    SPIN,
-    VELOCITY,
 )
+from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import (
     COMBINED,
     COUNT,
@@ -46,6 +44,7 @@ from multiarm.contacts.table import (
     WEIGHT,
 )
 from multiarm.geometry.records import SURFACE_ON_OBJECT
+from multiarm.jit.rows import fields_of
 
 
 class ContactTerms(NamedTuple):
@@ -129,15 +128,15 @@ def _uncombined(
     """W_m, W_o and their rates of rows that are no combinations, shape (k, 4, 6)."""
     point, e = rows[:, AT : AT + 3], rows[:, NORMAL : NORMAL + 3]
     # world rates of the normal and of the point, from those seen from the guiding surface's body
-    spin, sign = surface[SPIN : SPIN + 3], -1.0 if on_object else 1.0
-    e_rate = sign * rows[:, NORMAL_RATE : NORMAL_RATE + 3] + np.cross(spin, e)
-    turning = np.cross(spin, point - surface[ORIGIN_AT : ORIGIN_AT + 3])
-    point_rate = surface[VELOCITY : VELOCITY + 3] + turning + rows[:, POINT_RATE : POINT_RATE + 3]
+    guiding, sign = fields_of(BodyMotion, surface), -1.0 if on_object else 1.0
+    e_rate = sign * rows[:, NORMAL_RATE : NORMAL_RATE + 3] + np.cross(guiding.spin, e)
+    turning = np.cross(guiding.spin, point - guiding.origin)
+    point_rate = guiding.velocity + turning + rows[:, POINT_RATE : POINT_RATE + 3]
     out = np.empty((len(rows), 4, 6))
     for column, frame, side in ((0, tip, -1.0), (1, body, 1.0)):
-        R, spin = frame[:9].reshape(3, 3), frame[SPIN : SPIN + 3]
-        at = point - frame[ORIGIN_AT : ORIGIN_AT + 3]
-        at_rate = point_rate - frame[VELOCITY : VELOCITY + 3] - np.cross(spin, at)
+        motion = fields_of(BodyMotion, frame)
+        R, spin, at = motion.rotation, motion.spin, point - motion.origin
+        at_rate = point_rate - motion.velocity - np.cross(spin, at)
         p, p_dot = at @ R, at_rate @ R
         f, f_dot = side * e @ R, side * (e_rate - np.cross(spin, e)) @ R
         out[:, column] = np.hstack([f, np.cross(p, f)])

@@ -24,9 +24,9 @@ import math
 
 import numpy as np
 
-from multiarm.arms.terms import J_AT
-from multiarm.contacts.joint import ON_LINK, ON_OBJECT, write_relative
-from multiarm.contacts.kernel import ACCELERATION, ORIGIN_AT, SPIN, SPIN_RATE
+from multiarm.arms.terms import open_addresses
+from multiarm.contacts.joint import open_frames, write_relative
+from multiarm.contacts.motion import open_body
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns, solve_semidefinite
 from multiarm.jit.kernels import allocating, copy
 from multiarm.jit.structs import floats_at
@@ -38,7 +38,6 @@ from multiarm.jit.vectors import (
     cross,
     put,
     rotate,
-    rotation,
     scale,
     sub,
     vec,
@@ -112,30 +111,32 @@ def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, 
         Of the object.
     """
     n = work.dofs[i + 1] - work.dofs[i]
-    frame, link, body = model.joint_frames[i], data.bodies.links[i], data.bodies.object
+    bodies, frames = data.bodies, open_frames(model.joint_frames[i])
+    link, body = open_body(bodies.links[i]), open_body(bodies.object)
     rates, places, target = np.empty(6), np.empty(9), np.empty(6)
-    write_relative(frame, link, body, rates, places)
-    R_J = compose(rotation(body, 0), rotation(frame, ON_OBJECT))
+    write_relative(model.joint_frames[i], bodies.links[i], bodies.object, rates, places)
+    R_J = compose(body.rotation, frames.on_object)
     shift_rate, turn_rate = rotate(R_J, vec(rates, 0)), rotate(R_J, vec(rates, 3))
     shift, turn = rotate(R_J, vec(places, 0)), rotate(R_J, vec(places, 3))
     a = add_scaled(scale(-stiffness, shift), -rate, shift_rate)
     alpha = add_scaled(scale(-stiffness, turn), -rate, turn_rate)
-    m = rotate(rotation(link, 0), vec(frame, ON_LINK + 9))
-    p = add(vec(link, ORIGIN_AT), m)
+    m = rotate(link.rotation, frames.origin_on_link)
+    p = add(link.origin, m)
     if feedforward:
-        j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
+        j, omega = sub(p, body.origin), body.spin
         a_o, alpha_o = vec(acceleration, 0), vec(acceleration, 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
         # less the acceleration of the link without joint accelerations
-        omega_m, alpha_m = vec(link, SPIN), vec(link, SPIN_RATE)
-        of_link = add_cross(vec(link, ACCELERATION), alpha_m, m)
+        omega_m, alpha_m = link.spin, link.spin_rate
+        of_link = add_cross(link.acceleration, alpha_m, m)
         a = sub(a, add_cross(of_link, omega_m, cross(omega_m, m)))
         alpha = sub(alpha, alpha_m)
     put(target, 0, a)
     put(target, 3, alpha)
-    J, W, result = floats_at(data.bodies.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
+    J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * n)
+    W, result = np.empty((n, 6)), np.empty(n)
     for column in range(n):  # Pinocchio's Jacobian is about the world's origin
         v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
         put(W[column], 0, add_cross(v, w, p))

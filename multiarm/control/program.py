@@ -52,7 +52,7 @@ class ControlContext:
     @property
     def joint_names(self) -> list[str]:
         """``arm/joint`` of every joint, in the order of the stacked vectors."""
-        return [f"{name}/{joint}" for name, arm in self.arms.items() for joint in arm.joint_names]
+        return self.data.model.joint_names
 
     @property
     def start_angles(self) -> np.ndarray:

@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.forces.internal_forces import decompose, internal_forces
 from multiarm.dynamics.model import Data, Model
 from multiarm.errors import ControlError, GraspError
 from multiarm.geometry.screws import skew
+from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl
 
@@ -71,7 +73,7 @@ def desired_forces(
 
 def _require_pressing(data: Data, W_o: np.ndarray, of_arms: np.ndarray) -> None:
     """Raise an error for a squeeze along a joint's free motion."""
-    model, R = data.model, data.arrays.bodies.object[:9].reshape(3, 3)
+    model, R = data.model, fields_of(BodyMotion, data.arrays.bodies.object).rotation
     rows = model.layout.rows
     for i, arm in enumerate(model.arm_names):
         of_arm = W_o[rows[i] : rows[i + 1]]

@@ -35,33 +35,20 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from multiarm.arms.derivatives import (
-    ANGULAR,
-    ANGULAR_RATE,
-    LINEAR,
-    LINEAR_RATE,
-    MOTION,
-    MOTION_WIDTH,
-    PLACE,
-    TURN,
-)
+from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
 from multiarm.contacts.kernel import (
-    ACCELERATION,
     AT,
-    BODY_WIDTH,
     COUPLE,
     GAP_BIAS,
     GAP_RATE,
     NORMAL,
-    ORIGIN_AT,
-    SPIN,
-    SPIN_RATE,
-    VELOCITY,
     write_row,
 )
+from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
 from multiarm.contacts.table import AXIS, COMBINED, JOINT, KIND, POINT, SURFACE_BODY
 from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import clear, inlined, kernel, plain
+from multiarm.jit.rows import offset_of
 from multiarm.jit.vectors import (
     ZERO,
     add,
@@ -69,10 +56,8 @@ from multiarm.jit.vectors import (
     add_scaled,
     cross,
     put,
-    put_rotation,
     rotate,
     rotate_back,
-    rotation,
     scale,
     sub,
     vec,
@@ -82,7 +67,10 @@ from multiarm.jit.vectors import (
 STEP = 1e-4
 OFFSETS = (-2.0, -1.0, 1.0, 2.0)
 # Columns of a row's derivatives: a displacement of the seen motion; the pose again, for gap rates.
-RATE_BY_POSE, SLOPES_WIDTH = MOTION_WIDTH, MOTION_WIDTH + 6
+RATE_BY_POSE, SLOPES_WIDTH = DISPLACEMENT_WIDTH, DISPLACEMENT_WIDTH + 6
+SHIFT, VELOCITY, ACCELERATION = (
+    offset_of(Displacement, name) for name in ("shift", "velocity", "acceleration")
+)
 # Rows of scratch: displacements of object and link, and of the link as the object sees it; its seen
 # motion, as it is and displaced; the object's, at rest.
 OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
@@ -136,7 +124,7 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
     ones, ``on_object`` and ``on_link``.
     """
     body, link, scratch, slopes = work.body, work.link, work.scratch, work.slopes
-    seen, wrench = seen_rates(body, link), work.wrench
+    seen, wrench = motion_relative_to(open_body(link), open_body(body)), work.wrench
     write_seen_motion(body, link, seen, scratch[SEEN])
     if are_flat(model, first, last):
         differentiate_flat_rows(model, first, last, work)
@@ -149,24 +137,24 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
         if c < columns.positions:
             of_body[c] = 1.0
         elif c < columns.placement:
-            for j in range(MOTION_WIDTH):
+            for j in range(DISPLACEMENT_WIDTH):
                 of_link[j] = work.moved[c - columns.positions, j]
         else:
             displace_contacts(link, c - columns.placement, of_link)
         write_seen_displacement(body, link, seen, of_body, of_link, by)
         for k in range(first, last):
             total = rate = 0.0
-            for j in range(MOTION_WIDTH):
+            for j in range(DISPLACEMENT_WIDTH):
                 total += slopes[k, j] * by[j]
             for j in range(6):
                 rate += slopes[k, RATE_BY_POSE + j] * by[j]
-                rate += slopes[k, LINEAR_RATE + j] * by[LINEAR + j]
+                rate += slopes[k, ACCELERATION + j] * by[VELOCITY + j]
             gaps[k - first, c], work.rates[k, c] = total, rate
         moves = 1.0 if c < columns.placement else 0.0
+        turn = open_displacement(of_body).turn
         displace_wrenches(
-            body, scratch[SEEN], wrench, vec(of_body, TURN), by, moves, work.on_object[c],
-            work.on_link[c],
-        )  # fmt: skip
+            body, scratch[SEEN], wrench, turn, by, moves, work.on_object[c], work.on_link[c]
+        )
     write_wrench_on_bodies(
         body, scratch[SEEN], wrench[6], work.on_object[columns.end], work.on_link[columns.end]
     )
@@ -188,8 +176,8 @@ def are_flat(model, first, last):
 def differentiate_flat_rows(model, first, last, work):
     """The results of :func:`differentiate_rows` for tips on planes of the object."""
     motion, slopes, wrench = work.scratch[SEEN], work.slopes, work.wrench
-    R, x = rotation(motion, 0), vec(motion, ORIGIN_AT)
-    w, w_rate = vec(motion, SPIN), vec(motion, SPIN_RATE)
+    seen = open_body(motion)
+    R, x, w, w_rate = seen.rotation, seen.origin, seen.spin, seen.spin_rate
     for i in range(7):
         clear(wrench[i])
     for k in range(first, last):
@@ -198,10 +186,10 @@ def differentiate_flat_rows(model, first, last, work):
             continue
         d, n = rotate(R, vec(model.geometry[k], POINT)), vec(model.geometry[k], AXIS)
         across = cross(n, w)
-        put(slopes[k], LINEAR_RATE, n)
-        put(slopes[k], ANGULAR_RATE, cross(d, n))
-        put(slopes[k], TURN, cross(d, add_cross(cross(n, w_rate), across, w)))
-        put(slopes[k], ANGULAR, add_cross(cross(cross(w, d), n), d, across))
+        by = open_displacement(slopes[k])
+        by.acceleration, by.spin_rate = n, cross(d, n)
+        by.turn = cross(d, add_cross(cross(n, w_rate), across, w))
+        by.spin = add_cross(cross(cross(w, d), n), d, across)
         put(slopes[k], RATE_BY_POSE + 3, cross(d, across))
         force = scale(-work.force[k], n)
         put(wrench[6], 0, add(vec(wrench[6], 0), force))
@@ -237,9 +225,9 @@ def differentiate_rows(model, data, first, last, work):
     for k in range(first, last):
         clear(slopes[k])
         e, couple = vec(rows[k], NORMAL), couple_of(model, rows, k)
-        turn = add(cross(sub(vec(rows[k], AT), vec(motion, ORIGIN_AT)), e), couple)
-        put(slopes[k], LINEAR_RATE, scale(-1.0, e))
-        put(slopes[k], ANGULAR_RATE, scale(-1.0, turn))
+        turn = add(cross(sub(vec(rows[k], AT), open_body(motion).origin), e), couple)
+        by = open_displacement(slopes[k])
+        by.acceleration, by.spin_rate = scale(-1.0, e), scale(-1.0, turn)
     add_wrench(model, rows, first, last, work.force, 1.0, wrench[6])
     for axis in range(6):
         for offset in OFFSETS:
@@ -247,15 +235,19 @@ def differentiate_rows(model, data, first, last, work):
             write_rows_at(model, data, first, last, moved, work)
             weight = difference_weight(offset)
             for k in range(first, last):
-                slopes[k, PLACE + axis] += weight * rows[k, GAP_BIAS]
+                slopes[k, SHIFT + axis] += weight * rows[k, GAP_BIAS]
                 slopes[k, RATE_BY_POSE + axis] += weight * rows[k, GAP_RATE]
             add_wrench(model, rows, first, last, work.force, weight, wrench[axis])
         for sign in (-1.0, 1.0):
             displace(motion, axis, 0.0, moved)
-            moved[VELOCITY + axis] += sign  # the spin follows the velocity
+            twist = open_body(moved)
+            if axis < 3:
+                twist.velocity = add_scaled(twist.velocity, sign, unit(axis))
+            else:
+                twist.spin = add_scaled(twist.spin, sign, unit(axis - 3))
             write_rows_at(model, data, first, last, moved, work)
             for k in range(first, last):
-                slopes[k, LINEAR + axis] += 0.5 * sign * rows[k, GAP_BIAS]
+                slopes[k, VELOCITY + axis] += 0.5 * sign * rows[k, GAP_BIAS]
 
 
 @kernel
@@ -291,14 +283,20 @@ def displace(motion, axis, amount, moved):
     """Write a seen motion whose pose is displaced along or about an axis of the object."""
     for j in range(BODY_WIDTH):
         moved[j] = motion[j]
+    body = open_body(moved)
     if axis < 3:
-        moved[ORIGIN_AT + axis] += amount
+        body.origin = add_scaled(body.origin, amount, unit(axis))
         return
-    c, s = math.cos(amount), math.sin(amount)
-    y, z = (axis - 2) % 3, (axis - 1) % 3  # the axes across
-    for j in range(3):
-        a, b = motion[3 * y + j], motion[3 * z + j]
-        moved[3 * y + j], moved[3 * z + j] = c * a - s * b, s * a + c * b
+    e, c, s = unit(axis - 3), math.cos(amount), math.sin(amount)
+    x, y, z = body.rotation
+    body.rotation = turned(x, e, c, s), turned(y, e, c, s), turned(z, e, c, s)
+
+
+@inlined
+def turned(a, e, cosine, sine):
+    """A vector turned about a unit vector ``e``."""
+    b = cross(e, a)
+    return add_scaled(add_scaled(a, sine, b), 1.0 - cosine, cross(e, b))
 
 
 # --- motions --------------------------------------------------------------------------------------
@@ -310,74 +308,60 @@ def displace_contacts(link, c, out):
 
     Along or about one of the link's axes; it stays the same in these.
     """
-    axis, motion = rotation(link, 0)[c % 3], link[MOTION:]
+    motion, displacement = open_body(link), open_displacement(out)
+    axis, w = motion.rotation[c % 3], motion.spin
     if c >= 3:
-        put(out, TURN, axis)
+        displacement.turn = axis
         return
-    w, w_rate = vec(motion, ANGULAR), vec(motion, ANGULAR_RATE)
     rate = cross(w, axis)
-    put(out, PLACE, axis)
-    put(out, LINEAR, rate)
-    put(out, LINEAR_RATE, add_cross(cross(w_rate, axis), w, rate))
-
-
-@kernel
-def seen_rates(body, link):
-    """``d, V, Omega, A, Omega'`` of the link as the object sees it, in world axes."""
-    motion, world = body[MOTION:], link[MOTION:]
-    d = sub(vec(world, PLACE), vec(motion, PLACE))
-    w, w_rate = vec(motion, ANGULAR), vec(motion, ANGULAR_RATE)
-    c = cross(w, d)
-    V = sub(sub(vec(world, LINEAR), vec(motion, LINEAR)), c)
-    A = sub(sub(vec(world, LINEAR_RATE), vec(motion, LINEAR_RATE)), cross(w_rate, d))
-    A = sub(A, cross(w, add_scaled(c, 2.0, V)))
-    spin = sub(vec(world, ANGULAR), w)
-    spin_rate = sub(sub(vec(world, ANGULAR_RATE), w_rate), cross(w, vec(world, ANGULAR)))
-    return d, V, spin, A, spin_rate
+    displacement.shift, displacement.velocity = axis, rate
+    displacement.acceleration = add_cross(cross(motion.spin_rate, axis), w, rate)
 
 
 @kernel
 def write_seen_motion(body, link, seen, out):
     """Write the link's motion as the object sees it, in its axes, for the contact rows."""
-    R, (d, V, spin, A, spin_rate) = rotation(body, 0), seen
-    x, y, z = rotation(link, 0)
-    put_rotation(out, 0, (rotate_back(R, x), rotate_back(R, y), rotate_back(R, z)))
-    put(out, ORIGIN_AT, rotate_back(R, d))
-    put(out, VELOCITY, rotate_back(R, V))
-    put(out, SPIN, rotate_back(R, spin))
-    put(out, ACCELERATION, rotate_back(R, A))
-    put(out, SPIN_RATE, rotate_back(R, spin_rate))
+    R, motion, (d, V, spin, A, spin_rate) = open_body(body).rotation, open_body(out), seen
+    x, y, z = open_body(link).rotation
+    motion.rotation = rotate_back(R, x), rotate_back(R, y), rotate_back(R, z)
+    motion.origin, motion.velocity, motion.spin = (
+        rotate_back(R, d), rotate_back(R, V), rotate_back(R, spin)
+    )  # fmt: skip
+    motion.acceleration, motion.spin_rate = rotate_back(R, A), rotate_back(R, spin_rate)
 
 
 @kernel
 def write_seen_displacement(body, link, seen, of_body, of_link, out):
     """Write the displacement of the seen motion by displacements of the two in world axes."""
-    R, motion, world = rotation(body, 0), body[MOTION:], link[MOTION:]
-    d, V, spin, A, spin_rate = seen
-    w, w_rate, turn = vec(motion, ANGULAR), vec(motion, ANGULAR_RATE), vec(of_body, TURN)
-    dw, dw_link = vec(of_body, ANGULAR), vec(of_link, ANGULAR)
-    dd = sub(vec(of_link, PLACE), vec(of_body, PLACE))
+    motion, (d, V, spin, A, spin_rate) = open_body(body), seen
+    by_body, by_link, by = (
+        open_displacement(of_body), open_displacement(of_link), open_displacement(out)
+    )  # fmt: skip
+    R, w, w_rate, turn = motion.rotation, motion.spin, motion.spin_rate, by_body.turn
+    dw, dw_link = by_body.spin, by_link.spin
+    dd = sub(by_link.shift, by_body.shift)
     dc = add_cross(cross(dw, d), w, dd)
-    dV = sub(sub(vec(of_link, LINEAR), vec(of_body, LINEAR)), dc)
-    dA = sub(vec(of_link, LINEAR_RATE), vec(of_body, LINEAR_RATE))
-    dA = sub(dA, add_cross(cross(vec(of_body, ANGULAR_RATE), d), w_rate, dd))
+    dV = sub(sub(by_link.velocity, by_body.velocity), dc)
+    dA = sub(by_link.acceleration, by_body.acceleration)
+    dA = sub(dA, add_cross(cross(by_body.spin_rate, d), w_rate, dd))
     dA = sub(dA, cross(dw, add_scaled(cross(w, d), 2.0, V)))
     dA = sub(dA, cross(w, add_scaled(dc, 2.0, dV)))
-    rate = sub(vec(of_link, ANGULAR_RATE), vec(of_body, ANGULAR_RATE))
-    rate = sub(rate, add_cross(cross(dw, vec(world, ANGULAR)), w, dw_link))
+    rate = sub(by_link.spin_rate, by_body.spin_rate)
+    rate = sub(rate, add_cross(cross(dw, open_body(link).spin), w, dw_link))
     # the object's axes turn
-    put(out, PLACE, rotate_back(R, add_cross(dd, d, turn)))
-    put(out, TURN, rotate_back(R, sub(vec(of_link, TURN), turn)))
-    put(out, LINEAR, rotate_back(R, add_cross(dV, V, turn)))
-    put(out, ANGULAR, rotate_back(R, add_cross(sub(dw_link, dw), spin, turn)))
-    put(out, LINEAR_RATE, rotate_back(R, add_cross(dA, A, turn)))
-    put(out, ANGULAR_RATE, rotate_back(R, add_cross(rate, spin_rate, turn)))
+    by.shift = rotate_back(R, add_cross(dd, d, turn))
+    by.turn = rotate_back(R, sub(by_link.turn, turn))
+    by.velocity = rotate_back(R, add_cross(dV, V, turn))
+    by.spin = rotate_back(R, add_cross(sub(dw_link, dw), spin, turn))
+    by.acceleration = rotate_back(R, add_cross(dA, A, turn))
+    by.spin_rate = rotate_back(R, add_cross(rate, spin_rate, turn))
 
 
 @kernel
 def write_wrench_on_bodies(body, seen, wrench, on_object, on_link):
     """Write the contacts' wrench on the object, world axes, and the opposite one on the link."""
-    R_o, R, r = rotation(body, 0), rotation(seen, 0), vec(seen, ORIGIN_AT)
+    motion = open_body(seen)
+    R_o, R, r = open_body(body).rotation, motion.rotation, motion.origin
     force, moment = vec(wrench, 0), vec(wrench, 3)
     put(on_object, 0, rotate(R_o, force))
     put(on_object, 3, rotate(R_o, moment))
@@ -392,7 +376,8 @@ def displace_wrenches(body, seen, wrench, turn_o, by, moves, on_object, on_link)
     The object turns by ``turn_o``, world axes; ``wrench`` (7, 6) is that of the rows; ``moves`` is
     1 where the link moves with its contacts, and 0 where these alone are displaced.
     """
-    R_o, R, r = rotation(body, 0), rotation(seen, 0), vec(seen, ORIGIN_AT)
+    motion = open_body(seen)
+    R_o, R, r = open_body(body).rotation, motion.rotation, motion.origin
     force, moment = vec(wrench[6], 0), vec(wrench[6], 3)
     df, dm = ZERO, ZERO
     for axis in range(6):
@@ -400,7 +385,8 @@ def displace_wrenches(body, seen, wrench, turn_o, by, moves, on_object, on_link)
         dm = add_scaled(dm, by[axis], vec(wrench[axis], 3))
     put(on_object, 0, add_cross(rotate(R_o, df), turn_o, rotate(R_o, force)))
     put(on_object, 3, add_cross(rotate(R_o, dm), turn_o, rotate(R_o, moment)))
-    turn, shift = scale(moves, vec(by, TURN)), scale(moves, vec(by, PLACE))
+    displacement = open_displacement(by)
+    turn, shift = scale(moves, displacement.turn), scale(moves, displacement.shift)
     put(on_link, 0, scale(-1.0, rotate_back(R, add_cross(df, force, turn))))
     moment = sub(moment, cross(r, force))
     dm = sub(sub(dm, cross(shift, force)), cross(r, df))

@@ -8,23 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import (
-    AT,
-    BODY_WIDTH,
-    GAP,
-    GAP_BIAS,
-    GAP_RATE,
-    LINE_CONTACT,
-    NORMAL,
-    RELATIVE_WIDTH,
-    locate_pair,
-)
+from multiarm.contacts.kernel import AT, GAP, GAP_BIAS, GAP_RATE, LINE_CONTACT, NORMAL, locate_pair
 from multiarm.contacts.matrices import (
     ContactTerms,
     RelativeMotion,
     contact_matrices,
     seen_from_object,
 )
+from multiarm.contacts.motion import RELATIVE_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.contacts.table import (
     CURVED,
@@ -55,6 +46,7 @@ from multiarm.geometry.records import (
 )
 from multiarm.geometry.screws import first_largest
 from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
+from multiarm.jit.rows import as_row, fields_of
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -223,12 +215,13 @@ def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
     have none, and are left out.
     """
     i = data.model.arm_names.index(arm)
-    body, x = data.arrays.bodies.object, joint_origin(data, arm)
-    R = body[:9].reshape(3, 3) @ data.model.frames[arm].on_object[:3, :3]
+    x = joint_origin(data, arm)
+    body = fields_of(BodyMotion, data.arrays.bodies.object)
+    R = body.rotation @ data.model.frames[arm].on_object[:3, :3]
     rows = data.arrays.rows.Wo[data.model.layout.rows[i] : data.model.layout.rows[i + 1]]
     rows = rows[np.any(rows != 0.0, axis=1)]
     force = rows[:, :3]
-    moment = rows[:, 3:] - np.cross(x - body[9:12], force)
+    moment = rows[:, 3:] - np.cross(x - body.origin, force)
     size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
     wrenches = np.hstack([force @ R, moment @ R / size])
     return wrenches / np.linalg.norm(wrenches, axis=1)[:, None]
@@ -236,9 +229,10 @@ def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
 
 def joint_origin(data: Evaluated, arm: str) -> np.ndarray:
     """Origin of a joint's frame on the arm, world axes, shape (3,) [m]."""
-    tip, link = data.model.arms[arm], data.arrays.bodies.links[data.model.arm_names.index(arm)]
+    tip, i = data.model.arms[arm], data.model.arm_names.index(arm)
+    link = fields_of(BodyMotion, data.arrays.bodies.links[i])
     at = tip.tip_rotation @ data.model.frames[arm].on_tip[:3, 3] + tip.tip_translation
-    return link[9:12] + link[:9].reshape(3, 3) @ at
+    return link.origin + link.rotation @ at
 
 
 def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
@@ -299,12 +293,13 @@ def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
     a, b = (link, body) if on_object else (body, link)
     first, calls = int(constants.codes[row, LINK]), arrays.functions.surface
     query = arrays.pairs.scratch[RELATIVE_WIDTH:]
-    r = a[9:12] - b[9:12]
+    seen_from = fields_of(BodyMotion, b)
+    r = fields_of(BodyMotion, a).origin - seen_from.origin
     best, smallest, trouble = None, np.inf, None
     for guess in _guesses(data, arm, row, b):
         place = guess.copy()
         located = locate_pair(a, b, constants.shapes, first, tuple(r), query, calls, place)
-        z = b[:9].reshape(3, 3) @ place
+        z = seen_from.rotation @ place
         world_distance(constants.shapes[first + 1], a, tuple(z - r), query, calls)
         gap, second = query[DISTANCE], query[SECOND : SECOND + 6].copy()
         world_distance(constants.shapes[first], b, tuple(z), query, calls)
@@ -335,12 +330,15 @@ def _guesses(data: Data, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     assert isinstance(contact, Contact), "two surfaces are a contact's"
     frame, tip = data.model.frames[arm], data.model.arms[arm]
     i = data.model.arm_names.index(arm)
-    link, body = data.arrays.bodies.links[i], data.arrays.bodies.object
+    bodies = data.arrays.bodies
+    link, body, guiding = (
+        fields_of(BodyMotion, row) for row in (bodies.links[i], bodies.object, b)
+    )
     on_link = contact.moved_on_arm(tip.tip_rotation, tip.tip_translation)
     centres = [
-        body[9:12] + body[:9].reshape(3, 3) @ contact.object.origin,
-        link[9:12] + link[:9].reshape(3, 3) @ on_link.arm.origin,
-        body[9:12] + body[:9].reshape(3, 3) @ frame.on_object[:3, 3],
+        body.origin + body.rotation @ contact.object.origin,
+        link.origin + link.rotation @ on_link.arm.origin,
+        body.origin + body.rotation @ frame.on_object[:3, 3],
     ]
     sizes = [abs(s) for surface in (contact.arm, contact.object) for s in surface.sizes if s]
     reach = max([*sizes, 1e-3])
@@ -351,20 +349,20 @@ def _guesses(data: Data, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     flat = np.sqrt(1.0 - height**2)
     around = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
     world = np.vstack([np.vstack([c, c + 1e-3 * reach, c + reach * around]) for c in centres])
-    return (world - b[9:12]) @ b[:9].reshape(3, 3)
+    return (world - guiding.origin) @ guiding.rotation
 
 
 def _tip_kinematics(data: Evaluated, name: str, link: np.ndarray) -> np.ndarray:
     """Kinematics of the tip frame from those of the link it is fixed to, a row of 24."""
-    arm = data.model.arms[name]
-    tip = np.zeros(BODY_WIDTH)
-    rotation = link[:9].reshape(3, 3)
-    offset = rotation @ arm.tip_translation
-    omega, alpha = link[15:18], link[21:24]
-    tip[:9] = (rotation @ arm.tip_rotation).ravel()
-    tip[9:12] = link[9:12] + offset
-    tip[12:15] = link[12:15] + np.cross(omega, offset)
-    tip[15:18] = omega
-    tip[18:21] = link[18:21] + np.cross(alpha, offset) + np.cross(omega, np.cross(omega, offset))
-    tip[21:24] = alpha
-    return tip
+    arm, motion = data.model.arms[name], fields_of(BodyMotion, link)
+    offset, omega, alpha = motion.rotation @ arm.tip_translation, motion.spin, motion.spin_rate
+    turning = np.cross(alpha, offset) + np.cross(omega, np.cross(omega, offset))
+    tip = BodyMotion(
+        rotation=motion.rotation @ arm.tip_rotation,
+        origin=motion.origin + offset,
+        velocity=motion.velocity + np.cross(omega, offset),
+        spin=omega,
+        acceleration=motion.acceleration + turning,
+        spin_rate=alpha,
+    )
+    return as_row(tip)

@@ -41,6 +41,7 @@ from functools import partial
 
 import numpy as np
 
+from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.contact_derivatives import arm_columns
 from multiarm.dynamics.equation_derivatives import (
@@ -58,6 +59,7 @@ from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
+from multiarm.jit.rows import fields_of
 
 # Derivatives of F_o by a wrench on the object.
 _PUSH = -np.eye(6)
@@ -195,7 +197,8 @@ class _Equations:
             return
         falling = b.accelerations.a_o[:3] - self._data.model.constants.gravity
         dF_o[:3, self._columns["object_mass"].start] = falling
-        R, first = b.bodies.object[:9].reshape(3, 3), self._columns["object_inertia"].start
+        R = fields_of(BodyMotion, b.bodies.object).rotation
+        first = self._columns["object_inertia"].start
         spin, turning = b.state.object_twist[3:], b.accelerations.a_o[3:]
         for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
             unit = np.zeros((3, 3))

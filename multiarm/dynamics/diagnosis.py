@@ -22,10 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
 from multiarm.dynamics.model import Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.geometry.records import Contact
+from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
 
 # Motion along a direction, relative to that along the arm's best one, that counts as little ...
@@ -177,7 +179,8 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
     place = joint_origin(data, arm)
     axes = _axes(data, arm, arrays.state.joint_positions[d])
     length = _length(axes, place)
-    moments = rows[:, 3:] - np.cross(place - arrays.bodies.object[9:12], rows[:, :3])
+    origin = fields_of(BodyMotion, arrays.bodies.object).origin
+    moments = rows[:, 3:] - np.cross(place - origin, rows[:, :3])
     wrenches = np.hstack([rows[:, :3], moments / length]).T
     rank = null_space(joint_wrenches(data, arm).T).rank
     basis, sizes, turned = np.linalg.svd(wrenches, full_matrices=False)

@@ -21,14 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.arms.chain import ChainJoint
 from multiarm.arms.derivatives import (
-    BODY_SIZE,
-    LINEAR,
-    LINEAR_RATE,
-    LINK_SCRATCH,
-    MOTION,
-    MOTION_WIDTH,
-    PLACE,
+    DISPLACEMENT_WIDTH,
+    LINK_WIDTH,
     ArmLinks,
     arm_links,
     subtract_torques,
@@ -36,6 +32,7 @@ from multiarm.arms.derivatives import (
     write_motions,
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion, open_body
 from multiarm.contacts.table import JOINT, KIND, TANGENT, WEIGHT
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import (
@@ -59,8 +56,9 @@ from multiarm.jit.kernels import (
     inlined,
     kernel,
 )
+from multiarm.jit.rows import fields_of
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
-from multiarm.jit.vectors import add_cross, cross, put, sub, times, vec
+from multiarm.jit.vectors import AXES, add_cross, cross, sub, times, vec
 
 
 class EquationWork(NamedTuple):
@@ -124,11 +122,11 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         dF=np.zeros((n, d + m, C + d + 6)),
         dF_o=np.zeros((6, columns)),
         rates=np.zeros((N, C)),
-        body=np.zeros(BODY_SIZE),
-        link=np.zeros(BODY_SIZE),
-        links=np.zeros((d, LINK_SCRATCH)),
-        moved=np.zeros((2 * d, MOTION_WIDTH)),
-        scratch=np.zeros((SCRATCH_ROWS, BODY_SIZE)),
+        body=np.zeros(BODY_WIDTH),
+        link=np.zeros(BODY_WIDTH),
+        links=np.zeros((d, LINK_WIDTH)),
+        moved=np.zeros((2 * d, DISPLACEMENT_WIDTH)),
+        scratch=np.zeros((SCRATCH_ROWS, BODY_WIDTH)),
         rows=np.zeros((N, CONTACT_WIDTH)),
         parts=np.zeros_like(parts),
         slopes=np.zeros((N, SLOPES_WIDTH)),
@@ -140,7 +138,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         S=np.zeros((6, 6)),
         pivots=np.zeros(max(6, d + m), dtype=np.int64),
     )
-    work.scratch[STILL, :9] = np.eye(3).ravel()
+    fields_of(BodyMotion, work.scratch[STILL]).rotation[:] = np.eye(3)
     return work
 
 
@@ -159,7 +157,8 @@ def equation_work(
         if not (masses and weights):
             links = links._replace(gravity=np.zeros(3))
         if not masses:
-            links = links._replace(bodies=np.zeros_like(links.bodies))
+            joints = fields_of(ChainJoint, links.joints)
+            joints.mass[:], joints.inertia[:] = 0.0, 0.0
         work = _make_work(data, columns, placements)
         data.cache[key] = links, work, struct_of(links, work)
     _, work, struct = data.cache[key]
@@ -231,12 +230,11 @@ def differentiate_bodies(struct, own):
 @inlined
 def write_body(data, twist, acceleration, work):
     """Write the object's pose in the data, and a twist and an acceleration (6,)."""
-    for k in range(9):
-        work.body[k] = data.bodies.object[k]
-    motion = work.body[MOTION:]
-    put(motion, PLACE, vec(data.state.object_pose, 0))
-    for k in range(6):
-        motion[LINEAR + k], motion[LINEAR_RATE + k] = twist[k], acceleration[k]
+    body = open_body(work.body)
+    body.rotation = open_body(data.bodies.object).rotation
+    body.origin = vec(data.state.object_pose, 0)
+    body.velocity, body.spin = vec(twist, 0), vec(twist, 3)
+    body.acceleration, body.spin_rate = vec(acceleration, 0), vec(acceleration, 3)
 
 
 @inlined
@@ -276,7 +274,7 @@ def differentiate_arm(i, model, data, system, links, work):
         )
     else:  # the surroundings are at rest
         clear(link)
-        link[0] = link[4] = link[8] = 1.0
+        open_body(link).rotation = AXES
     differentiate_joint(model, data, first, last, columns, dF[n:], work)
     if is_arm:
         write_inverse_dynamics(links, i, work.on_link[C], work.links, work.by_q, work.by_v)

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 
 from multiarm.arms.compiled.tables import energy_of_arms
-from multiarm.arms.terms import BIAS_AT, GRAVITY_AT
+from multiarm.arms.terms import open_addresses
 from multiarm.contacts.kernel import (
     GAP,
     GAP_BIAS,
@@ -157,7 +157,7 @@ def passive_forces(struct, model, data, work):
     """``f_j = -b`` and the passive effects of the joints."""
     for i in range(data.bodies.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        bias = floats_at(data.bodies.pointers[i, BIAS_AT], d)
+        bias = floats_at(open_addresses(data.bodies.pointers[i]).bias, d)
         for j in range(d):
             data.forces.f_j[d0 + j] = -bias[j]
     call_effects(0, model.passive_end, struct, model, data)
@@ -168,7 +168,7 @@ def load_gravity_torque(data, work):
     """Copy the joints' gravity forces, which backends compute only for control that needs them."""
     for i in range(data.bodies.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        g = floats_at(data.bodies.pointers[i, GRAVITY_AT], d)
+        g = floats_at(open_addresses(data.bodies.pointers[i]).gravity_torque, d)
         for j in range(d):
             data.control.gravity_torque[d0 + j] = g[j]
 

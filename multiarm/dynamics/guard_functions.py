@@ -19,11 +19,12 @@ import numpy as np
 
 from multiarm.contacts.joint import unwrapped, write_relative
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE, NORMAL, depth_in_patch
+from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
 from multiarm.geometry.records import SURFACE_ON_OBJECT, Patch
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, floats1, view_at
-from multiarm.jit.vectors import add_scaled, rotate_back, rotation, sub, vec
+from multiarm.jit.vectors import add_scaled, rotate_back, sub, vec
 
 # Body of a patch that is not an arm's (with its number).
 ON_OBJECT = -1
@@ -136,8 +137,8 @@ def depth_on_body(patch, body, row, model, data):
     if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
         away = -away
     touching = add_scaled(vec(contact, AT), -away, vec(contact, NORMAL))
-    carrier = data.bodies.object if body == ON_OBJECT else data.bodies.links[body]
-    return depth_in_patch(patch, rotate_back(rotation(carrier, 0), sub(touching, vec(carrier, 9))))
+    carrier = open_body(data.bodies.object if body == ON_OBJECT else data.bodies.links[body])
+    return depth_in_patch(patch, rotate_back(carrier.rotation, sub(touching, carrier.origin)))
 
 
 # --- forces and commands --------------------------------------------------------------------------

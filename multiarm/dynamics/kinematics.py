@@ -10,20 +10,16 @@ import ctypes
 
 import numpy as np
 
-from multiarm.arms.terms import DRIFT_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
+from multiarm.arms.terms import POSE_WIDTH, TermAddresses, open_addresses, open_pose
 from multiarm.contacts.kernel import (
-    ACCELERATION,
     AT,
     COUPLE,
     GAP,
     GAP_RATE,
     NORMAL,
-    ORIGIN_AT,
-    SPIN,
-    SPIN_RATE,
-    VELOCITY,
     write_rows,
 )
+from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import (
     COMBINED,
     KIND,
@@ -42,10 +38,8 @@ from multiarm.jit.vectors import (
     cross,
     dot,
     put,
-    put_rotation,
     rotate,
     rotate_symmetric,
-    rotation,
     scale,
     sub,
     times,
@@ -79,21 +73,21 @@ def arm_terms(model, data):
         fill_configuration(model, data)
         call_python(functions.pinocchio)
     for i in range(data.bodies.pointers.shape[0]):
-        if data.bodies.pointers[i, TWIST_AT] != 0:
-            link_motion(data.bodies.pointers[i], model.gravity, data.bodies.links[i])
+        addresses = open_addresses(data.bodies.pointers[i])
+        if addresses.twist != 0:
+            link_motion(addresses, model.gravity, open_body(data.bodies.links[i]))
 
 
 @inlined
 def object_terms(model, data):
     """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
-    body, mass = data.bodies.object, model.object_mass
-    write_matrix(data.state.object_pose[3:7], body)
-    R, omega = rotation(body, 0), vec(data.state.object_twist, 3)
+    body, mass = open_body(data.bodies.object), model.object_mass
+    write_matrix(data.state.object_pose[3:7], data.bodies.object)
+    R, omega = body.rotation, vec(data.state.object_twist, 3)
     A = model.object_inertia
     I = rotate_symmetric(R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]))
-    put(body, ORIGIN_AT, vec(data.state.object_pose, 0))
-    put(body, VELOCITY, vec(data.state.object_twist, 0))
-    put(body, SPIN, omega)
+    body.origin, body.spin = vec(data.state.object_pose, 0), omega
+    body.velocity = vec(data.state.object_twist, 0)
     for k in range(3):
         data.bodies.object_inertia[k, k] = mass
     put(data.bodies.object_inertia[3], 3, I[0:3])
@@ -104,25 +98,22 @@ def object_terms(model, data):
 
 
 @inlined
-def link_motion(pointers, gravity, row):
+def link_motion(addresses, gravity, body):
     """Motion of the link that carries an arm's tip, in world axes, from Pinocchio's own arrays.
 
     Pinocchio gives twist and spatial acceleration in link axes, the latter minus gravity;
     the classical acceleration of the origin is ``a + omega x v``.
     """
-    pose = floats_at(pointers[POSE_AT], 12)
-    twist = floats_at(pointers[TWIST_AT], 6)
-    drift = floats_at(pointers[DRIFT_AT], 6)
-    R, x = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # stored by columns
+    pose = open_pose(floats_at(addresses.pose, POSE_WIDTH))
+    twist = floats_at(addresses.twist, 6)
+    drift = floats_at(addresses.drift, 6)
+    R = pose.axes
     v, omega = vec(twist, 0), vec(twist, 3)
     a, alpha = add_cross(vec(drift, 0), omega, v), vec(drift, 3)
     a = add(rotate(R, a), vec(gravity, 0))
-    put_rotation(row, 0, R)
-    put(row, ORIGIN_AT, x)
-    put(row, VELOCITY, rotate(R, v))
-    put(row, SPIN, rotate(R, omega))
-    put(row, ACCELERATION, a)
-    put(row, SPIN_RATE, rotate(R, alpha))
+    body.rotation, body.origin = R, pose.origin
+    body.velocity, body.spin = rotate(R, v), rotate(R, omega)
+    body.acceleration, body.spin_rate = a, rotate(R, alpha)
 
 
 @inlined
@@ -135,8 +126,8 @@ def arm_rows(i, struct, model, data, work):
     first = work.rows[i]
     m = work.rows[i + 1] - first
     bodies = data.bodies
-    J = floats_at(bodies.pointers[i, J_AT], 6 * d)  # column by column
-    x_o, W, wrench = vec(bodies.object, ORIGIN_AT), work.W[i], data.rows.arm_wrenches
+    J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
+    x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.arm_wrenches
     write_rows(
         first, m, bodies.links[i], bodies.object, bodies.relative, model.codes, model.geometry,
         data.rows.kinematics, struct, i, data.functions.row,
@@ -204,8 +195,9 @@ def write_joint_rows(model, data, work):
 def load_inertia(i, data, work):
     """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.M``."""
     d = work.dofs[i + 1] - work.dofs[i]
-    stride = data.bodies.pointers[i, M_STRIDE]
-    inertia, M = floats_at(data.bodies.pointers[i, M_AT], d * stride), work.M[i]
+    addresses = open_addresses(data.bodies.pointers[i])
+    stride = addresses.stride
+    inertia, M = floats_at(addresses.inertia, d * stride), work.M[i]
     for a in range(d):
         for b in range(a + 1):
             M[a, b] = inertia[a * stride + b]
@@ -215,9 +207,10 @@ def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
     """A copy of an arm's inertia, symmetric, shape (n, n); ``pointers`` of the arm."""
     if n == 0:  # the surroundings
         return np.zeros((0, 0))
-    stride = int(pointers[M_STRIDE])
+    addresses = TermAddresses(*pointers.tolist())
+    stride = addresses.stride
     size = (n - 1) * stride + n
-    numbers = (ctypes.c_double * size).from_address(int(pointers[M_AT]))
+    numbers = (ctypes.c_double * size).from_address(addresses.inertia)
     flat = np.frombuffer(memoryview(numbers), dtype=float)
     lower = np.lib.stride_tricks.as_strided(flat, (n, n), (8 * stride, 8))
     return np.tril(lower) + np.tril(lower, -1).T

@@ -24,7 +24,7 @@ from multiarm.arms.arm import Arm
 from multiarm.arms.backends import ArmBackends, Ground
 from multiarm.arms.terms import Coriolis
 from multiarm.contacts.joint import Joint, JointFrame
-from multiarm.contacts.kernel import RELATIVE_WIDTH
+from multiarm.contacts.motion import RELATIVE_WIDTH
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import (
     CODE_WIDTH,
@@ -171,6 +171,11 @@ class Model:
         return self.arms[self.arm_names[i]].joint_names[joint - self.layout.dofs[i]]
 
     @property
+    def joint_names(self) -> list[str]:
+        """All joints as ``arm/joint``, in the order of the stacked vectors."""
+        return [f"{name}/{joint}" for name, arm in self.arms.items() for joint in arm.joint_names]
+
+    @property
     def joint_units(self) -> list[str]:
         """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
         return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
@@ -226,7 +231,7 @@ class Model:
             return self
         effects = self.effects.with_contacts_closed()
         model = replace(self.select(self.unilateral.model), effects=effects, unilateral=None)
-        return replace(model, constants=with_effects(model.constants, effects))
+        return model.with_constants(**effect_constants(effects))
 
     def select(self, rows: Sequence[int] | np.ndarray) -> Model:
         """The same bodies and effects with some of the rows, given in increasing order."""
@@ -250,31 +255,28 @@ class Model:
             layout=layout,
             contacts=contacts,
             records=tuple(self.records[row] for row in chosen),
-            constants=with_rows(self.constants, codes, geometry, layout),
+            constants=self.constants._replace(**row_constants(codes, geometry, layout)),
         )
 
 
-def with_rows(
-    constants: Constants, codes: np.ndarray, geometry: np.ndarray, layout: Layout
-) -> Constants:
-    """Constants with other rows, which have the same other surfaces."""
-    count = int(np.count_nonzero(codes[: layout.contacts, KIND] == JOINT))
-    joint_rows = make_joint_rows(count)
+def row_constants(codes: np.ndarray, geometry: np.ndarray, layout: Layout) -> dict[str, Any]:
+    """Constants of the rows of a contact table, but for the shapes of its surfaces."""
+    joint_rows = make_joint_rows(int(np.count_nonzero(codes[: layout.contacts, KIND] == JOINT)))
     select_joint_rows(codes, np.array(layout.rows), np.array(layout.dofs), joint_rows)
-    return constants._replace(codes=codes, geometry=geometry, joint_rows=joint_rows)
+    return {"codes": codes, "geometry": geometry, "joint_rows": joint_rows}
 
 
-def with_effects(constants: Constants, effects: EffectProgram) -> Constants:
-    """Constants with the kernels of other effects."""
+def effect_constants(effects: EffectProgram) -> dict[str, Any]:
+    """Constants of the kernels of effects."""
     kernels, (passive, actuator, applied) = effects.program()
-    return constants._replace(
-        effects=kernels,
-        passive_end=passive,
-        actuator_end=actuator,
-        applied_end=applied,
-        local_effects=effects.local,
-        state_joints=effects.state_joints,
-    )
+    return {
+        "effects": kernels,
+        "passive_end": passive,
+        "actuator_end": actuator,
+        "applied_end": applied,
+        "local_effects": effects.local,
+        "state_joints": effects.state_joints,
+    }
 
 
 class Evaluated(Protocol):
@@ -556,10 +558,10 @@ class Data:
 
     def coriolis(self) -> Coriolis:
         """The arms' Coriolis matrices, and the functions that update them."""
-        found, call = self._backends.coriolis(self.arrays.status)
-        if call is not None:
-            self.callbacks["coriolis"] = call
-        return found
+        coriolis, callback = self._backends.coriolis(self.arrays.status)
+        if callback is not None:
+            self.callbacks["coriolis"] = callback
+        return coriolis
 
     # --- exceptions in callbacks ----------------------------------------------------------------
 

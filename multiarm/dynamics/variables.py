@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.kernel import CONTACT_WIDTH
+from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.layout import Layout

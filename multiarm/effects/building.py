@@ -36,8 +36,8 @@ class Link(NamedTuple):
     # index in ``EffectVariables.link_poses`` of the address of its joint's pose: 12 numbers,
     # rotation by columns, origin
     number: int
-    # the arm's number; ``Variables.pointers[arm, J_AT]`` is the address of its Jacobian (columns of
-    # 6, world axes, about the world's origin)
+    # the arm's number; its row of ``Variables.pointers`` has the address of its Jacobian (columns
+    # of 6, world axes, about the world's origin)
     arm: int
     first: int  # the arm's first joint among all
     joints: int  # number of joints that carry the link

@@ -22,12 +22,11 @@ power is that on the object, :math:`f\cdot v_o + m\cdot\omega_o`: wind may drive
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import SPIN, VELOCITY
+from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.contact_derivatives import unit
 from multiarm.dynamics.coordinates import force_columns
@@ -36,14 +35,15 @@ from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.structs import Floats1, struct_at
 from multiarm.jit.vectors import (
+    add,
     add_cross,
     add_scaled,
     cross,
     dot,
     norm,
+    put,
     rotate,
     rotate_back,
-    rotation,
     scale,
     sub,
     vec,
@@ -67,24 +67,14 @@ def add_drag(address, size, at, _t):
     """Add the wrench of the medium."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    body, f_o, power = data.bodies.object, data.forces.f_o, 0.0
-    square = 0.0
-    for a in range(3):
-        square += (body[VELOCITY + a] - drag.wind[a]) ** 2
-    speed = math.sqrt(square)
-    for k in range(3):
-        u = turn = 0.0
-        for a in range(3):
-            u += body[3 * a + k] * (body[VELOCITY + a] - drag.wind[a])
-            turn += body[3 * a + k] * body[SPIN + a]
-        force = -(drag.linear[k] + drag.quadratic[k] * speed) * u
-        moment = -drag.angular[k] * turn
-        power += moment * turn
-        for a in range(3):
-            f_o[a] += body[3 * a + k] * force
-            f_o[3 + a] += body[3 * a + k] * moment
-            power += body[3 * a + k] * force * body[VELOCITY + a]
-    set_power(struct, at, power)
+    body, f_o = open_body(data.bodies.object), data.forces.f_o
+    R, u, w = body.rotation, sub(body.velocity, vec(drag.wind, 0)), body.spin
+    push = add_scaled(vec(drag.linear, 0), norm(u), vec(drag.quadratic, 0))
+    force = scale(-1.0, along_axes(R, push, u))
+    moment = scale(-1.0, along_axes(R, vec(drag.angular, 0), w))
+    put(f_o, 0, add(vec(f_o, 0), force))
+    put(f_o, 3, add(vec(f_o, 3), moment))
+    set_power(struct, at, dot(force, body.velocity) + dot(moment, w))
     return 0
 
 
@@ -93,8 +83,9 @@ def differentiate_drag(address, size, at, _t):
     """Add the derivatives of the wrench."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    body, slopes, twists = data.bodies.object, data.slopes.force, force_columns(data).twists
-    R, u, w = rotation(body, 0), sub(vec(body, VELOCITY), vec(drag.wind, 0)), vec(body, SPIN)
+    slopes, twists = data.slopes.force, force_columns(data).twists
+    body = open_body(data.bodies.object)
+    R, u, w = body.rotation, sub(body.velocity, vec(drag.wind, 0)), body.spin
     c, q, d = vec(drag.linear, 0), vec(drag.quadratic, 0), vec(drag.angular, 0)
     speed = norm(u)
     push = add_scaled(c, speed, q)

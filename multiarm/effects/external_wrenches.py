@@ -25,9 +25,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.derivatives import twist_product
-from multiarm.arms.terms import J_AT
-from multiarm.contacts.kernel import SPIN, VELOCITY
+from multiarm.arms.chain import twist_product
+from multiarm.arms.terms import POSE_WIDTH, open_addresses, open_pose
+from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
 from multiarm.dynamics.contact_derivatives import unit
@@ -135,7 +135,7 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
     about the world's origin.
     """
     joints, first = wrenches.joints[k], wrenches.first_joint[k]
-    J = floats_at(data.bodies.pointers[wrenches.arm[k], J_AT], 6 * joints)
+    J = floats_at(open_addresses(data.bodies.pointers[wrenches.arm[k]]).jacobian, 6 * joints)
     row, column = chart_places(data).joints + first, force_columns(data).positions + first
     for i in range(joints):
         v, w = vec(J, 6 * i), vec(J, 6 * i + 3)
@@ -158,10 +158,10 @@ def place_wrench(wrenches, k, data, t):
     It is about the object's centre of mass, or about the world's origin.
     """
     write_wrench(wrenches, k, t)
-    R, origin = rotation(data.bodies.object, 0), ZERO
+    R, origin = open_body(data.bodies.object).rotation, ZERO
     if wrenches.on_link[k] != 0:
-        pose = floats_at(data.effects.link_poses[wrenches.link[k]], 12)
-        R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
+        pose = open_pose(floats_at(data.effects.link_poses[wrenches.link[k]], POSE_WIDTH))
+        R, origin = pose.axes, pose.origin
     if wrenches.in_body[k] != 0:
         to_world(R, wrenches.frame[k], wrenches.wrench[k])
     return add_rotated(origin, R, vec(wrenches.point[k], 0))
@@ -213,12 +213,12 @@ def apply_wrench(wrenches, k, lever, data):
     f = vec(wrench, 0)
     m = add_cross(vec(wrench, 3), lever, f)
     if wrenches.on_link[k] == 0:
-        f_o, body = data.forces.f_o, data.bodies.object
+        f_o, body = data.forces.f_o, open_body(data.bodies.object)
         put(f_o, 0, add(vec(f_o, 0), f))
         put(f_o, 3, add(vec(f_o, 3), m))
-        return dot(f, vec(body, VELOCITY)) + dot(m, vec(body, SPIN))
+        return dot(f, body.velocity) + dot(m, body.spin)
     joints, first, power = wrenches.joints[k], wrenches.first_joint[k], 0.0
-    J = floats_at(data.bodies.pointers[wrenches.arm[k], J_AT], 6 * joints)
+    J = floats_at(open_addresses(data.bodies.pointers[wrenches.arm[k]]).jacobian, 6 * joints)
     for j in range(joints):
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
         data.forces.f_j[first + j] += torque

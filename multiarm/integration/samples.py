@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from multiarm.contacts.joint import unwrapped, write_relative
-from multiarm.contacts.kernel import GAP, GAP_RATE, ORIGIN_AT, SPIN, VELOCITY
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import write_wrenches
 from multiarm.dynamics.equations import largest, potential_energy
@@ -85,15 +86,15 @@ def write_free(model, data, out):
 def write_tips(model, data):
     """Origins, quaternions and twists of the tips, in world axes, into ``data.sample.tips``."""
     for i in range(data.sample.tips.shape[0]):
-        frame, link, tip = model.tip_frames[i], data.bodies.links[i], data.sample.tips[i]
-        R, omega = rotation(link, 0), vec(link, SPIN)
+        frame, link, tip = model.tip_frames[i], open_body(data.bodies.links[i]), data.sample.tips[i]
+        R, omega = link.rotation, link.spin
         lever = rotate(R, vec(frame, 9))
         x, y, z, w = quaternion_of(*compose(R, rotation(frame, 0)))
         if x * tip[3] + y * tip[4] + z * tip[5] + w * tip[6] < 0.0:
             x, y, z, w = -x, -y, -z, -w
-        put(tip, 0, add(vec(link, ORIGIN_AT), lever))
+        put(tip, 0, add(link.origin, lever))
         tip[3], tip[4], tip[5], tip[6] = x, y, z, w
-        put(tip, 7, add_cross(vec(link, VELOCITY), omega, lever))
+        put(tip, 7, add_cross(link.velocity, omega, lever))
         put(tip, 10, omega)
 
 

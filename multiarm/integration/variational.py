@@ -42,6 +42,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.arms.terms import CoriolisCalls, open_matrix
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import open_system
@@ -55,15 +56,15 @@ from multiarm.integration.projection import greatest
 from multiarm.integration.step import METHOD_WORK, Step, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at, view
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints2, floats_at, struct_at, view
 from multiarm.spatial import write_chart_rate
 
 
 class VariationalWork(NamedTuple):
     """A step's arrays, for velocities of V numbers, ``N`` contacts, ``a`` arms."""
 
-    # update and places of the arms' Coriolis matrices, see :class:`multiarm.arms.terms.Coriolis`
-    coriolis_calls: Ints1  # (4,)
+    # the arms' Coriolis matrices, see :class:`multiarm.arms.terms.Coriolis`
+    coriolis_calls: CoriolisCalls
     coriolis: Ints2  # (a, 2)
     # at the beginning of the step: configuration, constraint matrices, the object's inertia in
     # world axes, momenta (V,)
@@ -94,10 +95,10 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     """Allocate the arrays of the variational method's steps."""
     layout = data.model.layout
     size, rows = layout.nv, layout.contacts
-    calls, places = data.coriolis()
+    coriolis = data.coriolis()
     work = VariationalWork(
-        coriolis_calls=calls,
-        coriolis=places,
+        coriolis_calls=coriolis.calls,
+        coriolis=coriolis.matrices,
         begin=np.zeros(layout.nq),
         Wo=np.zeros((rows, 6)),
         W=np.zeros_like(data.work.W),
@@ -247,10 +248,10 @@ def midpoint_forces(step, work, h):
     if status != OK:
         return status
     calls = work.coriolis_calls
-    if calls[0] != 0:
-        call_python(calls[0])
-    if calls[1] != 0:
-        call_cfunc(calls[1], struct_at(calls[2], calls[3]), 0.0, 0.0)
+    if calls.callback != 0:
+        call_python(calls.callback)
+    if calls.compiled != 0:
+        call_cfunc(calls.compiled, struct_at(calls.compiled_struct, calls.compiled_size), 0.0, 0.0)
     if data.status.failed:
         return CALLBACK_FAILED
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)
@@ -270,8 +271,9 @@ def midpoint_forces(step, work, h):
     first_joint = chart_places(data).joints
     for i in range(data.bodies.pointers.shape[0]):
         d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
-        stride = work.coriolis[i, 1]
-        C = floats_at(work.coriolis[i, 0], d * stride)
+        matrix = open_matrix(work.coriolis[i])
+        stride = matrix.stride
+        C = floats_at(matrix.at, d * stride)
         for a in range(d):
             s = data.forces.f_j[d0 + a]
             for b in range(d):

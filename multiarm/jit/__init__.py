@@ -8,6 +8,7 @@
 - :mod:`~multiarm.jit.compilation`: how long threads wait for the compiler;
 - :mod:`~multiarm.jit.ahead`: compilation ahead of the first call, in several processes;
 - :mod:`~multiarm.jit.structs`: many arrays and numbers as one argument, read and set by name;
+- :mod:`~multiarm.jit.rows`: numbers of one array, read and set by name;
 - :mod:`~multiarm.jit.simd`: the numbers of four arms in one vector register;
 - :mod:`~multiarm.jit.vectors`: vectors, rotations and symmetric matrices as tuples.
 

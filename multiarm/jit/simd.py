@@ -42,7 +42,7 @@ class _PackModel(models.PrimitiveModel):
         super().__init__(manager, kind, _VECTOR)
 
 
-_PACK = PackType()
+PACK = PackType()
 
 
 def aligned_zeros(size: int) -> np.ndarray:
@@ -57,9 +57,9 @@ def _define(operation: Any, arguments: int, instruction: str) -> None:
 
     @infer_global(operation)
     class _Typing(ConcreteTemplate):
-        cases = (signature(_PACK, *[_PACK] * arguments),)
+        cases = (signature(PACK, *[PACK] * arguments),)
 
-    @lower_builtin(operation, *[_PACK] * arguments)
+    @lower_builtin(operation, *[PACK] * arguments)
     def _lower(_context, builder, _signature, values):
         return getattr(builder, instruction)(*values, flags=_FLAGS)
 
@@ -77,10 +77,19 @@ def _lanes(array, at):
     return array.reshape(-1)[at : at + LANES]
 
 
+def load_lanes(builder: Any, pointer: Any) -> Any:
+    """LLVM value of the four numbers from a pointer to the first on."""
+    return builder.load(builder.bitcast(pointer, _VECTOR.as_pointer()), align=8)
+
+
+def store_lanes(builder: Any, value: Any, pointer: Any) -> None:
+    """Write four numbers from a pointer to the first on."""
+    builder.store(value, builder.bitcast(pointer, _VECTOR.as_pointer()), align=8)
+
+
 def _pointer(context, builder, kind, array, at):
-    """LLVM pointer to the four numbers that begin at one place of an array."""
-    data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
+    """LLVM pointer to the number at one place of an array."""
+    return builder.gep(context.make_array(kind)(context, builder, array).data, [at])
 
 
 def _shuffled(builder, a, b, places):
@@ -96,10 +105,9 @@ def load_pack(typing_context, array, at):
     """Lanes that begin at one place of a vector of float64."""
 
     def generate(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, signature.args[0], *arguments)
-        return builder.load(pointer, align=8)
+        return load_lanes(builder, _pointer(context, builder, signature.args[0], *arguments))
 
-    return _PACK(array, types.intp), generate
+    return PACK(array, types.intp), generate
 
 
 def _store_pack(array, at, value):
@@ -112,10 +120,10 @@ def store_pack(typing_context, array, at, value):
 
     def generate(context, builder, signature, arguments):
         pointer = _pointer(context, builder, signature.args[0], *arguments[:2])
-        builder.store(arguments[2], pointer, align=8)
+        store_lanes(builder, arguments[2], pointer)
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, _PACK), generate
+    return types.void(array, types.intp, PACK), generate
 
 
 def _broadcast(number):
@@ -132,7 +140,7 @@ def broadcast(typing_context, number):
             value = builder.insert_element(value, arguments[0], _PLACE(lane))
         return value
 
-    return _PACK(types.float64), generate
+    return PACK(types.float64), generate
 
 
 def _gather_pack(array, at0, at1, at2, at3):
@@ -151,7 +159,7 @@ def gather_pack(typing_context, array, at0, at1, at2, at3):
             value = builder.insert_element(value, number, _PLACE(lane))
         return value
 
-    return _PACK(array, *[types.intp] * LANES), generate
+    return PACK(array, *[types.intp] * LANES), generate
 
 
 def _min_positive(a, b):
@@ -168,7 +176,7 @@ def min_positive(typing_context, a, b):
         positive = builder.fcmp_ordered(">", b, ir.Constant(_VECTOR, [0.0] * LANES))
         return builder.select(positive, minimum, ir.Constant(_VECTOR, [0.0] * LANES))
 
-    return _PACK(_PACK, _PACK), generate
+    return PACK(PACK, PACK), generate
 
 
 def _minimum(a, b):
@@ -183,7 +191,7 @@ def minimum(typing_context, a, b):
         a, b = arguments
         return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
-    return _PACK(_PACK, _PACK), generate
+    return PACK(PACK, PACK), generate
 
 
 def _sum_pack(value):
@@ -200,7 +208,7 @@ def sum_pack(typing_context, value):
         total = builder.fadd(total, _shuffled(builder, total, total, [1, 0, 3, 2]))
         return builder.extract_element(total, _PLACE(0))
 
-    return types.float64(_PACK), generate
+    return types.float64(PACK), generate
 
 
 def _transpose_four(source, at, out, at0, at1, at2, at3):
@@ -218,14 +226,14 @@ def transpose_four(typing_context, source, at, out, at0, at1, at2, at3):
         for k in range(LANES):
             place = builder.add(arguments[1], ir.Constant(_INTEGER, LANES * k))
             pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
-            rows.append(builder.load(pointer, align=8))
+            rows.append(load_lanes(builder, pointer))
         even = [_shuffled(builder, rows[k], rows[k + 1], [0, 4, 2, 6]) for k in (0, 2)]
         odd = [_shuffled(builder, rows[k], rows[k + 1], [1, 5, 3, 7]) for k in (0, 2)]
         columns = [_shuffled(builder, a, b, [0, 1, 4, 5]) for a, b in (even, odd)]
         columns += [_shuffled(builder, a, b, [2, 3, 6, 7]) for a, b in (even, odd)]
         for place, column in zip(arguments[3:], columns, strict=True):
             pointer = _pointer(context, builder, signature.args[2], arguments[2], place)
-            builder.store(column, pointer, align=8)
+            store_lanes(builder, column, pointer)
         return context.get_dummy_value()
 
     places = [types.intp] * LANES

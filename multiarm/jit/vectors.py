@@ -43,15 +43,6 @@ def rotation(array, at):
 
 
 @inlined
-def put_rotation(array, at, R):
-    """Write a rotation into ``array[at : at + 9]``, row by row."""
-    x, y, z = R
-    put(array, at, (x[0], y[0], z[0]))
-    put(array, at + 3, (x[1], y[1], z[1]))
-    put(array, at + 6, (x[2], y[2], z[2]))
-
-
-@inlined
 def symmetric(array, at):
     """The symmetric matrix ``array[at : at + 6]``."""
     return array[at], array[at + 1], array[at + 2], array[at + 3], array[at + 4], array[at + 5]
@@ -86,6 +77,12 @@ def scale(s, a):
 def add_scaled(c, s, a):
     """``c + s a``."""
     return c[0] + s * a[0], c[1] + s * a[1], c[2] + s * a[2]
+
+
+@fused
+def sub_scaled(c, s, a):
+    """``c - s a``."""
+    return c[0] - s * a[0], c[1] - s * a[1], c[2] - s * a[2]
 
 
 @fused

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.start import joint_names, project_start
+from multiarm.assembly.start import project_start
 from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system
@@ -262,7 +262,7 @@ def linearise(
     inner = D.rows["effect_state_rates"]
     forces = np.r_[D.rows["contact_forces"]]
     forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
-    names = [f"object/{component}" for component in OBJECT] + joint_names(system.model)
+    names = [f"object/{component}" for component in OBJECT] + system.model.joint_names
     return LinearSystem(
         system=system,
         derivatives=D,

@@ -18,8 +18,8 @@ from itertools import product
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.compilation import arm_files, load_robots
 from multiarm.assembly.inverse_kinematics import InverseKinematics
+from multiarm.assembly.robots import arm_files, load_robots
 from multiarm.errors import SceneError
 from multiarm.scene import (
     JOINTS,

@@ -282,7 +282,8 @@ def test_a_chain_that_is_too_short_is_refused_with_what_is_left():
 
 
 def test_a_flat_chain_that_would_have_to_buckle_far_is_refused():
-    with refused(SceneError, "left: "):
+    # roundings, which change with the processor, decide which of two equal parts buckles
+    with pytest.raises(SceneError, match=r"left: .* would have to move by more than 0\.5"):
         ma.compile_system(planar_hinges(apart=1.0, wider=-0.09))
 
 

@@ -358,15 +358,17 @@ def test_rolling_converges_with_order_2(tmp_path):
 
 def coriolis_matrices(system):
     """``C`` of every arm at the state in the buffers, read where the kernels read it."""
-    (callback, address, *struct), places = data_of(system).coriolis()
+    calls, matrices = data_of(system).coriolis()
     update_kinematics(data_of(system).struct)
-    if callback:
-        ctypes.CFUNCTYPE(None)(int(callback))()
-    if address:
+    if calls.callback:
+        ctypes.CFUNCTYPE(None)(calls.callback)()
+    if calls.compiled:
         kinds = [ctypes.c_int64] * 3 + [ctypes.c_double] * 2
-        ctypes.CFUNCTYPE(*kinds)(int(address))(*map(int, struct), 0.0, 0.0)
+        ctypes.CFUNCTYPE(*kinds)(calls.compiled)(
+            calls.compiled_struct, calls.compiled_size, 0.0, 0.0
+        )
     found = []
-    for (at, stride), arm in zip(places, system.arms.values(), strict=True):
+    for (at, stride), arm in zip(matrices, system.arms.values(), strict=True):
         n = arm.dof
         numbers = np.ctypeslib.as_array((ctypes.c_double * (n * stride)).from_address(int(at)))
         found.append(numbers.reshape(n, stride)[:, :n].copy())

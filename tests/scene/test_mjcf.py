@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.arms.arm import Arm
-from multiarm.assembly.compilation import arm_files
+from multiarm.assembly.robots import arm_files
 from multiarm.errors import SceneError
 from multiarm.scene import ArmSpec, dump_scene, parse_scene, resolve_arm
 

@@ -19,7 +19,8 @@ import golden
 import numpy as np
 
 import multiarm as ma
-from multiarm.arms.compiled.kernels import place_joint, update_arms
+from multiarm.arms.chain import next_frame
+from multiarm.arms.compiled.kernels import update_arms
 from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.jit.kernels import kernel
 from multiarm.jit.simd import (
@@ -163,7 +164,7 @@ def lines_of_kernels() -> golden.Results:
     from multiarm.dynamics.equations import evaluate_state
 
     system, seen = swinging("compiled"), {}
-    for function in (evaluate_state, update_arms, place_joint):
+    for function in (evaluate_state, update_arms, next_frame):
         seen[function.py_func.__code__] = set()
 
     def trace(frame, event, argument):

@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 import multiarm.arms.backends
-from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, write_row
+from multiarm.contacts.kernel import CONTACT_WIDTH, write_row
 from multiarm.contacts.matrices import contact_matrices
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import KIND, LINK, PAIR, pack
 from multiarm.dynamics.variables import Status
@@ -32,6 +33,7 @@ from multiarm.geometry.records import (
     TORUS,
 )
 from multiarm.jit.pointers import PythonCallback
+from multiarm.jit.rows import fields_of
 from multiarm.scene import parse_scene
 
 EPS = np.finfo(float).eps
@@ -302,8 +304,10 @@ def second_difference(function, h: float):
 def body_row(X: np.ndarray, twist=None) -> np.ndarray:
     """A body's kinematics as the kernel takes it, with zero accelerations."""
     row = np.zeros(BODY_WIDTH)
-    row[:9], row[9:12] = X[:3, :3].ravel(), X[:3, 3]
-    row[12:18] = 0.0 if twist is None else twist
+    motion = fields_of(BodyMotion, row)
+    motion.rotation[:], motion.origin[:] = X[:3, :3], X[:3, 3]
+    if twist is not None:
+        motion.velocity[:], motion.spin[:] = twist[:3], twist[3:]
     return row
 
 

@@ -11,7 +11,7 @@ from mechanics import data_of, first_difference
 import multiarm as ma
 from multiarm.dynamics.arrays import DERIVATIVE
 from multiarm.dynamics.effect_kernels import EffectProgram
-from multiarm.dynamics.model import with_effects
+from multiarm.dynamics.model import effect_constants
 from multiarm.dynamics.status import OK
 from multiarm.events.evaluation import enter_mode_at
 from multiarm.integration.step import Stage, evaluate_slope
@@ -29,10 +29,9 @@ def without_derivatives(system):
     """The same system with laws and effects that state no derivatives."""
     kernels = (replace(own, derivative=None) for own in system.model.effects.kernels)
     effects = EffectProgram(tuple(kernels))
-    constants = with_effects(system.model.constants, effects)
-    control = constants.control.copy()
+    control = system.model.constants.control.copy()
     control[:, DERIVATIVE] = 0
-    constants = constants._replace(control=control)
+    constants = system.model.constants._replace(control=control, **effect_constants(effects))
     model = replace(system.model, effects=effects, constants=constants)
     return replace(system, model=model)
 

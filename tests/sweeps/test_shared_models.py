@@ -15,7 +15,8 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.arms.terms import M_STRIDE
+from multiarm.arms.terms import TermAddresses
+from multiarm.jit.rows import offset_of
 from multiarm.jit.structs import Numbers
 
 WELD = {"kind": "weld"}
@@ -207,7 +208,7 @@ def written_arrays(data) -> dict[str, np.ndarray]:
 def where_terms_are(data) -> set[int]:
     """Addresses of the arms' terms, and of what computes them."""
     pointers = data.arrays.bodies.pointers[: len(data.model.arms)]
-    places = set(np.delete(pointers, M_STRIDE, axis=1).ravel())
+    places = set(np.delete(pointers, offset_of(TermAddresses, "stride"), axis=1).ravel())
     functions = data.arrays.functions
     return (places | {functions.pinocchio, functions.dense, functions.arms_struct}) - {0}
 

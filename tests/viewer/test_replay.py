@@ -192,8 +192,8 @@ def test_a_replay_seeks_no_posture_assembles_no_start_and_has_no_control(monkeyp
         raise AssertionError("all that is recorded")
 
     expected = animate(trajectory, fps=30, speed=1.0, meshes=False)
-    for name in ("find_postures", "assembled_start", "control_law"):
-        monkeypatch.setattr(f"multiarm.assembly.compilation.{name}", refuse)
+    for name in ("robots.find_postures", "compilation.assembled_start", "compilation.control_law"):
+        monkeypatch.setattr(f"multiarm.assembly.{name}", refuse)
     found = animate(trajectory, fps=30, speed=1.0, meshes=False)
     np.testing.assert_array_equal(found.contacts[0].point, expected.contacts[0].point)
     np.testing.assert_array_equal(found.bodies[1].position, expected.bodies[1].position)

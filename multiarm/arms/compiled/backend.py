@@ -15,39 +15,28 @@ from multiarm.arms.arm import Arm
 from multiarm.arms.compiled.coriolis import update_coriolis
 from multiarm.arms.compiled.kernels import update_arms
 from multiarm.arms.compiled.tables import (
-    BIAS,
-    ENERGY,
-    GRAVITY_TORQUE,
-    JACOBIAN,
-    JOINTS,
+    JACOBIAN_WIDTH,
     MOST_JOINTS,
-    PLACES,
-    POSES,
-    TERMS,
-    WIDTH,
-    WITH_GRAVITY_TORQUE,
-    WITH_POSES,
     ArmTables,
+    Wanted,
     make_tables,
     make_terms,
     make_work,
 )
 from multiarm.arms.terms import (
-    BIAS_AT,
-    GRAVITY_AT,
-    J_AT,
-    M_AT,
-    M_STRIDE,
-    POINTER_WIDTH,
+    POSE_WIDTH,
     ArmState,
     ArmStructure,
     Coriolis,
+    LinkPose,
     LinkTerms,
+    MatrixAddress,
+    TermAddresses,
 )
-from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import address_of, function_at
-from multiarm.jit.simd import LANES
+from multiarm.jit.rows import as_row, fields_of, offset_of
 from multiarm.jit.structs import make_struct
 
 # Number of random states; bounds of positions [rad, m] and velocities [rad/s, m/s].
@@ -65,7 +54,10 @@ _WORDS = {
     "coriolis": "the matrix of Coriolis forces",
 }
 # Where parts of a quantity begin that have other units.
-_PARTS = {"body": (ORIGIN_AT, VELOCITY, ACCELERATION), "poses": (ORIGIN_AT,)}
+_PARTS = {
+    "body": tuple(offset_of(BodyMotion, name) for name in ("origin", "velocity", "acceleration")),
+    "poses": (offset_of(LinkPose, "origin"),),
+}
 
 
 def compile_arms(
@@ -122,7 +114,7 @@ class CompiledBackend:
     def __init__(self, tables: ArmTables, places: Sequence[int], arms: Mapping[str, Arm]) -> None:
         self.tables, self.places, self._arms = tables, tuple(places), arms
         self._terms, self._coriolis = make_terms(tables), make_terms(tables)
-        self._world = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+        self._world = as_row(LinkPose(np.eye(3), np.zeros(3)))
         self._lanes = [
             _Lane(tables, place, int(joints))
             for place, joints in zip(self.places, tables.joints, strict=True)
@@ -131,8 +123,8 @@ class CompiledBackend:
 
     def copy(self) -> CompiledBackend:
         """The same arms with their own terms; the constants are shared."""
-        wanted = self.tables.wanted.copy()  # flags of one system
-        return CompiledBackend(self.tables._replace(wanted=wanted), self.places, self._arms)
+        tables = self.tables._replace(wanted=self.tables.wanted.copy())  # flags of one system
+        return CompiledBackend(tables, self.places, self._arms)
 
     def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
         """Let the sweeps read positions and velocities of all joints, and write all bodies."""
@@ -160,22 +152,20 @@ class CompiledBackend:
         verify(self.tables, self.places, self._arms, CORIOLIS)
         at = self._coriolis.ctypes.data
         for lane in self._lanes:
-            coriolis.places[lane.place] = at + 8 * lane.square, lane.stride
-        coriolis.calls[1:] = (
-            address_of(update_coriolis),
-            self._struct.ctypes.data,
-            self._struct.size,
-        )
+            coriolis.matrices[lane.place] = MatrixAddress(at + 8 * lane.square, lane.stride)
+        calls, struct = coriolis.calls, self._struct
+        calls.compiled, calls.compiled_struct = address_of(update_coriolis), struct.ctypes.data
+        calls.compiled_size = struct.size
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques too."""
-        self.tables.wanted[WITH_GRAVITY_TORQUE] = 1
+        self.tables.wanted.gravity_torque = True
 
     def pose_address(self, place: int, joint: int) -> int:
         """Address of the pose of a joint, which is written from now on; joint 0 is the world."""
         if joint == 0:
             return self._world.ctypes.data
-        self.tables.wanted[WITH_POSES] = 1
+        self.tables.wanted.poses = True
         return self._terms.ctypes.data + 8 * self._lanes[self.places.index(place)].pose(joint - 1)
 
     def potential_energy(self) -> float:
@@ -192,24 +182,28 @@ class CompiledBackend:
         lane, terms = self._lanes[arm], self._terms
         n = lane.joints
         lower = np.tril(_square(terms, lane.square, lane.stride, n))
-        jacobian = terms[lane.jacobian : lane.jacobian + 6 * n].reshape(n, 6)
+        jacobian = terms[lane.jacobian : lane.jacobian + JACOBIAN_WIDTH * n].reshape(n, 6)
         return LinkTerms(
             inertia=lower + np.tril(lower, -1).T,
             jacobian=jacobian.T.copy(),
             bias=terms[lane.bias : lane.bias + n].copy(),
             gravity_torque=terms[lane.gravity_torque : lane.gravity_torque + n].copy(),
-            poses=terms[lane.pose(0) : lane.pose(n)].reshape(n, 12).copy(),
+            poses=terms[lane.pose(0) : lane.pose(n)].reshape(n, POSE_WIDTH).copy(),
             body=self._work.bodies.reshape(-1, BODY_WIDTH)[lane.place].copy(),
             energy=terms[lane.energy : lane.energy + 1].copy(),
             coriolis=_square(self._coriolis, lane.square, lane.stride, n).T.copy(),
         )
 
     def _pointers(self, lane: _Lane) -> np.ndarray:
-        places, at = np.zeros(POINTER_WIDTH, dtype=np.int64), self._terms.ctypes.data
-        places[M_AT], places[M_STRIDE] = at + 8 * lane.square, lane.stride
-        places[J_AT], places[BIAS_AT] = at + 8 * lane.jacobian, at + 8 * lane.bias
-        places[GRAVITY_AT] = at + 8 * lane.gravity_torque
-        return places
+        at = self._terms.ctypes.data
+        addresses = TermAddresses(
+            inertia=at + 8 * lane.square,
+            stride=lane.stride,
+            jacobian=at + 8 * lane.jacobian,
+            bias=at + 8 * lane.bias,
+            gravity_torque=at + 8 * lane.gravity_torque,
+        )
+        return np.array(addresses, dtype=np.int64)
 
 
 def verify(
@@ -230,7 +224,7 @@ def verify(
     """
     first = np.cumsum([0, *(arm.dof for arm in arms.values())])
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    wanted = np.ones_like(tables.wanted)
+    wanted = Wanted(gravity_torque=True, poses=True)
     copies = CompiledBackend(tables._replace(wanted=wanted), places, arms)
     copies.bind(angles, rates, np.zeros((len(arms), BODY_WIDTH)))
     every = [list(arms.values())[place] for place in places]
@@ -260,21 +254,20 @@ class _Lane:
     """Offsets of the terms of one arm, with ``joints`` joints and matrices of ``stride`` rows."""
 
     def __init__(self, tables: ArmTables, place: int, joints: int) -> None:
-        (k, lane), *_ = np.argwhere(tables.blocks[:, PLACES : PLACES + LANES] == place)
-        block = tables.blocks[k]
-        self.place, self.joints, self.stride = place, joints, int(block[JOINTS])
+        (b, lane), *_ = np.argwhere(tables.arms == place)
+        self.place, self.joints, self.stride = place, joints, int(tables.block_joints[b])
         before = self.stride - self.joints  # padding
-        at = int(block[TERMS] + lane * block[WIDTH])
+        at = int(tables.first_term[b] + lane * tables.term_count[b])
         self.square = at + before * (self.stride + 1)
-        self.jacobian = at + int(block[JACOBIAN]) + 6 * before
-        self.bias = at + int(block[BIAS]) + before
-        self.gravity_torque = at + int(block[GRAVITY_TORQUE]) + before
-        self.energy = at + int(block[ENERGY])
-        self._poses = at + int(block[POSES]) + 12 * before
+        self.jacobian = at + int(tables.jacobian[b]) + JACOBIAN_WIDTH * before
+        self.bias = at + int(tables.bias[b]) + before
+        self.gravity_torque = at + int(tables.gravity_torque[b]) + before
+        self.energy = at + int(tables.energy[b])
+        self._poses = at + int(tables.poses[b]) + POSE_WIDTH * before
 
     def pose(self, link: int) -> int:
         """Offset of the pose of one of the arm's links, counted from 0."""
-        return self._poses + 12 * link
+        return self._poses + POSE_WIDTH * link
 
 
 def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
@@ -297,7 +290,8 @@ def _stacked(states: Sequence[LinkTerms]) -> LinkTerms:
 def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[str, float]:
     """Magnitude of the summands of each quantity, which may cancel."""
     mass, weight = float(np.sum(arm.masses)), float(np.linalg.norm(gravity))
-    inertia, away = (float(np.max(np.abs(x))) for x in (terms.inertia, terms.poses[..., 9:]))
+    origins = fields_of(LinkPose, terms.poses).origin
+    inertia, away = (float(np.max(np.abs(x))) for x in (terms.inertia, origins))
     held = weight * np.sqrt(mass * inertia)  # m g r, with m r^2 among the inertias
     return {
         "inertia": inertia,
@@ -316,11 +310,11 @@ def _compare(
 ) -> None:
     """Raise an error for the first quantity that differs, relative to its largest entry."""
     for name, floor in floors.items():
-        ours, theirs = getattr(computed, name), getattr(expected, name)
+        values, references = getattr(computed, name), getattr(expected, name)
         cuts = _PARTS.get(name, ())
-        parts = zip(np.split(ours, cuts, axis=-1), np.split(theirs, cuts, axis=-1), strict=True)
-        for part in parts:
-            size = _difference(*part, floor)
+        parts = [np.split(quantity, cuts, axis=-1) for quantity in (values, references)]
+        for value, reference in zip(*parts, strict=True):
+            size = _difference(value, reference, floor)
             if not size <= 1e-11:
                 raise ModelError(
                     f"arm '{arm}': its compiled copy is not the arm: {_WORDS[name]} differs from "

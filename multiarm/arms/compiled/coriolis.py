@@ -1,65 +1,49 @@
 r"""Matrices of Coriolis forces: ``C`` for which the rate of the inertia is ``C + C^T``.
 
-With :math:`v_j = (v, \omega)` the velocity of link ``j`` at the base,
-:math:`\dot S_j = v_j\times S_j`, and :math:`B^c_j` the sum over all links beyond joint ``j`` of
-
-.. math::
-    B = \tfrac12\big[(v\times^*)\,I - I\,(v\times) + (I v)\,\bar\times^*\big],
+With :math:`\dot S_j = v_j\times S_j` and :math:`B^c_j` the sum of the matrices B of
+:mod:`multiarm.arms.chain` over all links beyond joint ``j``,
 
 .. math::
     C_{kj} = S_k\cdot(I^c_j \dot S_j + B^c_j S_j), \qquad
     C_{jk} = \dot S_k\cdot I^c_j S_j + S_k\cdot (B^c_j)^T S_j \quad (k\le j)
 
-(S. Echeandia, P.M. Wensing, ASME J. Comput. Nonlinear Dyn. 16, 2021).  For a rigid body of mass
-``m``, first moment ``c`` and second moments ``I`` about the base, only two of the blocks of B are
-not zero, those that act on angular velocities:
-
-.. math::
-    B_{l\omega} = -[h]_\times, \quad h = m v + \omega\times c, \qquad
-    B_{\omega\omega} = \tfrac12\big(A + A^T - [I\omega]_\times\big) + (c\cdot v) - v\,c^T,
-    \quad A = [\omega]_\times I .
+(S. Echeandia, P.M. Wensing, ASME J. Comput. Nonlinear Dyn. 16, 2021).
 """
 
 from __future__ import annotations
 
+from multiarm.arms.chain import (
+    add_scaled_pair,
+    power,
+    times_inertia,
+    twice_turning_matrix,
+    twist_product,
+)
 from multiarm.arms.compiled.kernels import (
     load_joints,
     outwards,
-    power,
-    put_columns,
-    put_pair,
-    put_vector,
-    symmetric_at,
-    times_inertia,
-    vector_at,
+    transpose_to_arms,
     zero_vector,
 )
 from multiarm.arms.compiled.tables import (
-    COLUMN_RATE,
-    FIRST,
-    JOINTS,
-    LINK_INERTIA,
-    LINK_WIDTH,
-    MATRIX,
-    MOMENTUM,
-    TERMS,
-    TURN_WIDTH,
-    WIDTH,
+    LINK_LANES,
+    TURN_LANES,
     open_arms,
+    open_link,
+    open_turn,
 )
-from multiarm.jit.kernels import cfunc, inlined, kernel
-from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four
+from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import (
     add,
     add_cross,
     add_scaled,
     add_symmetric,
-    cross,
     dot,
     rotate,
+    rotate_back,
     scale,
-    times,
 )
 
 
@@ -68,94 +52,58 @@ def update_coriolis(address, size, _a, _b):
     """Write the matrices of Coriolis forces of compiled arms, column by column."""
     tables, work = open_arms(struct_at(address, size))
     load_joints(tables, work)
-    for b in range(tables.blocks.shape[0]):
+    for b in range(tables.block_joints.size):
         outwards(tables, work, b)
         rates_outwards(tables, work, b)
         coriolis_inwards(tables, work, b)
-        block = tables.blocks[b]
-        at0, width = block[TERMS], block[WIDTH]
-        at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
-        for k in range(0, block[JOINTS] * block[JOINTS], LANES):
-            transpose_four(
-                work.leaves, LANES * k, work.coriolis, at0 + k, at1 + k, at2 + k, at3 + k
-            )
+        transpose_to_arms(
+            work.leaves, 0, tables.block_joints[b] ** 2, work.coriolis, tables.first_term[b],
+            tables.term_count[b],
+        )  # fmt: skip
     return 0
 
 
 @kernel
 def rates_outwards(tables, work, b):
-    """Rates of the columns, and ``h`` and ``B`` of every link of one block."""
-    links, out = work.links, work.link_turns
-    v = w = zero_vector()
-    for k in range(tables.blocks[b, JOINTS]):
-        link, at = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
-        rate = load_pack(work.rate, LANES * (tables.blocks[b, FIRST] + k))
-        linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
-        v, w = add_scaled(v, rate, linear), add_scaled(w, rate, angular)
-        linear = add_cross(cross(w, linear), v, angular)
-        put_pair(out, at + LANES * COLUMN_RATE, linear, cross(w, angular))
-        link += LANES * LINK_INERTIA
-        mass, moment = load_pack(links, link), vector_at(links, link + LANES)
-        inertia = symmetric_at(links, link + 4 * LANES)
-        put_vector(out, at + LANES * MOMENTUM, add_cross(scale(mass, v), w, moment))
-        put_columns(out, at + LANES * MATRIX, turning_matrix(moment, inertia, v, w))
-
-
-@inlined
-def turning_matrix(c, inertia, v, w):
-    """Columns of the block of B that makes moments of angular velocities."""
-    half = broadcast(0.5)
-    xx, xy, xz, yy, yz, zz = inertia
-    x, y, z = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
-    a, b, d = cross(w, x), cross(w, y), cross(w, z)
-    h = times(inertia, w)
-    p, q, r = c[0] * v[0], c[1] * v[1], c[2] * v[2]
-    return (
-        (
-            a[0] + q + r,
-            half * (a[1] + b[0] - h[2]) - v[1] * c[0],
-            half * (a[2] + d[0] + h[1]) - v[2] * c[0],
-        ),
-        (
-            half * (b[0] + a[1] + h[2]) - v[0] * c[1],
-            b[1] + p + r,
-            half * (b[2] + d[1] - h[0]) - v[2] * c[1],
-        ),
-        (
-            half * (d[0] + a[2] - h[1]) - v[0] * c[2],
-            half * (d[1] + b[2] + h[0]) - v[1] * c[2],
-            d[2] + p + q,
-        ),
-    )
+    """Rates of the columns, linear momentum and ``G`` of every link of one block."""
+    zero = zero_vector()
+    twist = zero, zero
+    for k in range(tables.block_joints[b]):
+        link, turn = (
+            open_link(work.links, LINK_LANES * k),
+            open_turn(work.link_turns, TURN_LANES * k),
+        )
+        rate = load_pack(work.rate, LANES * (tables.first_joint[b] + k))
+        twist = add_scaled_pair(twist, rate, link.column)
+        turn.column_rate = twist_product(twist, link.column)
+        mass, moment, second = link.mass, link.moment, link.second
+        turn.momentum, _ = times_inertia(mass, moment, second, twist)
+        turn.turning = twice_turning_matrix(moment, second, twist[0], twist[1])
 
 
 @kernel
 def coriolis_inwards(tables, work, b):
     """Matrices of one block into ``leaves``."""
-    links, turns, leaves, n = work.links, work.link_turns, work.leaves, tables.blocks[b, JOINTS]
-    zero, mass, moment, h = zero_vector(), broadcast(0.0), zero_vector(), zero_vector()
-    second, B = zero + zero, (zero, zero, zero)
+    links, turns, leaves, n = work.links, work.link_turns, work.leaves, tables.block_joints[b]
+    zero, mass, half = zero_vector(), broadcast(0.0), broadcast(0.5)
+    moment, p = zero, zero
+    second, G = zero + zero, (zero, zero, zero)
     for j in range(n - 1, -1, -1):
-        link, turn = LANES * LINK_WIDTH * j, LANES * TURN_WIDTH * j
-        at = link + LANES * LINK_INERTIA
-        mass = mass + load_pack(links, at)
-        moment = add(moment, vector_at(links, at + LANES))
-        second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
-        h = add(h, vector_at(turns, turn + LANES * MOMENTUM))
-        at = turn + LANES * MATRIX
-        x, y = add(B[0], vector_at(turns, at)), add(B[1], vector_at(turns, at + 3 * LANES))
-        B = x, y, add(B[2], vector_at(turns, at + 6 * LANES))
-        linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
-        force, couple = times_inertia(mass, moment, second, linear, angular)
+        link, turn = open_link(links, LINK_LANES * j), open_turn(turns, TURN_LANES * j)
+        mass, moment = mass + link.mass, add(moment, link.moment)
+        second, p = add_symmetric(second, link.second), add(p, turn.momentum)
+        x, y, z = turn.turning
+        G = add(G[0], x), add(G[1], y), add(G[2], z)
+        column = link.column
+        linear, angular = column
+        momentum = times_inertia(mass, moment, second, column)
         # the transpose of B times the column, a couple
-        transposed = add_cross((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
-        rate = vector_at(turns, turn), vector_at(turns, turn + 3 * LANES)
-        f, c = times_inertia(mass, moment, second, rate[0], rate[1])
-        f, c = add_cross(f, angular, h), add(c, rotate(B, angular))
+        transposed = add_cross(scale(half, rotate_back(G, angular)), p, linear)
+        f, c = times_inertia(mass, moment, second, turn.column_rate)
+        wrench = add_cross(f, angular, p), add_scaled(c, half, rotate(G, angular))
         for k in range(j + 1):
-            at, rates = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
-            axis = vector_at(links, at), vector_at(links, at + 3 * LANES)
-            change = vector_at(turns, rates), vector_at(turns, rates + 3 * LANES)
-            below = power(change[0], change[1], force, couple) + dot(axis[1], transposed)
+            before, change = open_link(links, LINK_LANES * k), open_turn(turns, TURN_LANES * k)
+            axis = before.column
+            below = power(change.column_rate, momentum) + dot(axis[1], transposed)
             store_pack(leaves, LANES * (n * k + j), below)
-            store_pack(leaves, LANES * (n * j + k), power(axis[0], axis[1], f, c))
+            store_pack(leaves, LANES * (n * j + k), power(axis, wrench))

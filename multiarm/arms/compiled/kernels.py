@@ -1,24 +1,11 @@
 r"""Batched RNEA and CRBA: one outward and one inward sweep along four arms at once.
 
-Every joint rotates about, or slides along, the z axis of its own frame.  All vectors are in world
-axes; moments, velocities and columns are about the arm's base, so that no digits are lost far from
-the world's origin.  With ``z`` and ``p`` axis and origin of a joint its column is
+The equations of a joint and its link are those of :mod:`multiarm.arms.chain`.  Outwards (recursive
+Newton-Euler; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3), the base being
+accelerated by minus gravity,
 
 .. math::
-    S_j = \begin{bmatrix} p\times z\\ z\end{bmatrix} \text{ (turning)}, \qquad
-    S_j = \begin{bmatrix} z\\ 0\end{bmatrix} \text{ (sliding)}.
-
-Outwards (recursive Newton-Euler; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3), the
-base being accelerated by minus gravity,
-
-.. math::
-    v_j = v_{j-1} + S_j \dot q_j, \qquad a_j = a_{j-1} + v_{j-1}\times S_j \dot q_j
-
-and each link needs, with ``c`` its centre, the force
-
-.. math::
-    f = m\,(a + \alpha\times c + \omega\times(v + \omega\times c)), \qquad
-    n = I\alpha + \omega\times I\omega + c\times f .
+    v_j = v_{j-1} + S_j \dot q_j, \qquad a_j = a_{j-1} + v_{j-1}\times S_j \dot q_j .
 
 Inwards the forces of all links beyond a joint are summed, and their inertias to that of one
 composite body (6.2), which gives
@@ -33,53 +20,44 @@ from __future__ import annotations
 
 import math
 
-from multiarm.arms.compiled.tables import (
-    ARMATURE,
-    AXES,
-    BIAS,
-    CENTRE,
-    COLUMN,
-    ENERGY,
-    FIRST,
-    FORCE,
-    GRAVITY_TORQUE,
-    INERTIA,
-    JACOBIAN,
-    JOINT_WIDTH,
-    JOINTS,
-    LINK_INERTIA,
-    LINK_WIDTH,
-    MASS,
-    OFFSET,
-    PLACES,
-    POSES,
-    SLIDES,
-    TERMS,
-    TURNS,
-    URDF_AXES,
-    WIDTH,
-    WITH_GRAVITY_TORQUE,
-    WITH_POSES,
-    open_arms,
+from multiarm.arms.chain import (
+    add_pair,
+    add_twist_product,
+    column_of,
+    inertial_force,
+    link_inertia,
+    moments,
+    next_frame,
+    power,
+    times_inertia,
+    write_motion,
 )
-from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
+from multiarm.arms.compiled.tables import (
+    JACOBIAN_LANES,
+    JOINT_LANES,
+    LINK_LANES,
+    POSE_LANES,
+    open_arms,
+    open_body,
+    open_jacobian,
+    open_joint,
+    open_link,
+    open_pose,
+)
+from multiarm.contacts.motion import BODY_WIDTH
 from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import (
     add,
     add_cross,
-    add_rotated,
     add_scaled,
     add_symmetric,
-    add_times,
+    compose,
     cross,
     dot,
-    rotate,
-    rotate_symmetric,
     scale,
     sub,
-    times,
 )
 
 
@@ -88,7 +66,7 @@ def update_arms(address, size, _a, _b):
     """Write all terms of compiled arms, and the motion of the links that carry their tips."""
     tables, work = open_arms(struct_at(address, size))
     load_joints(tables, work)
-    for b in range(tables.blocks.shape[0]):
+    for b in range(tables.block_joints.size):
         outwards(tables, work, b)
         inwards(tables, work, b)
         transpose_terms(tables, work, b)
@@ -109,168 +87,96 @@ def load_joints(tables, work):
                 work.sine[k], work.cosine[k] = math.sin(angle), math.cos(angle)
 
 
-@inlined
-def place_joint(tables, work, joint, at, axes, p):
-    """Axes and origin of a joint's frame from those of the joint before."""
-    constants = tables.constants
-    sine, cosine = load_pack(work.sine, joint), load_pack(work.cosine, joint)
-    p = add_rotated(p, axes, vector_at(constants, at + LANES * OFFSET))
-    x = rotate(axes, vector_at(constants, at + LANES * AXES))
-    y = rotate(axes, vector_at(constants, at + LANES * (AXES + 3)))
-    z = rotate(axes, vector_at(constants, at + LANES * (AXES + 6)))
-    p = add_scaled(p, load_pack(constants, at + LANES * SLIDES) * load_pack(work.angle, joint), z)
-    backwards = broadcast(0.0) - sine
-    axes = add_scaled(scale(cosine, x), sine, y), add_scaled(scale(cosine, y), backwards, x), z
-    return axes, p
-
-
-@inlined
-def column(constants, at, z, p):
-    """Linear and angular part of a joint's column."""
-    angular = scale(load_pack(constants, at + LANES * TURNS), z)
-    linear = scale(load_pack(constants, at + LANES * SLIDES), z)
-    return add_cross(linear, p, angular), angular
-
-
-@inlined
-def link_inertia(constants, at, axes, p):
-    """Mass, centre and inertia about it of a link, world axes."""
-    centre = add_rotated(p, axes, vector_at(constants, at + LANES * CENTRE))
-    inertia = rotate_symmetric(axes, symmetric_at(constants, at + LANES * INERTIA))
-    return load_pack(constants, at + LANES * MASS), centre, inertia
-
-
-@inlined
-def put_link_inertia(links, at, body):
-    """Write mass, first moment and second moments ``I + m (c.c - c c^T)`` of a link."""
-    mass, c, inertia = body
-    moment = scale(mass, c)
-    xx, yy, zz = moment[0] * c[0], moment[1] * c[1], moment[2] * c[2]
-    xy, xz, yz = moment[0] * c[1], moment[0] * c[2], moment[1] * c[2]
-    zero = broadcast(0.0)
-    store_pack(links, at, mass)
-    put_vector(links, at + LANES, moment)
-    shifted = (yy + zz, zero - xy, zero - xz, xx + zz, zero - yz, xx + yy)
-    put_symmetric(links, at + 4 * LANES, add_symmetric(inertia, shifted))
-
-
-@inlined
-def put_force(links, at, body, v, w, a, alpha):
-    """Write the force that moves a link, and its moment about the base."""
-    mass, c, inertia = body
-    u = add_cross(v, w, c)
-    force = scale(mass, add_cross(add_cross(a, alpha, c), w, u))
-    momentum = times(inertia, w)
-    moment = add_cross(cross(w, momentum), c, force)
-    put_pair(links, at, force, add_times(moment, inertia, alpha))
-
-
 @kernel
 def outwards(tables, work, b):
     """Columns, inertias and forces of the links of one block; Jacobians, poses and bodies."""
-    constants, links, leaves, block = tables.constants, work.links, work.leaves, tables.blocks[b]
-    zero, gravity = zero_vector(), broadcast_vector(tables.gravity)
+    leaves, zero, gravity = work.leaves, zero_vector(), broadcast_vector(tables.gravity)
     one, none = broadcast(1.0), broadcast(0.0)
     axes, origin = (
         ((one, none, none), (none, one, none), (none, none, one)),
         vector_at(tables.bases[b], 0),
     )
-    p = v = w = alpha = zero
-    a = sub(zero, gravity)
-    joint, link = LANES * block[FIRST], 0
-    at, jacobian, pose = JOINT_WIDTH * joint, LANES * block[JACOBIAN], LANES * block[POSES]
-    for _ in range(block[JOINTS]):
-        rate = load_pack(work.rate, joint)
-        axes, p = place_joint(tables, work, joint, at, axes, p)
-        linear, angular = column(constants, at, axes[2], p)
-        put_pair(links, link + LANES * COLUMN, linear, angular)
-        put_pair(leaves, jacobian, add_cross(linear, origin, angular), angular)
-        linear, angular = scale(rate, linear), scale(rate, angular)
-        a = add_cross(add_cross(a, w, linear), v, angular)
-        alpha = add_cross(alpha, w, angular)
-        v, w = add(v, linear), add(w, angular)
-        body = link_inertia(constants, at, axes, p)
-        put_force(links, link + LANES * FORCE, body, v, w, a, alpha)
-        put_link_inertia(links, link + LANES * LINK_INERTIA, body)
-        if tables.wanted[WITH_POSES] != 0:
-            put_columns(leaves, pose, urdf_axes(constants, at, axes))
-            put_vector(leaves, pose + LANES * ORIGIN_AT, add(p, origin))
-        at, link, joint = at + LANES * JOINT_WIDTH, link + LANES * LINK_WIDTH, joint + LANES
-        jacobian, pose = jacobian + 6 * LANES, pose + 12 * LANES
-    body = LANES * block[WIDTH]
-    put_rows(leaves, body, urdf_axes(constants, at - LANES * JOINT_WIDTH, axes))
-    put_vector(leaves, body + LANES * ORIGIN_AT, add(p, origin))
-    u = add_cross(v, w, p)
-    put_pair(leaves, body + LANES * VELOCITY, u, w)
-    a = add_cross(add_cross(a, alpha, p), w, u)
-    put_pair(leaves, body + LANES * ACCELERATION, add(a, gravity), alpha)
-
-
-@inlined
-def urdf_axes(constants, at, axes):
-    """Axes of a link in its URDF."""
-    at += LANES * URDF_AXES
-    x, y = vector_at(constants, at), vector_at(constants, at + 3 * LANES)
-    z = vector_at(constants, at + 6 * LANES)
-    return rotate(axes, x), rotate(axes, y), rotate(axes, z)
-
-
-@inlined
-def times_inertia(mass, moment, second, linear, angular):
-    """Momentum of a body, linear and angular, at a velocity."""
-    couple = add_times(cross(moment, linear), second, angular)
-    return add_cross(scale(mass, linear), angular, moment), couple
+    p, twist, rate_of_twist = zero, (zero, zero), (sub(zero, gravity), zero)
+    first, n = tables.first_joint[b], tables.block_joints[b]
+    jacobian, pose = LANES * tables.jacobian[b], LANES * tables.poses[b]
+    axes_of_link = axes
+    for k in range(n):
+        lanes = LANES * (first + k)
+        joint = open_joint(tables.constants, JOINT_LANES * (first + k))
+        link, rate = open_link(work.links, LINK_LANES * k), load_pack(work.rate, lanes)
+        axes, p = next_frame(
+            joint, axes, p, load_pack(work.angle, lanes), load_pack(work.sine, lanes),
+            load_pack(work.cosine, lanes),
+        )  # fmt: skip
+        axes_of_link = compose(axes, joint.link_axes)
+        linear, angular = column_of(joint, axes[2], p)
+        link.column = linear, angular
+        about_world = open_jacobian(leaves, jacobian + JACOBIAN_LANES * k)
+        about_world.column = add_cross(linear, origin, angular), angular
+        step = scale(rate, linear), scale(rate, angular)
+        rate_of_twist = add_twist_product(rate_of_twist, twist, step)
+        twist = add_pair(twist, step)
+        body = link_inertia(joint, axes, p)
+        link.force = inertial_force(body, twist, rate_of_twist)
+        link.mass, link.moment, link.second = moments(body)
+        if tables.wanted.poses:
+            placed = open_pose(leaves, pose + POSE_LANES * k)
+            placed.axes, placed.origin = axes_of_link, add(p, origin)
+    body = open_body(leaves, LANES * tables.term_count[b])
+    write_motion(body, axes_of_link, p, origin, twist, rate_of_twist, gravity)
 
 
 @kernel
 def inwards(tables, work, b):
     """Bias, inertia and energy of the arms of one block; gravity torques if wanted."""
-    constants, links, leaves, block = tables.constants, work.links, work.leaves, tables.blocks[b]
-    n, zero, gravity = block[JOINTS], zero_vector(), broadcast_vector(tables.gravity)
-    mass, moment, force, couple = broadcast(0.0), zero, zero, zero
+    links, leaves, gravity = work.links, work.leaves, broadcast_vector(tables.gravity)
+    n, first, zero = tables.block_joints[b], tables.first_joint[b], zero_vector()
+    mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
     for j in range(n - 1, -1, -1):
-        link = LANES * LINK_WIDTH * j
-        at = link + LANES * LINK_INERTIA
-        mass = mass + load_pack(links, at)
-        moment = add(moment, vector_at(links, at + LANES))
-        second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
-        at = link + LANES * FORCE
-        force = add(force, vector_at(links, at))
-        couple = add(couple, vector_at(links, at + 3 * LANES))
-        linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
-        store_pack(leaves, LANES * (block[BIAS] + j), power(linear, angular, force, couple))
+        link = open_link(links, LINK_LANES * j)
+        mass, moment = mass + link.mass, add(moment, link.moment)
+        second, force = add_symmetric(second, link.second), add_pair(force, link.force)
+        column = link.column
+        store_pack(leaves, LANES * (tables.bias[b] + j), power(column, force))
         # momentum of the composite body for a unit rate of the joint
-        f, c = times_inertia(mass, moment, second, linear, angular)
+        momentum = times_inertia(mass, moment, second, column)
         row = LANES * n * j
         for k in range(j):
-            at = LANES * LINK_WIDTH * k
-            axis = vector_at(links, at), vector_at(links, at + 3 * LANES)
-            store_pack(leaves, row + LANES * k, power(axis[0], axis[1], f, c))
-        drive = load_pack(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
-        store_pack(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
-        if tables.wanted[WITH_GRAVITY_TORQUE] != 0:
+            before = open_link(links, LINK_LANES * k)
+            store_pack(leaves, row + LANES * k, power(before.column, momentum))
+        drive = open_joint(tables.constants, JOINT_LANES * (first + j)).armature
+        store_pack(leaves, row + LANES * j, power(column, momentum) + drive)
+        if tables.wanted.gravity_torque:
             weight = scale(mass, gravity), cross(moment, gravity)
-            held = broadcast(0.0) - power(linear, angular, weight[0], weight[1])
-            store_pack(leaves, LANES * (block[GRAVITY_TORQUE] + j), held)
+            held = broadcast(0.0) - power(column, weight)
+            store_pack(leaves, LANES * (tables.gravity_torque[b] + j), held)
     moment = add_scaled(moment, mass, vector_at(tables.bases[b], 0))
     energy = broadcast(0.0) - dot(moment, gravity)
-    store_pack(leaves, LANES * block[ENERGY], energy)
+    store_pack(leaves, LANES * tables.energy[b], energy)
 
 
 @inlined
 def transpose_terms(tables, work, b):
     """Copy the terms of each arm of a block from the lanes to the arm's own array."""
-    block = tables.blocks[b]
-    width, at0 = block[WIDTH], block[TERMS]
-    at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
-    for k in range(0, width if tables.wanted[WITH_POSES] != 0 else block[POSES], LANES):
-        transpose_four(work.leaves, LANES * k, work.terms, at0 + k, at1 + k, at2 + k, at3 + k)
-    at0, at1 = BODY_WIDTH * block[PLACES], BODY_WIDTH * block[PLACES + 1]
-    at2, at3 = BODY_WIDTH * block[PLACES + 2], BODY_WIDTH * block[PLACES + 3]
+    width, arms = tables.term_count[b], tables.arms[b]
+    written = width if tables.wanted.poses else tables.poses[b]
+    transpose_to_arms(work.leaves, 0, written, work.terms, tables.first_term[b], width)
     for k in range(0, BODY_WIDTH, LANES):
-        source = LANES * (width + k)
-        transpose_four(work.leaves, source, work.bodies, at0 + k, at1 + k, at2 + k, at3 + k)
+        transpose_four(
+            work.leaves, LANES * (width + k), work.bodies, BODY_WIDTH * arms[0] + k,
+            BODY_WIDTH * arms[1] + k, BODY_WIDTH * arms[2] + k, BODY_WIDTH * arms[3] + k,
+        )  # fmt: skip
+
+
+@inlined
+def transpose_to_arms(leaves, at, count, out, first, width):
+    """Copy ``count`` numbers of each lane to an array in which an arm has ``width``."""
+    for k in range(0, count, LANES):
+        transpose_four(
+            leaves, at + LANES * k, out, first + k, first + width + k, first + 2 * width + k,
+            first + 3 * width + k,
+        )  # fmt: skip
 
 
 # --- vectorised sine and cosine ------------------------------------------------------------------
@@ -329,58 +235,13 @@ def write_sines(angle, factor, sine, cosine):
     return far
 
 
-# --- vectors and matrices of four arms at once ---------------------------------------------------
+# --- numbers in the four lanes --------------------------------------------------------------------
 
 
 @inlined
 def vector_at(array, at):
     """Vector in three consecutive lanes."""
     return load_pack(array, at), load_pack(array, at + LANES), load_pack(array, at + 2 * LANES)
-
-
-@inlined
-def put_vector(array, at, a):
-    """Write a vector."""
-    store_pack(array, at, a[0])
-    store_pack(array, at + LANES, a[1])
-    store_pack(array, at + 2 * LANES, a[2])
-
-
-@inlined
-def symmetric_at(array, at):
-    """Symmetric matrix in six consecutive lanes."""
-    xx, xy, xz = vector_at(array, at)
-    yy, yz, zz = vector_at(array, at + 3 * LANES)
-    return xx, xy, xz, yy, yz, zz
-
-
-@inlined
-def put_symmetric(array, at, A):
-    """Write a symmetric matrix."""
-    put_vector(array, at, (A[0], A[1], A[2]))
-    put_vector(array, at + 3 * LANES, (A[3], A[4], A[5]))
-
-
-@inlined
-def put_pair(array, at, a, b):
-    """Write two vectors, one after the other."""
-    put_vector(array, at, a)
-    put_vector(array, at + 3 * LANES, b)
-
-
-@inlined
-def put_columns(array, at, axes):
-    """Write a rotation column by column."""
-    put_vector(array, at, axes[0])
-    put_vector(array, at + 3 * LANES, axes[1])
-    put_vector(array, at + 6 * LANES, axes[2])
-
-
-@inlined
-def put_rows(array, at, axes):
-    """Write a rotation row by row."""
-    x, y, z = axes
-    put_columns(array, at, ((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])))
 
 
 @inlined
@@ -394,9 +255,3 @@ def zero_vector():
 def broadcast_vector(a):
     """A vector of plain numbers in all lanes."""
     return broadcast(a[0]), broadcast(a[1]), broadcast(a[2])
-
-
-@inlined
-def power(linear, angular, force, couple):
-    """``linear . force + angular . couple``."""
-    return dot(linear, force) + dot(angular, couple)

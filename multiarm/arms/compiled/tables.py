@@ -1,7 +1,4 @@
-"""Constants and workspace of compiled arms.
-
-A link's frame is rotated so that its joint's axis is z; the axes of its URDF are kept as well.  The
-first joint's origin is the base, to which all positions are relative.
+"""Constants and workspace of compiled arms, chains of :mod:`multiarm.arms.chain`.
 
 Arms are batched by four, one in each lane of a SIMD pack.  A *block* is as long as the longest of
 its arms; shorter ones are padded at the base with joints without motion and mass.  A lane without
@@ -15,44 +12,72 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.terms import ArmStructure
-from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.geometry.screws import skew
+from multiarm.arms.chain import ChainJoint, chain_joints, joints_at_rest
+from multiarm.arms.terms import POSE_WIDTH, ArmStructure, LinkPose
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.rows import Axes, Number, Pair, Symmetric, Vector, fields_of, lanes_of, width
 from multiarm.jit.simd import LANES
-from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, view
+from multiarm.jit.structs import Flag, Floats1, Floats2, Ints1, Ints2, Numbers, view
 
 # Arms with more joints are left to Pinocchio.
 MOST_JOINTS = 16
 
-# Columns of ArmTables.blocks: number of joints; first joint among those of all blocks; offset of
-# the first arm's terms; offsets of Jacobian, bias, gravity torque, potential energy and poses in an
-# arm's terms, and their size; the four arms' numbers in the scene.
-JOINTS, FIRST, TERMS, JACOBIAN, BIAS, GRAVITY_TORQUE, ENERGY, POSES, WIDTH, PLACES = range(10)
-BLOCK_COLUMNS = PLACES + LANES
 
-# Constants of a joint, lanes each: axes (by columns) and origin of its frame in that of the joint
-# before, centre, mass and inertia of its link, whether it turns and whether it slides, inertia of
-# its drive, the link's URDF axes (by columns).
-AXES, OFFSET, CENTRE, MASS, INERTIA, TURNS, SLIDES, ARMATURE, URDF_AXES = (
-    0, 9, 12, 15, 16, 22, 23, 24, 25
+class LinkSweep(NamedTuple):
+    """Results of the outward sweep for a joint and its link, about the base."""
+
+    column: Pair
+    mass: Number
+    moment: Vector  # first moment
+    second: Symmetric  # second moments
+    force: Pair  # that moves the link
+
+
+class TurnSweep(NamedTuple):
+    """Results of the outward sweep for Coriolis forces."""
+
+    column_rate: Pair
+    momentum: Vector  # linear
+    turning: Axes  # the matrix G
+
+
+class JacobianColumn(NamedTuple):
+    """The column of a joint about the world's origin."""
+
+    column: Pair
+
+
+JACOBIAN_WIDTH = width(JacobianColumn)
+JOINT_LANES, LINK_LANES, TURN_LANES, JACOBIAN_LANES, POSE_LANES = (
+    LANES * width(kind) for kind in (ChainJoint, LinkSweep, TurnSweep, JacobianColumn, LinkPose)
+)
+open_joint, open_link, open_turn = lanes_of(ChainJoint), lanes_of(LinkSweep), lanes_of(TurnSweep)
+open_jacobian, open_pose, open_body = (
+    lanes_of(JacobianColumn), lanes_of(LinkPose), lanes_of(BodyMotion)
 )  # fmt: skip
-JOINT_WIDTH = 34
-# Results of the outward sweep for a joint, lanes each: its column, its link's inertia about the
-# base (mass, first moment, second moments), the force that moves the link.
-COLUMN, LINK_INERTIA, FORCE, LINK_WIDTH = 0, 6, 16, 22
-# Results of the outward sweep for Coriolis forces, lanes each: rate of the column; momentum and
-# matrix of :mod:`multiarm.arms.compiled.coriolis`.
-COLUMN_RATE, MOMENTUM, MATRIX, TURN_WIDTH = 0, 6, 9, 18
 
-# Entries of ArmTables.wanted.
-WITH_GRAVITY_TORQUE, WITH_POSES, WANTED = range(3)
+
+class Wanted(Numbers):
+    """What the sweeps write beside what every evaluation needs."""
+
+    gravity_torque: Flag
+    poses: Flag  # of all links
 
 
 class ArmTables(NamedTuple):
-    """Constants of compiled arms; ``J`` joints in all blocks, four lanes each.
+    """Constants of compiled arms; ``b`` blocks, ``J`` joints in all of them, four lanes each.
 
-    blocks : int64 (b, 13)
+    block_joints, first_joint : int64 (b,)
+        Number of joints of each block; its first joint among those of all blocks.
+    arms : int64 (b, 4)
+        Numbers in the scene of a block's arms.
+    first_term, term_count : int64 (b,)
+        Offset of the terms of a block's first arm; their number, the same for each of its arms.
+    jacobian, bias, gravity_torque, energy, poses : int64 (b,)
+        Offsets in an arm's terms, which are its inertia (n, n), of which the lower triangle by rows
+        is written; Jacobian (n, 6), a row a joint; bias (n,), gravity torque (n,); potential energy
+        (1,); poses (n, 12).
     sources : int64 (4 J,)
         Each lane's joint in the stacked vectors.
     joints, energies : int64 (arms,)
@@ -60,14 +85,23 @@ class ArmTables(NamedTuple):
     turns : (4 J,)
         1 for revolute joints, else 0.
     constants : (34 * 4 J,)
+        Of every :class:`multiarm.arms.chain.ChainJoint`, lanes each.
     bases : (b, 12)
         Positions of the arms' first joints in the world [m], lanes each.
     gravity : (3,)
-    wanted : int64 (2,)
-        Flags: write gravity torques, write poses of all links.
+    wanted : Wanted
     """
 
-    blocks: Ints2
+    block_joints: Ints1
+    first_joint: Ints1
+    arms: Ints2
+    first_term: Ints1
+    term_count: Ints1
+    jacobian: Ints1
+    bias: Ints1
+    gravity_torque: Ints1
+    energy: Ints1
+    poses: Ints1
     sources: Ints1
     joints: Ints1
     energies: Ints1
@@ -75,7 +109,7 @@ class ArmTables(NamedTuple):
     constants: Floats1
     bases: Floats2
     gravity: Floats1
-    wanted: Ints1
+    wanted: Wanted
 
 
 class ArmWork(NamedTuple):
@@ -84,14 +118,15 @@ class ArmWork(NamedTuple):
     angles, rates : (joints,)
         Positions and velocities of the system's joints.
     bodies : (24 arms,)
-        Motion of the links that carry the tips, see :mod:`multiarm.contacts.kernel`.
+        Motion of the links that carry the tips, see :class:`multiarm.contacts.motion.BodyMotion`.
     angle, rate, sine, cosine : (4 J,)
         Of every lane's joint.
     links : (22 * 4 n,), link_turns : (18 * 4 n,), leaves : (4 w,)
-        Scratch of one block: results of the outward sweeps; its arms' terms and bodies, lanes each.
+        Scratch of one block: every :class:`LinkSweep` and :class:`TurnSweep`; its arms' terms and
+        bodies, lanes each.
     terms, coriolis : (4 w b,)
-        Every arm's terms, see :func:`_block_columns`; matrices of Coriolis forces by columns, at
-        the offsets of the inertias.
+        Every arm's terms, see :class:`ArmTables`; matrices of Coriolis forces by columns, at the
+        offsets of the inertias.
     """
 
     angles: Floats1
@@ -144,40 +179,42 @@ def make_tables(
         Its first joint in the stacked vectors.
     gravity : ndarray, shape (3,)
     """
-    blocks, sources, constants, bases = [], [], [], []
+    in_blocks = _blocks([arm.masses.size for arm in structures])
+    joints = np.array([structures[arms[0]].masses.size for arms in in_blocks])
+    offsets = _term_offsets(joints)
+    first_term = LANES * np.cumsum([0, *offsets["term_count"][:-1]])
+    sources, constants, bases = [], [], []
     energies = np.zeros(len(structures), dtype=np.int64)
-    first = terms = 0
-    for arms in _blocks([arm.masses.size for arm in structures]):
-        joints = structures[arms[0]].masses.size
-        block = _block_columns(joints)
-        block[FIRST], block[TERMS] = first, terms
-        block[PLACES : PLACES + LANES] = [places[arm] for arm in arms]
+    for b, arms in enumerate(in_blocks):
         for lane, arm in enumerate(arms[: len(set(arms))]):
-            energies[arm] = terms + lane * block[WIDTH] + block[ENERGY]
-        blocks.append(block)
-        packed = [_packed(structures[arm], joints) for arm in arms]
-        constants.append(np.stack(packed, axis=-1))
+            energies[arm] = first_term[b] + lane * offsets["term_count"][b] + offsets["energy"][b]
+        padded = [_padded(structures[arm], joints[b]) for arm in arms]
+        constants.append(np.stack(padded, axis=-1))
         bases.append(np.stack([structures[arm].translations[0] for arm in arms], axis=-1).ravel())
         sizes = [structures[arm].masses.size for arm in arms]
         sources.append(_sources(sizes, [first_joints[arm] for arm in arms]))
-        first, terms = first + joints, terms + LANES * block[WIDTH]
     every = np.concatenate(constants)  # (J, 34, 4)
+    turns = fields_of(ChainJoint, every.swapaxes(1, 2)).turns
     return ArmTables(
-        blocks=np.array(blocks),
+        block_joints=joints,
+        first_joint=np.cumsum([0, *joints[:-1]]),
+        arms=np.array([[places[arm] for arm in arms] for arms in in_blocks]),
+        first_term=first_term,
+        **offsets,
         sources=np.concatenate(sources),
         joints=np.array([arm.masses.size for arm in structures]),
         energies=energies,
-        turns=np.ascontiguousarray(every[:, TURNS]).ravel(),
+        turns=np.ascontiguousarray(turns).ravel(),
         constants=every.ravel(),
         bases=np.array(bases),
         gravity=np.array(gravity, dtype=float),
-        wanted=np.zeros(WANTED, dtype=np.int64),
+        wanted=Wanted(),
     )
 
 
 def make_terms(tables: ArmTables) -> np.ndarray:
     """Allocate one number for every term of all arms."""
-    return np.zeros(LANES * int(np.sum(tables.blocks[:, WIDTH])))
+    return np.zeros(LANES * int(np.sum(tables.term_count)))
 
 
 def make_work(
@@ -185,7 +222,7 @@ def make_work(
     terms: np.ndarray, coriolis: np.ndarray,
 ) -> ArmWork:  # fmt: skip
     """Allocate the workspace; the other arrays are given."""
-    longest, width = (int(np.max(tables.blocks[:, column])) for column in (JOINTS, WIDTH))
+    longest, terms_of_arm = int(np.max(tables.block_joints)), int(np.max(tables.term_count))
     lanes = np.zeros((4, tables.sources.size))
     return ArmWork(
         angles=angles,
@@ -195,30 +232,29 @@ def make_work(
         rate=lanes[1],
         sine=lanes[2],
         cosine=lanes[3],
-        links=np.zeros(LANES * LINK_WIDTH * longest),
-        link_turns=np.zeros(LANES * TURN_WIDTH * longest),
-        leaves=np.zeros(LANES * (width + BODY_WIDTH)),
+        links=np.zeros(LINK_LANES * longest),
+        link_turns=np.zeros(TURN_LANES * longest),
+        leaves=np.zeros(LANES * (terms_of_arm + BODY_WIDTH)),
         terms=terms,
         coriolis=coriolis,
     )
 
 
-def _block_columns(joints: int) -> np.ndarray:
-    """Columns of a block of ``joints`` joints, except ``FIRST``, ``TERMS`` and ``PLACES``.
+def _term_offsets(n: np.ndarray) -> dict[str, np.ndarray]:
+    """Offsets in the terms of arms with so many joints, and their number."""
+    ends = np.cumsum([n * n, JACOBIAN_WIDTH * n, n, n, np.ones_like(n)], axis=0)
+    poses = _rounded_up(ends[4])
+    return {
+        "jacobian": ends[0],
+        "bias": ends[1],
+        "gravity_torque": ends[2],
+        "energy": ends[3],
+        "poses": poses,
+        "term_count": poses + _rounded_up(POSE_WIDTH * n),
+    }
 
-    The terms of an arm are its inertia (n, n), of which the lower triangle by rows is written;
-    Jacobian (n, 6), a row a joint; bias (n,), gravity torque (n,); potential energy (1,); poses
-    (n, 12), axes by columns and origin.
-    """
-    columns, n = np.zeros(BLOCK_COLUMNS, dtype=np.int64), joints
-    columns[JOINTS], columns[JACOBIAN], columns[BIAS] = n, n * n, n * n + 6 * n
-    columns[GRAVITY_TORQUE], columns[ENERGY] = n * n + 7 * n, n * n + 8 * n
-    columns[POSES] = _rounded_up(n * n + 8 * n + 1)
-    columns[WIDTH] = columns[POSES] + _rounded_up(12 * n)
-    return columns
 
-
-def _rounded_up(count: int) -> int:
+def _rounded_up(count: np.ndarray) -> np.ndarray:
     """The next multiple of the number of lanes."""
     return -(-count // LANES) * LANES
 
@@ -236,28 +272,6 @@ def _sources(joints: Sequence[int], first_joints: Sequence[int]) -> np.ndarray:
     return (np.maximum(within_arm, 0) + np.array(first_joints)).ravel().astype(np.int64)
 
 
-def _packed(arm: ArmStructure, joints: int) -> np.ndarray:
-    """Constants of one lane, shape (joints, 34), padded with joints without motion and mass."""
-    packed = np.zeros((joints, JOINT_WIDTH))
-    packed[:, [AXES, AXES + 4, AXES + 8, URDF_AXES, URDF_AXES + 4, URDF_AXES + 8]] = 1.0
-    before = np.eye(3)
-    for k, row in enumerate(packed[joints - arm.masses.size :]):
-        turned = _turned_to_z(arm.axes[k])
-        axes = before.T @ arm.rotations[k] @ turned
-        inertia = turned.T @ arm.inertias[k] @ turned
-        row[AXES : AXES + 9] = axes.T.ravel()
-        row[OFFSET : OFFSET + 3] = before.T @ arm.translations[k] if k > 0 else 0.0
-        row[CENTRE : CENTRE + 3] = turned.T @ arm.centres[k]
-        row[MASS], row[ARMATURE] = arm.masses[k], arm.armature[k]
-        row[INERTIA : INERTIA + 6] = inertia[np.triu_indices(3)]
-        row[TURNS], row[SLIDES] = not arm.slides[k], arm.slides[k]
-        row[URDF_AXES : URDF_AXES + 9] = turned.ravel()
-        before = turned
-    return packed
-
-
-def _turned_to_z(axis: np.ndarray) -> np.ndarray:
-    """A rotation that takes z to the axis."""
-    x = skew(np.eye(3)[np.argmin(np.abs(axis))]) @ axis
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, skew(axis) @ x, axis])
+def _padded(arm: ArmStructure, joints: int) -> np.ndarray:
+    """Constants of one lane, shape (joints, 34), padded at the base."""
+    return np.vstack([joints_at_rest(joints - arm.masses.size), chain_joints(arm)])

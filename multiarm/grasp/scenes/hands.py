@@ -26,8 +26,8 @@ import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
-from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
+from multiarm.assembly.robots import arm_files
 from multiarm.errors import GraspError
 from multiarm.grasp.body.face import across, frame_of
 from multiarm.grasp.body.polyhedron import Polyhedron

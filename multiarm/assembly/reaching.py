@@ -1,4 +1,4 @@
-r"""A step towards a place: the kernel of inverse kinematics.
+r"""Reaching a place: the kernel of inverse kinematics.
 
 The error of a posture is
 
@@ -17,14 +17,22 @@ method converges quadratically, at redundant arms to a posture near the start.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
+from multiarm.arms.chain import (
+    ChainJoint,
+    chain_joints,
+    column_of,
+    frame_after,
+    joints_at_rest,
+    next_frame,
+)
 from multiarm.arms.terms import ArmStructure
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, TABLE, allocating, copy, inlined, kernel
-from multiarm.jit.vectors import compose, rotation_vector
+from multiarm.jit.rows import fields_of, row_of
+from multiarm.jit.vectors import AXES, ZERO, add_cross, compose, rotation_vector
 
 # A posture reaches a place when shift, in lengths of the search, and turn [rad] are off by less.
 REACHED = 1e-8
@@ -33,74 +41,43 @@ STEPS, LONGEST = 60, 0.5
 # Damping at the start, least damping, and where the search gives up, as parts of the squared error.
 DAMPING, LEAST_DAMPING, STUCK = 1e-2, 1e-6, 1e6
 
-# Columns of a chain's table, a row for each joint and one for the end: whether it slides, its axis,
-# and its frame at zero in the one before: rotation row by row, origin.
-SLIDES, AXIS, ROTATION, ORIGIN, CHAIN_WIDTH = 0, 1, 4, 13, 16
+open_joint = row_of(ChainJoint)
 
 
-def chain_table(arm: ArmStructure, end: np.ndarray) -> np.ndarray:
-    """The table of an arm whose end is a frame (4, 4) on its last link."""
-    rows = zip(arm.rotations, arm.translations, arm.slides, arm.axes, strict=True)
-    joints = [chain_row(R, p, slides, axis) for R, p, slides, axis in rows]
-    return np.array([*joints, chain_row(end[:3, :3], end[:3, 3])])
+def chain_to(arm: ArmStructure, end: np.ndarray) -> np.ndarray:
+    """The joints of an arm from the world's origin, and its end as one that does not move.
 
-
-def chain_row(
-    rotation: np.ndarray,
-    origin: np.ndarray,
-    slides: bool = False,
-    axis: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
-) -> np.ndarray:
-    """A row of the table."""
-    return np.concatenate([[slides], axis, rotation.ravel(), origin])
+    Rows of :class:`multiarm.arms.chain.ChainJoint`, shape (n + 1, 34); ``end`` (4, 4) is a frame on
+    the last link.
+    """
+    chain = np.vstack([chain_joints(arm), joints_at_rest(1)])
+    joints = fields_of(ChainJoint, chain)
+    joints.offset[0] = arm.translations[0]
+    joints.axes[-1] = joints.link_axes[-2] @ end[:3, :3]
+    joints.offset[-1] = joints.link_axes[-2] @ end[:3, 3]
+    return chain
 
 
 @kernel
 def write_pose(chain: TABLE, q: NUMBERS, pose: TABLE, J: TABLE):
-    """Write the pose (4, 4) of a chain's end in the world, and its Jacobian (6, n), world axes."""
-    n = q.size
-    for k in range(n + 1):
-        row = chain[k]
-        # origin and rotation of the next frame at zero
-        for i in range(3):
-            for j in range(3):
-                pose[i, 3] += pose[i, j] * row[ORIGIN + j]
-        for i in range(3):
-            a, b, c = pose[i, 0], pose[i, 1], pose[i, 2]
-            for j in range(3):
-                pose[i, j] = (
-                    a * row[ROTATION + j] + b * row[ROTATION + 3 + j] + c * row[ROTATION + 6 + j]
-                )
-        if k == n:
-            break
-        x, y, z = row[AXIS], row[AXIS + 1], row[AXIS + 2]
-        slides = row[SLIDES] != 0.0
-        for i in range(3):
-            along = pose[i, 0] * x + pose[i, 1] * y + pose[i, 2] * z
-            J[i, k] = along if slides else pose[i, 3]  # of a turning joint its origin, for now
-            J[3 + i, k] = 0.0 if slides else along
-            if slides:
-                pose[i, 3] += along * q[k]
-        if not slides:
-            turn_columns(pose, x, y, z, q[k])
+    """Write the pose (4, 4) of a chain's end in the world, and its Jacobian (6, n), world axes.
+
+    The last row of the pose is left as it is.
+    """
+    n, axes, p = q.size, AXES, ZERO
     for k in range(n):
-        if chain[k, SLIDES] == 0.0:
-            a, b, c = J[3, k], J[4, k], J[5, k]
-            x, y, z = pose[0, 3] - J[0, k], pose[1, 3] - J[1, k], pose[2, 3] - J[2, k]
-            J[0, k], J[1, k], J[2, k] = b * z - c * y, c * x - a * z, a * y - b * x
-
-
-@inlined
-def turn_columns(pose, x, y, z, angle):
-    """Turn a rotation about an axis of its own by an angle (Rodrigues' formula)."""
-    sine, rest = math.sin(angle), 1.0 - math.cos(angle)
+        joint = open_joint(chain[k])
+        angle = joint.turns * q[k]
+        axes, p = next_frame(joint, axes, p, q[k], math.sin(angle), math.cos(angle))
+        linear, angular = column_of(joint, axes[2], p)
+        J[0, k], J[1, k], J[2, k] = linear
+        J[3, k], J[4, k], J[5, k] = angular
+    axes, p = frame_after(open_joint(chain[n]), axes, p)
+    for k in range(n):  # about the end
+        linear, angular = (J[0, k], J[1, k], J[2, k]), (J[3, k], J[4, k], J[5, k])
+        J[0, k], J[1, k], J[2, k] = add_cross(linear, angular, p)
     for i in range(3):
-        a, b, c = pose[i, 0], pose[i, 1], pose[i, 2]
-        # a row times (1 + sine K + rest K K), K the matrix of the cross product with the axis
-        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
-        pose[i, 0] = a + sine * u + rest * (v * z - w * y)
-        pose[i, 1] = b + sine * v + rest * (w * x - u * z)
-        pose[i, 2] = c + sine * w + rest * (u * y - v * x)
+        pose[i, 0], pose[i, 1], pose[i, 2], pose[i, 3] = axes[0][i], axes[1][i], axes[2][i], p[i]
 
 
 @allocating
@@ -116,7 +93,12 @@ def reach_place(
     """Move a posture to a place; returns the largest component of the error that is left."""
     n, m = q.size, counted.size
     trial, pose, J = np.empty(n), np.empty((4, 4)), np.empty((6, n))
-    error, there, rows, rows_there = np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n))
+    error, trial_error, rows, trial_rows = (
+        np.empty(m),
+        np.empty(m),
+        np.empty((m, n)),
+        np.empty((m, n)),
+    )
     A, step, y = np.empty((m, m)), np.empty(n), np.empty(m)
     damping = DAMPING
     size = write_error(chain, place, counted, length, q, pose, J, error, rows)
@@ -125,13 +107,15 @@ def reach_place(
         scale = min(1.0, LONGEST / max(longest, 1e-300))
         for k in range(n):
             trial[k] = min(max(q[k] + scale * step[k], lower[k]), upper[k])
-        size_there = write_error(chain, place, counted, length, trial, pose, J, there, rows_there)
-        if size_there < size:
-            size = size_there
+        trial_size = write_error(
+            chain, place, counted, length, trial, pose, J, trial_error, trial_rows
+        )
+        if trial_size < size:
+            size = trial_size
             copy(trial, q)
-            copy(there, error)
+            copy(trial_error, error)
             for i in range(m):
-                copy(rows_there[i], rows[i])
+                copy(trial_rows[i], rows[i])
             damping = max(0.3 * damping, LEAST_DAMPING)
         else:
             damping *= 5.0
@@ -186,9 +170,6 @@ def turn_between(a, b):
 @kernel
 def write_error(chain, place, counted, length, q, pose, J, error, rows):
     """Write the error of a posture and its derivatives; returns the square of the error."""
-    for i in range(4):
-        for j in range(4):
-            pose[i, j] = 1.0 if i == j else 0.0
     write_pose(chain, q, pose, J)
     turn = turn_between(place, pose)
     square = 0.0

@@ -1,0 +1,151 @@
+"""The joints of a scene: their contacts, frames and free motions, and the rows of W.
+
+Joints that another system (``like``) has too are shared with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from multiarm.arms.arm import Arm
+from multiarm.assembly.robots import Robots
+from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
+from multiarm.contacts.table import ContactTable, pack
+from multiarm.contacts.unilateral import UnilateralConstraints, unilateral_constraints
+from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
+from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.effects.building import joint_numbers
+from multiarm.errors import ModelError
+from multiarm.scene import JointSpec, Scene, friction_of
+from multiarm.scene.joints import BUILT_IN
+from multiarm.scene.values import SURROUNDINGS
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All rows of W of a scene."""
+
+    layout: Layout
+    records: Mapping[str, list]  # of every arm, in its tip's frame, and of the surroundings
+    on_links: dict[str, list]  # the same, in the frame of the link that carries the tip
+    table: ContactTable
+    unilateral: UnilateralConstraints | None
+
+
+def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> dict[str, Joint]:
+    """The joints of a scene by arm; equal ones of ``like`` are shared.
+
+    Raises
+    ------
+    ModelError
+        Naming the joint that cannot be made.
+    """
+    shared = {}
+    if like is not None:
+        # a joint without ``at`` is where the tip meets the object
+        moved = scene.object.pose != like.scene.object.pose
+        joints_of_like = {joint.arm: joint for joint in like.scene.joints}
+        for joint in scene.joints:
+            placed = joint.at is not None or not moved
+            if joint.arm in robots.shared and joint == joints_of_like[joint.arm] and placed:
+                shared[joint.arm] = like.model.joints[joint.arm]
+    specs = {joint.arm: joint for joint in scene.joints}
+    return {
+        name: shared.get(name)
+        or _make_joint(specs[name], scene, arm, robots.resolved[name].posture)
+        for name, arm in robots.arms.items()
+    }
+
+
+def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame]:
+    """The frame of every joint, with its free motions, by arm."""
+    closed, frames = data.with_contacts_closed(), {}
+    for joint in scene.joints:
+        frame = closed.model.frames[joint.arm]
+        if joint.free is None:
+            frame = replace(frame, free=free_components(closed, joint.arm, start))
+        elif joint.kind not in BUILT_IN:
+            _check_free(joint, closed, start)
+        frames[joint.arm] = frame
+    return {name: frames[name] for name in closed.model.arm_names}
+
+
+def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> Rows:
+    """All rows that can be active, and which of them are unilateral."""
+    arms = robots.arms
+    contacts = {name: joint.contacts for name, joint in joints.items()}
+    unilateral = _unilateral(scene, robots, contacts)
+    records: Mapping[str, list] = contacts if unilateral is None else unilateral.records
+    around = records.get(SURROUNDINGS, [])
+    owners = [*arms, *([SURROUNDINGS] if around else [])]
+    layout = Layout(
+        names=tuple(arms),
+        dofs=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
+        rows=_bounds([len(records[name]) for name in owners]),
+    )
+    on_links = {}
+    for name, arm in arms.items():
+        on_tip = arm.tip_rotation, arm.tip_translation
+        on_links[name] = [record.moved_on_arm(*on_tip) for record in records[name]]
+    if around:
+        on_links[SURROUNDINGS] = around
+    table = pack([record for on_link in on_links.values() for record in on_link])
+    return Rows(layout, records, on_links, table, unilateral)
+
+
+def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
+    """Contacts, frame and limits of a joint; without ``at`` it is where the tip is at the start."""
+    try:
+        if joint.at is not None:
+            pose = joint.at.matrix()
+        else:
+            frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ joint.start_shift()
+            pose = np.linalg.solve(scene.object.pose.matrix(), frame)
+        contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
+    except ModelError as error:
+        raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
+    frame = JointFrame(on_tip, on_object, joint.free or ())
+    return Joint(contacts, frame, joint.free_limits)
+
+
+def _check_free(joint: JointSpec, data: Data, start: State) -> None:
+    """Raise unless the components that a kind calls free are coordinates of its free motions."""
+    free = free_components(data, joint.arm, start)
+    space = null_space(joint_wrenches(data, joint.arm)).basis  # (6, m)
+    parts = space[list(joint.free or ())]
+    if len(parts) != len(free) or np.linalg.matrix_rank(parts, 1e-6) < len(free):
+        motions = ", ".join(COMPONENTS[k] for k in free) or "no motion"
+        raise ModelError(
+            f"joint of arm '{joint.arm}': joint kind {joint.kind!r} says free = {joint.free}, but "
+            f"its contacts leave {motions} free; correct it, or leave it out"
+        )
+
+
+def _unilateral(
+    scene: Scene, robots: Robots, contacts: Mapping[str, list]
+) -> UnilateralConstraints | None:
+    effects = scene.effects
+    has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
+    if not (effects.with_events or has_friction):
+        return None
+    limits = {
+        name: dict(zip(arm.joint_names, map(tuple, arm.position_limits), strict=True))
+        for name, arm in robots.arms.items()
+    }
+    dry = None
+    if "joint_friction" in effects.with_events and effects.joint_friction is not None:
+        outlines = {name: arm.joints for name, arm in robots.resolved.items()}
+        dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
+    return unilateral_constraints(scene, contacts, limits, dry)
+
+
+def _bounds(sizes: list[int]) -> tuple[int, ...]:
+    return (0, *np.cumsum(sizes).tolist())

@@ -1,0 +1,135 @@
+"""Why a start is refused, in words: what is wrong, by how much, and what to correct."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.assembly.loop_closure import (
+    FARTHEST,
+    Closing,
+    Linkage,
+    Outcome,
+    gaps_by_arm,
+    joints_at_limit,
+    projection_tolerance,
+)
+from multiarm.contacts.kernel import GAP
+from multiarm.contacts.table import JointRow
+from multiarm.contacts.unilateral import LIMIT, Constraint
+from multiarm.dynamics.model import Data
+from multiarm.scene import Scene
+from multiarm.scene.faults import counted
+from multiarm.scene.values import SURROUNDINGS
+
+
+def inside(data: Data, constraint: Constraint, depth: float) -> str:
+    """The fault of a contact or joint that is beyond what it may reach, by ``depth`` [m, rad]."""
+    if constraint.kind != LIMIT:
+        where = f"'{constraint.arm}/{constraint.name}' is inside the arm's surface"
+        remedy = "the posture"
+        if constraint.arm == SURROUNDINGS:
+            where, remedy = f"'{constraint.name}' of the object is below the floor", "'object.pose'"
+        return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
+    first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
+    limit = data.model.records[constraint.row]
+    assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
+    at = data.arrays.state.joint_positions[first + limit.joint]
+    end = "below its lower end" if limit.side > 0.0 else "above its upper end"
+    name = f"{constraint.arm}/{data.model.joint_name(constraint.joint)}"
+    return (
+        f"$.effects.joint_limits: '{name}' starts at {at:.6g}, {end} {limit.bound:.6g}; "
+        f"correct the posture, or the range"
+    )
+
+
+def too_far(data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: float) -> list[str]:
+    """One fault for every joint whose gap in the data exceeds the limit [m]."""
+    kinds = {joint.arm: joint.kind for joint in scene.joints}
+    phi = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, GAP]))
+    faults, near = [], {}
+    for arm, gap in gaps.items():
+        if gap <= limit:
+            near[arm] = gap
+            continue
+        contact = data.model.contacts[arm][int(np.argmax(phi[arm]))]
+        remedy = "or `at` (or leave `at` out to join the object where the tip is)"
+        if kinds[arm] == "contacts":
+            remedy = (
+                "or the contact's geometry (of the arm in the tip's frame, of the object in its)"
+            )
+        faults.append(
+            f"{name} does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left "
+            f"at '{contact.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
+            f"{remedy}"
+        )
+    if near:
+        faults[-1] += f" (gaps of the other joints: {_listed(near)})"
+    return faults
+
+
+def cannot_close(
+    data: Data, name: str, gaps: dict[str, float], linkage: Linkage, end: Closing
+) -> list[str]:
+    """Why the linkage of object and all arms could not be closed, from ``gaps`` as written [m].
+
+    The posture that was reached is in the data.
+    """
+    faults = _contradictions(data, name, linkage)
+    if faults:
+        return faults
+    if end.outcome is Outcome.FAR:
+        names = [*["the object"] * 6, *(f"joint '{name}'" for name in data.model.joint_names)]
+        worst = int(np.argmax(end.changes))
+        why = f"{names[worst]} would have to move by more than "
+        why += f"{FARTHEST * linkage.unit[worst]:.3g} rad or m for it, which is no correction"
+    else:
+        left = {
+            arm: f"{gap:.3g} m at '{_worst_contact(data, arm)}'"
+            for arm, gap in gaps_by_arm(data).items()
+        }
+        why = "no motion of the arms and the object lessens what then is left, "
+        why += ", ".join(f"{arm}: {text}" for arm, text in left.items())
+        why += "; the arms are at the end of their reach, or have too few joints for these contacts"
+        stopped = joints_at_limit(data)
+        if stopped:
+            why += f"; at a limit: {', '.join(stopped)}"
+    return [
+        f"{name} does not satisfy the joints and could not be closed from there (gaps "
+        f"{_listed(gaps)}): {why}; move the postures or `at` closer together, "
+        "or leave out `at` to join the object where the tip is"
+    ]
+
+
+def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
+    """Joints whose own contacts cannot all be closed, wherever the arm is."""
+    b, faults, tolerance = data.arrays, [], projection_tolerance(data)
+    wrenches = b.rows.Wo[linkage.rows] * linkage.unit[:6]
+    phi = b.rows.kinematics[linkage.rows, GAP]
+    for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
+        U, s, _ = np.linalg.svd(wrenches[of_arm])
+        dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
+        opposed = dependent @ (dependent.T @ phi[of_arm])
+        worst = float(np.max(np.abs(opposed), initial=0.0))
+        # at least a tenth of the joint's largest gap; contacts with less than a tenth of the worst
+        # part are not named
+        if not worst > max(0.1 * float(np.max(np.abs(phi[of_arm]), initial=0.0)), tolerance):
+            continue
+        rows = linkage.rows[of_arm][np.abs(opposed) > 0.1 * worst]
+        names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
+        faults.append(
+            f"the contacts {counted(names, 6)} of arm '{arm}' contradict each other "
+            f"at {name.removeprefix('the ')}: as surfaces of two rigid bodies they cannot all "
+            f"touch, gaps of {worst:.3g} m stay between them; leave one of them out, or correct "
+            f"its geometry"
+        )
+    return faults
+
+
+def _listed(gaps: dict[str, float]) -> str:
+    """Gaps of the arms [m] in one line."""
+    return ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in gaps.items())
+
+
+def _worst_contact(data: Data, arm: str) -> str:
+    phi = data.model.layout.split_contacts(data.arrays.rows.kinematics[:, GAP])[arm]
+    return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name
