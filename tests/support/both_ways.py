@@ -19,8 +19,7 @@ import golden
 import numpy as np
 
 import multiarm as ma
-from multiarm.arms.chain import next_frame
-from multiarm.arms.compiled.kernels import update_arms
+from multiarm.arms.compiled.kernels import outwards, update_arms
 from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.jit.kernels import kernel
 from multiarm.jit.simd import (
@@ -164,7 +163,7 @@ def lines_of_kernels() -> golden.Results:
     from multiarm.dynamics.equations import evaluate_state
 
     system, seen = swinging("compiled"), {}
-    for function in (evaluate_state, update_arms, next_frame):
+    for function in (evaluate_state, update_arms, outwards):
         seen[function.py_func.__code__] = set()
 
     def trace(frame, event, argument):

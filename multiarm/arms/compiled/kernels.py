@@ -90,7 +90,8 @@ def load_joints(tables, work):
 @kernel
 def outwards(tables, work, b):
     """Columns, inertias and forces of the links of one block; Jacobians, poses and bodies."""
-    leaves, zero, gravity = work.leaves, zero_vector(), broadcast_vector(tables.gravity)
+    constants, links, leaves = tables.constants, work.links, work.leaves
+    zero, gravity = zero_vector(), broadcast_vector(tables.gravity)
     one, none = broadcast(1.0), broadcast(0.0)
     axes, origin = (
         ((one, none, none), (none, one, none), (none, none, one)),
@@ -99,16 +100,14 @@ def outwards(tables, work, b):
     p, twist, rate_of_twist = zero, (zero, zero), (sub(zero, gravity), zero)
     first, n = tables.first_joint[b], tables.block_joints[b]
     jacobian, pose = LANES * tables.jacobian[b], LANES * tables.poses[b]
-    axes_of_link = axes
     for k in range(n):
         lanes = LANES * (first + k)
-        joint = open_joint(tables.constants, JOINT_LANES * (first + k))
-        link, rate = open_link(work.links, LINK_LANES * k), load_pack(work.rate, lanes)
+        joint = open_joint(constants, JOINT_LANES * (first + k))
+        link, rate = open_link(links, LINK_LANES * k), load_pack(work.rate, lanes)
         axes, p = next_frame(
             joint, axes, p, load_pack(work.angle, lanes), load_pack(work.sine, lanes),
             load_pack(work.cosine, lanes),
         )  # fmt: skip
-        axes_of_link = compose(axes, joint.link_axes)
         linear, angular = column_of(joint, axes[2], p)
         link.column = linear, angular
         about_world = open_jacobian(leaves, jacobian + JACOBIAN_LANES * k)
@@ -116,20 +115,22 @@ def outwards(tables, work, b):
         step = scale(rate, linear), scale(rate, angular)
         rate_of_twist = add_twist_product(rate_of_twist, twist, step)
         twist = add_pair(twist, step)
-        body = link_inertia(joint, axes, p)
-        link.force = inertial_force(body, twist, rate_of_twist)
-        link.mass, link.moment, link.second = moments(body)
+        inertia = link_inertia(joint, axes, p)
+        link.force = inertial_force(inertia, twist, rate_of_twist)
+        link.mass, link.moment, link.second = moments(inertia)
         if tables.wanted.poses:
             placed = open_pose(leaves, pose + POSE_LANES * k)
-            placed.axes, placed.origin = axes_of_link, add(p, origin)
+            placed.axes, placed.origin = compose(axes, joint.link_axes), add(p, origin)
+    last = open_joint(constants, JOINT_LANES * (first + n - 1))
     body = open_body(leaves, LANES * tables.term_count[b])
-    write_motion(body, axes_of_link, p, origin, twist, rate_of_twist, gravity)
+    write_motion(body, compose(axes, last.link_axes), p, origin, twist, rate_of_twist, gravity)
 
 
 @kernel
 def inwards(tables, work, b):
     """Bias, inertia and energy of the arms of one block; gravity torques if wanted."""
-    links, leaves, gravity = work.links, work.leaves, broadcast_vector(tables.gravity)
+    constants, links, leaves = tables.constants, work.links, work.leaves
+    gravity = broadcast_vector(tables.gravity)
     n, first, zero = tables.block_joints[b], tables.first_joint[b], zero_vector()
     mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
@@ -145,7 +146,7 @@ def inwards(tables, work, b):
         for k in range(j):
             before = open_link(links, LINK_LANES * k)
             store_pack(leaves, row + LANES * k, power(before.column, momentum))
-        drive = open_joint(tables.constants, JOINT_LANES * (first + j)).armature
+        drive = open_joint(constants, JOINT_LANES * (first + j)).armature
         store_pack(leaves, row + LANES * j, power(column, momentum) + drive)
         if tables.wanted.gravity_torque:
             weight = scale(mass, gravity), cross(moment, gravity)
