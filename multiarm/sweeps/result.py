@@ -278,11 +278,9 @@ class SweepSummary:
 def _spread(cells: pandas.Series, column: Column) -> Spread:
     numbers = cells.dropna().astype(float) + 0.0  # -0.0 becomes 0.0
     if numbers.empty:
-        return Spread(column.name, column.unit, column.words, count=0)
+        return Spread(*column, count=0)
     return Spread(
-        column.name,
-        column.unit,
-        column.words,
+        *column,
         count=len(numbers),
         smallest=_finite(numbers.min()),
         smallest_run=int(numbers.idxmin()),
