@@ -64,7 +64,12 @@ class RowSelection(Data):
         The selected rows, increasing.
     counts : list of int
         How many each arm has of them.
+    tangents : RowSelection, optional
+        With the tangents of those that slide, see :mod:`multiarm.dynamics.sliding`; they are
+        selected before the rows.
     """
+
+    tangents: RowSelection | None = None
 
     def __init__(self, full: Data, **variables: Any) -> None:
         vars(self).update(vars(full))
@@ -111,7 +116,8 @@ class RowSelection(Data):
         order = group_order(self._dofs, counts)
         write_selection(self.struct, self._full.struct, rows, bounds, order)
         self.rows, self.counts = rows, counts
-        self.cache = self._cache_of(tuple(rows.tolist()))
+        beside = [] if self.tangents is None else self.tangents.rows.tolist()
+        self.cache = self._cache_of(tuple(rows.tolist()), tuple(beside))
         for name in ("model", "arrays", "work", "coupled"):
             vars(self).pop(name, None)
 
@@ -147,7 +153,7 @@ class RowSelection(Data):
         return beginnings(self._coupled, coupled_shapes(self._dofs, self.counts))
 
 
-def _cache_of(rows: tuple[int, ...]) -> dict[object, Any]:
+def _cache_of(rows: tuple[int, ...], beside: tuple[int, ...]) -> dict[object, Any]:
     return {}
 
 
