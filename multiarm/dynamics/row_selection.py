@@ -116,8 +116,11 @@ class RowSelection(Data):
         order = group_order(self._dofs, counts)
         write_selection(self.struct, self._full.struct, rows, bounds, order)
         self.rows, self.counts = rows, counts
-        beside = [] if self.tangents is None else self.tangents.rows.tolist()
-        self.cache = self._cache_of(tuple(rows.tolist()), tuple(beside))
+        selected = np.zeros(self._bounds[-1], dtype=np.uint8)
+        selected[rows] = 1
+        if self.tangents is not None:
+            selected[self.tangents.rows] = 2
+        self.cache = self._cache_of(selected.tobytes())
         for name in ("model", "arrays", "work", "coupled"):
             vars(self).pop(name, None)
 
@@ -153,7 +156,7 @@ class RowSelection(Data):
         return beginnings(self._coupled, coupled_shapes(self._dofs, self.counts))
 
 
-def _cache_of(rows: tuple[int, ...], beside: tuple[int, ...]) -> dict[object, Any]:
+def _cache_of(selected: bytes) -> dict[object, Any]:
     return {}
 
 
