@@ -43,7 +43,8 @@ import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import KIND, TANGENT
-from multiarm.dynamics.contact_derivatives import arm_columns
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
+from multiarm.dynamics.coordinates import state_columns
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
     solve_by_arms,
@@ -56,6 +57,8 @@ from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
+from multiarm.dynamics.sliding import Slides
+from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
@@ -111,6 +114,31 @@ def differentiate(
     return Derivatives(found, matrix, rows, columns, layout, message, motions)
 
 
+def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives) -> np.ndarray:
+    """Derivatives of the friction of sliding contacts, (s, 2, C), along their two tangents.
+
+    At the evaluation of the data, whose ``derivatives`` are given.
+    """
+    matrix, columns, layout = derivatives.matrix, derivatives.columns, derivatives.layout
+    equations = _Equations(data, "placements" in columns, columns)
+    states = columns["torques"].start
+    normal = matrix[derivatives.rows["contact_forces"]][slides.row]
+    turns = np.zeros((len(slides.row), matrix.shape[1]))
+    for turn, angle, i in zip(turns, equations.friction.angle, slides.arm, strict=True):
+        d0, own = layout.dofs[i], arm_columns(layout.dofs[i + 1] - layout.dofs[i], False)
+        at = state_columns(data.arrays)
+        turn[[column_of_state(at, own, d0, c) for c in range(own.end)]] = angle[: own.end]
+        if "placements" in columns and i < len(layout.names):
+            first = columns["placements"].start + 6 * i
+            turn[first : first + 6] = angle[own.end : own.end + 6]
+    if not derivatives.motions.independent:
+        turns[:, :states] = turns[:, :states] @ derivatives.motions.admissible()
+    across = slides.turning[:, ::-1] * [-1.0, 1.0]
+    pull = slides.mu * data.arrays.rows.force[slides.row]
+    along = slides.mu[:, None, None] * slides.turning[:, :, None] * normal[:, None]
+    return -along - pull[:, None, None] * across[:, :, None] * turns[:, None]
+
+
 class _Equations:
     """The derivatives of F at the solution in some data, and the solution for ``dy``.
 
@@ -120,6 +148,7 @@ class _Equations:
         Columns of a wrench on the object, which may follow after those that are wanted.
     width : int
         Number of columns with these.
+    friction : FrictionDerivatives
     """
 
     def __init__(self, data: Data, parameters: bool, columns: Mapping[str, slice]) -> None:
@@ -129,6 +158,7 @@ class _Equations:
         self.width = max(end, self.wrench.stop)
         placements = columns["placements"].start if parameters else -1
         self._work, self._struct = equation_work(data, self.width, placements)
+        self.friction, self._friction = friction_derivatives(data, self.width, placements)
         self._update()
 
     def solve_by_arms(self, matrix: np.ndarray) -> bool:
@@ -190,7 +220,10 @@ class _Equations:
 
     def _update(self) -> None:
         """Derivatives of the equations at the solution in the data."""
-        require_ok(self._data, write_derivatives(self._data.struct, self._struct))
+        data = self._data
+        require_ok(data, write_derivatives(data.struct, self._struct))
+        if data.arrays.modes.slides:
+            require_ok(data, add_friction(data.struct, self._struct, self._friction))
         b, dF_o = self._data.arrays, self._work.dF_o
         dF_o[:, self.wrench] = _PUSH
         if not self._parameters:

@@ -78,6 +78,7 @@ class EquationWork(NamedTuple):
     M: Floats3  # (n, d, d)
     dF: Floats3  # (n, d + m, C + d + 6) derivatives of F_i and F_phi
     dF_o: Floats2  # (6, columns) of F_o
+    Wr: Floats2  # (N, 6) the object's rows of the contact forces, those of W_o without friction
     rates: Floats2  # (N, C) of the gaps' rates
     # (C + 1, 6) derivatives, and in the last used row the values, of the contacts' wrench on the
     # object, about its centre of mass in world axes, and of the opposite one on the link, about its
@@ -103,7 +104,7 @@ class EquationWork(NamedTuple):
 # A twist and an acceleration.
 AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-_open_links = view(ArmLinks)
+open_links = view(ArmLinks)
 open_equations = view(EquationWork, len(ArmLinks._fields))
 
 
@@ -121,6 +122,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         M=np.zeros((n, d, d)),
         dF=np.zeros((n, d + m, C + d + 6)),
         dF_o=np.zeros((6, columns)),
+        Wr=np.zeros((N, 6)),
         rates=np.zeros((N, C)),
         body=np.zeros(BODY_WIDTH),
         link=np.zeros(BODY_WIDTH),
@@ -169,12 +171,15 @@ def equation_work(
 def write_derivatives(struct: INTS, own: INTS):
     """Write the derivatives of all equations at the solution in the data; returns a status.
 
-    ``own`` is the struct of :func:`equation_work`.
+    Without friction (:mod:`multiarm.dynamics.sliding_derivatives`).  ``own`` is the struct of
+    :func:`equation_work`.
     """
     data, work = open_data(struct), open_equations(own)
     copy(data.state.joint_rates, work.v)
     copy(data.accelerations.a_j, work.a_j)
     copy(data.rows.force, work.force)
+    for k in range(data.rows.Wo.shape[0]):
+        copy(data.rows.Wo[k], work.Wr[k])
     write_body(data, data.state.object_twist, data.accelerations.a_o, work)
     status = differentiate_bodies(struct, own)
     add_object_equation(
@@ -219,7 +224,7 @@ def differentiate_bodies(struct, own):
     At the motion and the contact forces in ``work.body, v, a_j, force``.
     """
     model, data, system = open_system(struct)
-    links, work = _open_links(own), open_equations(own)
+    links, work = open_links(own), open_equations(own)
     for l in range(6):
         clear(work.dF_o[l])
     for i in range(system.dofs.size - 1):
@@ -326,7 +331,7 @@ def add_drift_feedback(struct, own, alpha, beta):
     After :func:`write_derivatives`; ``alpha, beta`` [1/s] are the gains.
     """
     model, data, system = open_system(struct)
-    links, work = _open_links(own), open_equations(own)
+    links, work = open_links(own), open_equations(own)
     for i in range(system.dofs.size - 1):
         n, first = system.dofs[i + 1] - system.dofs[i], system.rows[i]
         columns, W = columns_of_arm(i, n, links, work), system.W[i]
@@ -361,7 +366,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
     Their rows are those of the object, of the joints and of the contacts, 6 + n + N.
     """
     _, data, system = open_system(struct)
-    links, work = _open_links(own), open_equations(own)
+    links, work = open_links(own), open_equations(own)
     places, columns_of_state = chart_places(data), state_columns(data)
     for l in range(places.joints):
         for c in range(dF.shape[1]):
@@ -380,7 +385,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
                 K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
         for k in range(first, last):
             for l in range(places.joints):
-                K[l, places.velocity + k] -= data.rows.Wo[k, l]
+                K[l, places.velocity + k] -= work.Wr[k, l]
                 K[places.velocity + k, l] += data.rows.Wo[k, l]
 
 
@@ -410,24 +415,27 @@ def solve_at_once(struct, own, matrix):
 
 @allocating
 def separate_dependent_rows(K, nv, dependent):
-    r"""Add :math:`N N^T` to the block of the forces: K is regular then, the accelerations the same.
+    r"""Add :math:`N\tilde N^T` to the block of the forces: K is regular then, its motions the same.
 
-    The columns of N are orthonormal combinations of constraints with :math:`W N = 0`, as many as
-    are ``dependent``: their part of the right-hand sides, which no acceleration can meet, goes into
-    forces without effect.
+    The columns of N, as many as constraints are ``dependent``, are orthonormal with :math:`W N = 0`
+    and :math:`\tilde W\tilde N = 0`.  So the part of the right-hand sides that no acceleration
+    can meet goes into forces without effect.
     """
     if dependent == 0:
         return
     rows = K.shape[0] - nv
-    G, V, singular = np.zeros((rows, nv)), np.zeros((rows, rows)), np.zeros(rows)
+    G, Gr, singular = np.zeros((rows, nv)), np.zeros((rows, nv)), np.zeros(rows)
+    V, Vr = np.zeros((rows, rows)), np.zeros((rows, rows))
     for k in range(rows):
         for l in range(nv):
             G[k, l] = K[nv + k, l] / math.sqrt(K[l, l])
+            Gr[k, l] = -K[l, nv + k] / math.sqrt(K[l, l])
     decompose(G, rows, nv, V, singular)
+    decompose(Gr, rows, nv, Vr, singular)
     for k in range(rows - dependent, rows):
         for a in range(rows):
             for b in range(rows):
-                K[nv + a, nv + b] += V[k, a] * V[k, b]
+                K[nv + a, nv + b] += V[k, a] * Vr[k, b]
 
 
 @kernel
@@ -438,7 +446,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     The result is ``SINGULAR`` where an arm, or the object, cannot be solved so.
     """
     _, data, system = open_system(struct)
-    links, work = _open_links(own), open_equations(own)
+    links, work = open_links(own), open_equations(own)
     S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
     for l in range(6):
         copy(data.bodies.object_inertia[l], S[l])
@@ -457,10 +465,10 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
             forces = X[n + k - first]
             for l in range(6):
                 subtract_own(
-                    data.rows.Wo[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
+                    work.Wr[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
                 )
                 for c in range(6):
-                    S[l, c] += data.rows.Wo[k, l] * forces[C + n + c]
+                    S[l, c] += work.Wr[k, l] * forces[C + n + c]
     if not factor_lu(S, 6, work.pivots) > 0.0:
         return SINGULAR
     solve_rows(S, 6, work.pivots, matrix)

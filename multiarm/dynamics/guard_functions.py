@@ -211,7 +211,7 @@ class Slip(NamedTuple):
 
     tangent: Int  # the row of the first of its two tangents
     constraint: Int  # of the scene's unilateral constraints
-    directions: Floats2  # (s, 2) of all sliding contacts, see multiarm.events.sliding
+    directions: Floats2  # (s, 2) of all sliding contacts, see multiarm.dynamics.sliding
 
 
 SLIP, slip_at = _kind(Slip)

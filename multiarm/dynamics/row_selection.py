@@ -64,7 +64,12 @@ class RowSelection(Data):
         The selected rows, increasing.
     counts : list of int
         How many each arm has of them.
+    tangents : RowSelection, optional
+        With the tangents of those that slide, see :mod:`multiarm.dynamics.sliding`; they are
+        selected before the rows.
     """
+
+    tangents: RowSelection | None = None
 
     def __init__(self, full: Data, **variables: Any) -> None:
         vars(self).update(vars(full))
@@ -111,7 +116,11 @@ class RowSelection(Data):
         order = group_order(self._dofs, counts)
         write_selection(self.struct, self._full.struct, rows, bounds, order)
         self.rows, self.counts = rows, counts
-        self.cache = self._cache_of(tuple(rows.tolist()))
+        selected = np.zeros(self._bounds[-1], dtype=np.uint8)
+        selected[rows] = 1
+        if self.tangents is not None:
+            selected[self.tangents.rows] = 2
+        self.cache = self._cache_of(selected.tobytes())
         for name in ("model", "arrays", "work", "coupled"):
             vars(self).pop(name, None)
 
@@ -147,7 +156,7 @@ class RowSelection(Data):
         return beginnings(self._coupled, coupled_shapes(self._dofs, self.counts))
 
 
-def _cache_of(rows: tuple[int, ...]) -> dict[object, Any]:
+def _cache_of(selected: bytes) -> dict[object, Any]:
     return {}
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.derivatives import differentiate
+from multiarm.dynamics.derivatives import differentiate, differentiate_friction
 from multiarm.dynamics.sensitivity import Derivatives, rows_of
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
@@ -51,7 +51,7 @@ def derivatives(
         When ``system`` is no system, ``t`` no time, or ``state`` none of its states.
     SolverError
         When the state cannot be evaluated, or accelerations are not differentiable there: the rank
-        of the constraints changes, or contacts slide with friction.
+        of the constraints changes, or friction leaves the motion open.
     ControlError
         When a Python controller returns something unusable.
     """
@@ -62,10 +62,10 @@ def derivatives(
             evaluated = evaluation.evaluate(data, t, state)
             return differentiate(data, evaluated, closed_loop, parameters)
         modes = enter_mode_at(data, t, state)
-        if modes.slides.row.size:
+        if not modes.data.arrays.solution.motion_unique:
             raise SolverError(
-                "derivatives: contacts slide with friction at this state, whose direction turns "
-                "with the slip; take a state where they stick, or leave friction out"
+                "derivatives: forces of contacts that slide with friction leave the motion open at "
+                "this state; leave out contacts that others make redundant, or friction"
             )
         evaluated = evaluation.evaluate(modes.data, t, state)
         of_held_rows = differentiate(modes.data, evaluated, closed_loop, parameters)
@@ -75,6 +75,10 @@ def derivatives(
         forces = rows["contact_forces"].start
         held = np.r_[:forces, forces + modes.data.rows, rows["effect_state_rates"]]
         matrix[held] = of_held_rows.matrix
+        if modes.slides.row.size:
+            friction = differentiate_friction(modes.data, modes.slides, of_held_rows)
+            for k in range(2):
+                matrix[forces + modes.slides.tangent_of_all + k] = friction[:, k]
         return replace(
             of_held_rows,
             evaluation=evaluate_mode(modes, t, state),

@@ -25,6 +25,14 @@ from multiarm.dynamics.guards import (
     write_values,
 )
 from multiarm.dynamics.residuals import imbalance
+from multiarm.dynamics.sliding import (
+    Slides,
+    follow_slip,
+    friction_power,
+    open_slides,
+    slides_of,
+    write_reactions,
+)
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
@@ -33,7 +41,6 @@ from multiarm.dynamics.solver.reactions import (
 )
 from multiarm.dynamics.solver.solution import FRICTION, write_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
-from multiarm.events.sliding import Slides, follow_slip, friction_power, write_reactions
 from multiarm.jit.kernels import INTS, cfunc, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import (
@@ -41,7 +48,6 @@ from multiarm.jit.structs import (
     Float,
     Floats1,
     Floats2,
-    Int,
     Ints1,
     Numbers,
     count_entries,
@@ -55,8 +61,6 @@ from multiarm.jit.structs import (
 class ModeNumbers(Numbers):
     """Numbers of one mode."""
 
-    slow: Float  # the speed ``s_0`` [m/s]
-    power: Int  # index of the power of sliding friction in ``data.effects.power``
     muted: Flag  # the current step ends at an event that has been located
     stressed: Flag  # there are forces ``lambda_0``
     begin: Float  # of the last step [s]
@@ -77,17 +81,16 @@ class ModeArrays(NamedTuple):
 
 
 def mode_struct(
-    arrays: ModeArrays, slides: Slides, guards: Guards, reactions: ReactionWork | None = None
+    guards: Guards, slides: Slides, arrays: ModeArrays, reactions: ReactionWork | None = None
 ) -> np.ndarray:
     """Struct of a mode, which begins with its guards; the functions below open its parts."""
-    return struct_of(guards, arrays, slides, *([] if reactions is None else [reactions]))
+    return struct_of(guards, slides, arrays, *([] if reactions is None else [reactions]))
 
 
-_MODE = count_entries(Guards)
-_SLIDES = _MODE + count_entries(ModeArrays)
-_REACTIONS = _SLIDES + count_entries(Slides)
-open_mode, open_slides = view(ModeArrays, _MODE), view(Slides, _SLIDES)
-open_reactions = view(ReactionWork, _REACTIONS)
+_SLIDES = count_entries(Guards)
+_MODE = _SLIDES + count_entries(Slides)
+_REACTIONS = _MODE + count_entries(ModeArrays)
+open_mode, open_reactions = view(ModeArrays, _MODE), view(ReactionWork, _REACTIONS)
 
 
 class ModeSizes(NamedTuple):
@@ -115,7 +118,7 @@ def mode_sizes(reactions: Mapping[str, tuple[int, ...]]) -> ModeSizes:
 
     return ModeSizes(
         rows=lengths(ModeArrays, _MODE, ("held", "Wr", "prestress")),
-        slides=lengths(Slides, _SLIDES, Slides._fields),
+        slides=lengths(Slides, _SLIDES, Slides._fields[1:]),
         guards=lengths(Guards, 0, [name for name in Guards._fields if name not in SHARED]),
         reactions=size_places(ReactionWork, _REACTIONS, reactions),
     )
@@ -172,7 +175,7 @@ def solve_sliding(address, size, _a, _b):
     model, data, work = open_system(struct)
     of_mode = struct_at(data.modes.mode, 0)
     mode, slides, reactions = open_mode(of_mode), open_slides(of_mode), open_reactions(of_mode)
-    if write_reactions(data, work, mode.Wr, slides, mode.numbers.slow, reactions) != OK:
+    if write_reactions(data, work, mode.Wr, slides, reactions) != OK:
         return CALLBACK_FAILED
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
@@ -190,7 +193,7 @@ def solve_sliding(address, size, _a, _b):
     if mode.numbers.stressed:
         take_prestress(mode, data)
     power = friction_power(slides, data.rows.force)
-    data.effects.power[mode.numbers.power] = power
+    data.effects.power[slides.numbers.power] = power
     data.effects.power[data.effects.power.size - 1] += power
     return OK
 
@@ -237,7 +240,7 @@ def record_forces(address, size, _t, _b):
     """Write the forces of all rows, the states of contacts and the wrenches to ``data.sample``."""
     data = open_data(struct_at(address, size))
     of_mode = struct_at(data.modes.mode, 0)
-    mode, slides, shown = open_mode(of_mode), open_slides(of_mode), data.sample.forces
+    mode, slides, shown = open_mode(of_mode), slides_of(data), data.sample.forces
     shown[:] = 0.0
     for k in range(mode.held.size):
         shown[mode.held[k]] = data.rows.force[k]
@@ -293,7 +296,7 @@ def check_guards(address, size, begin, end):
 def begin_mode_step(of_mode, contacts):
     """Make the end of a step the beginning of the next one."""
     accept_guards(open_guards(of_mode))
-    follow_slip(open_slides(of_mode), open_mode(of_mode).numbers.slow, contacts)
+    follow_slip(open_slides(of_mode), contacts)
 
 
 @kernel

@@ -16,6 +16,7 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection, beginnings
+from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
 from multiarm.dynamics.variables import ModeStructs
 from multiarm.events.kernels import (
@@ -31,7 +32,6 @@ from multiarm.events.kernels import (
 )
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import ModeGuards
-from multiarm.events.sliding import Slides
 from multiarm.jit.pointers import address_of
 from multiarm.results.channels import ContactState
 
@@ -79,19 +79,19 @@ class Modes:
         functions.contact_forces = address_of(record_forces)
         functions.guards = address_of(check_guards)
         self._solve_held, self._solve_sliding = address_of(solve_held), 0
-        self._tangents = self._reactions = None
+        self._reactions = None
         if any(constraint.tangents for constraint in unilateral.constraints):
             self._solve_sliding = address_of(solve_sliding)
-            self._tangents = RowSelection(full)
-            self._structs.tangents = _address(self._tangents)
+            self.data.tangents = RowSelection(full)
+            self._structs.tangents = _address(self.data.tangents)
             self._reactions = _reactions(full, self.data)
-        self.numbers = ModeNumbers(slow=slow, power=_power_of_friction(full))
+        self.numbers = ModeNumbers()
         self.arrays = self._room_for_rows()
         kinds = [constraint.kind for constraint in unilateral.constraints]
         self._contacts = np.array([kind == CONTACT for kind in kinds], dtype=bool)
         self._slides, self._of_slides = self._room_for_slides()
         self._guards = ModeGuards(full.model, slow, self._slides.direction)
-        self._struct = mode_struct(self.arrays, self._slides, self._guards.table, self._reactions)
+        self._struct = mode_struct(self._guards.table, self._slides, self.arrays, self._reactions)
         self._structs.mode = self._struct.ctypes.data
         self._dofs, counts = _counts(full)
         self._sizes = mode_sizes(reaction_shapes(self._dofs, counts))
@@ -144,6 +144,9 @@ class Modes:
         constraints, struct = self.unilateral.constraints, self._struct
         rows = np.array(sorted([*self.unilateral.bilateral, *mode.rows]), dtype=np.int64)
         self._sliding_constraints = sliding = mode.sliding(constraints)
+        if self.data.tangents is not None:
+            first = self._of_slides.tangent_of_all[sliding]
+            self.data.tangents.select(np.add.outer(first, (0, 1)).ravel())
         self.data.select(rows)
         self.full.arrays.last_step.determinant_signs[:] = 0.0  # determinants of other rows
         struct[self._sizes.rows], struct[self._sizes.slides] = rows.size, len(sliding)
@@ -152,7 +155,8 @@ class Modes:
         numbers = self._guards.numbers(mode, sliding)
         struct[self._sizes.guards] = numbers.size
         write_guards(struct, self._guards.struct, numbers)
-        self.slides = Slides(*(column[: len(sliding)] for column in self._slides))
+        numbers_of_all, *columns = self._slides
+        self.slides = Slides(numbers_of_all, *(column[: len(sliding)] for column in columns))
         self.guards = self._guards.first(numbers.size)
         self.watched = [self._guards.all[k] for k in numbers.tolist()]
         self._choose_solver(sliding)
@@ -180,9 +184,7 @@ class Modes:
         self.data.dense_solver.reactions = None
         if not sliding:
             return
-        assert self._tangents is not None and self._reactions is not None
-        first = self._of_slides.tangent_of_all[sliding]
-        self._tangents.select(np.add.outer(first, (0, 1)).ravel())
+        assert self._reactions is not None
         shapes = reaction_shapes(self._dofs, self.data.counts)
         sizes = [size for shape in shapes.values() for size in shape]
         self._struct[self._sizes.reactions] = sizes
@@ -212,6 +214,7 @@ class Modes:
         rows = np.array([constraint.row for constraint in constraints], dtype=np.int64)
         tangents = [(*constraint.tangents, -1)[0] for constraint in constraints]
         of_all = Slides(
+            numbers=FrictionNumbers(slow=self.slow, power=_power_of_friction(self.full)),
             row=rows,
             arm=np.searchsorted(bounds, rows, side="right").astype(np.int64) - 1,
             tangent=2 * np.arange(count, dtype=np.int64),
@@ -221,7 +224,7 @@ class Modes:
             turning=np.zeros((count, 2)),
             speed=np.zeros(count),
         )
-        return Slides(*(column.copy() for column in of_all)), of_all
+        return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all
 
 
 def _reactions(full: Data, data: Data) -> ReactionWork:

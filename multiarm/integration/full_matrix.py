@@ -10,7 +10,7 @@ positions and by these, and R and the right-hand sides of :mod:`multiarm.integra
 
 one matrix as large as there are velocities, half as large as the state, without states of effects.
 
-*The derivatives* are exact where contacts do not slide and the constraints keep their rank: those
+*The derivatives* are exact where the motion is unique and the constraints keep their rank: those
 of the equations of motion (:mod:`multiarm.dynamics.equation_derivatives`) and of the forces of
 control and effects (:mod:`multiarm.dynamics.force_derivatives`).  With the generalised forces f,
 their responses :math:`\partial\dot v/\partial f` are columns of the same solution,
@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
@@ -49,6 +50,12 @@ from multiarm.dynamics.force_derivatives import (
     differentiate_forces,
 )
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.sliding import slides_of
+from multiarm.dynamics.sliding_derivatives import (
+    add_friction,
+    friction_derivatives,
+    open_friction,
+)
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import OK, SINGULAR
@@ -70,10 +77,11 @@ class FullMatrix(NamedTuple):
     # factors of the linear system
     matrix: Floats2  # (M, M)
     pivots: Ints1  # (M,)
-    # of exact derivatives: struct of those of the equations, their solution (N + contacts, columns
+    # of exact derivatives: struct of those of the equations; their solution (N + contacts, columns
     # of the state, torques and wrench on the object); those of forces, rates of states and powers
     # (M + w, columns), and of the powers' places
     equations: Ints1
+    friction: Ints1  # struct of multiarm.dynamics.sliding_derivatives
     solution: Floats2
     applied: Floats2
     powers: Ints1
@@ -104,6 +112,7 @@ def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatri
         matrix=np.zeros((m, m)),
         pivots=np.zeros(m, dtype=np.int64),
         equations=equations,
+        friction=friction_derivatives(data, state_columns(data.arrays).end)[1],
         solution=np.zeros((n + layout.contacts, state_columns(data.arrays).end)),
         applied=np.zeros((size - n, columns)),
         powers=data.model.effects.powers,
@@ -131,11 +140,9 @@ def differentiate_full(step, full, slope, time_slope, t, h):
 
 @inlined
 def is_smooth(step):
-    """Whether the constraints are far from a change of their rank, without friction."""
-    data = open_data(step.system)
-    if step.stage.gap >= 0.0 or data.modes.slides:
-        return False
-    return data.solution.margin >= ZONE
+    """Whether the motion is unique and the constraints are far from a change of their rank."""
+    solution = open_data(step.system).solution
+    return step.stage.gap < 0.0 and solution.motion_unique and solution.margin >= ZONE
 
 
 # --- exact ----------------------------------------------------------------------------------------
@@ -147,6 +154,8 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     struct, stage, differences = step.system, step.stage, full.differences
     model, data, _ = open_system(struct)
     status = write_derivatives(struct, full.equations)
+    if status == OK and data.modes.slides:
+        status = add_friction(struct, full.equations, full.friction)
     if status == OK:
         add_drift_feedback(struct, full.equations, stage.alpha, stage.beta)
         status = solve_equations(struct, full)
@@ -158,7 +167,9 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     status = differentiate_forces(struct, differences, full.powers, add_slopes, full.applied)
     stage.evaluations += differences.evaluations
     if status == OK:
-        respond_to_forces(data, full, time_slope)
+        if data.modes.slides:
+            add_friction_power(struct, full)
+        write_responses(data, full, time_slope)
     return status
 
 
@@ -175,24 +186,51 @@ def solve_equations(struct, full):
     return solve_at_once(struct, full.equations, full.solution)
 
 
+@kernel
+def respond_to_forces(data, full, i):
+    """Write the derivatives of unknown i of the equations, the forces' too, into ``full.row``."""
+    at, places, row, solution = state_columns(data), chart_places(data), full.row, full.solution[i]
+    clear(row)
+    for c in range(at.torques):
+        row[c] = solution[c]
+    for l in range(places.velocity):
+        torque = at.torques + l - places.joints
+        response = solution[at.wrench + l if l < places.joints else torque]
+        for c in range(row.size):
+            row[c] += response * full.applied[l, c]
+
+
+@kernel
+def add_friction_power(struct, full):
+    """Add the derivatives of the power of sliding friction, ``-mu lambda_n (s . d)``."""
+    _, data, work = open_system(struct)
+    slides, friction, columns = slides_of(data), open_friction(full.friction), force_columns(data)
+    first = data.state.velocity.size + data.effects.states.size
+    for s in range(slides.row.size):
+        i, mu, row = slides.arm[s], slides.mu[s], slides.row[s]
+        own, pull = arm_columns(work.dofs[i + 1] - work.dofs[i], False), mu * data.rows.force[row]
+        respond_to_forces(data, full, data.state.velocity.size + row)
+        for c in range(full.row.size):
+            full.row[c] *= mu * slides.speed[s]
+        for c in range(own.end):
+            full.row[column_of_state(columns, own, work.dofs[i], c)] += pull * friction.speed[s, c]
+        for power in (slides.numbers.power, data.effects.power.size - 1):
+            of_power = full.applied[first + power]
+            for c in range(full.row.size):
+                of_power[c] -= full.row[c]
+
+
 @inlined
-def respond_to_forces(data, full, time_slope):
+def write_responses(data, full, time_slope):
     """Write what the derivatives of the equations and of the forces amount to."""
     at, columns, places = state_columns(data), force_columns(data), chart_places(data)
     nv, row = data.state.velocity.size, full.row
     clear(time_slope)
     for i in range(full.applied.shape[0]):
-        copy(full.applied[i], row)
         if i < nv:
-            clear(row)
-            solution = full.solution[i]
-            for c in range(at.torques):
-                row[c] = solution[c]
-            for l in range(nv):
-                torque = at.torques + l - places.joints
-                response = solution[at.wrench + l if l < places.joints else torque]
-                for c in range(row.size):
-                    row[c] += response * full.applied[l, c]
+            respond_to_forces(data, full, i)
+        else:
+            copy(full.applied[i], row)
         for l in range(nv):
             joint = l - places.joints
             of_frame = l < places.joints

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from event_scenes import held_box, lifting
 from mechanics import (
     UR5_POSTURE,
     chain_urdf,
@@ -40,11 +41,13 @@ from multiarm.dynamics.equation_derivatives import write_derivatives
 from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.status import SINGULAR
 from multiarm.errors import ModelError, SolverError
+from multiarm.events.evaluation import enter_mode_at, evaluate_mode
 from multiarm.jit.ahead import argument_types
 from multiarm.jit.pointers import function_at
 from multiarm.spatial import retract
 
 STEP = 1e-4
+FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
 
 
 def moved(state, column: int, amount: float):
@@ -569,11 +572,41 @@ def test_the_floor_is_differentiated_by_the_code_that_is_compiled_for_arms():
     assert kernel.whole.signatures == [argument_types(kernel)]
 
 
-def test_sliding_is_refused_with_the_reason():
+@pytest.mark.parametrize("seed", range(4))
+def test_sliding_contacts_are_differentiated_with_their_friction(seed):
+    """On three feet, and of an arm whose fingers slide; all contacts keep what they do."""
+    rng = np.random.default_rng(seed)
+    if seed < 3:
+        system = over_floor(0.0, mu=0.3, points=FEET)
+        state = system.initial_state()
+        state.velocity[[0, 1, 5, *range(6, 12)]] = rng.uniform(-0.5, 0.5, 9)
+    else:
+        system = ma.compile_system(held_box(0.3))
+        state = system.state(object_twist=[0, 0.1, -0.2, 0, 0, 0])
+        held = lifting(0.0)(0.0, state)
+        system = system.with_control(lambda t, s: held)
+    found = ma.derivatives(system, 0.3, state)
+    states = sum(found.evaluation.contact_states.values(), ())
+    assert found.message == "" and "sliding" in states
+    with system.borrow() as data:
+        modes = enter_mode_at(data, 0.3, state)
+
+        def along(column, h):
+            ev = evaluate_mode(modes, 0.3, moved(state, column, h))
+            motion = [ev.object_acceleration, *ev.joint_accelerations.values()]
+            return np.concatenate([*motion, *ev.contact_forces.values()])
+
+        columns = range(12 + 2 * state.layout.joints)
+        expected = np.array([difference(lambda h, c=c: along(c, h)) for c in columns]).T
+    assert_equal(found.matrix[:, : len(columns)], expected)
+
+
+def test_friction_that_leaves_the_motion_open_is_refused_with_the_reason():
+    """A box that spins on four corners."""
     system = over_floor(0.0, mu=0.3)
     state = system.initial_state()
-    state.velocity[0] = 0.2
-    with pytest.raises(SolverError, match="contacts slide with friction at this state"):
+    state.velocity[[0, 1, 5]] = 0.3, 0.2, 0.5
+    with pytest.raises(SolverError, match="leave the motion open at this state"):
         ma.derivatives(system, 0.0, state)
 
 

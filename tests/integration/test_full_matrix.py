@@ -22,6 +22,7 @@ from steps import (
     assert_derivatives,
     coupled,
     derivatives_of,
+    state_of,
     step_of_the_package,
 )
 from user_classes import empty_registries
@@ -32,17 +33,6 @@ from multiarm.problems import HARD_CASES
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 SPRINGS = {"contact_compliance": {"stiffness": 2e5, "damping": 2e3}}
 END = {"arm": {"shoulder_lift_joint": [-3.0, UR5_POSTURE[1]]}}
-
-
-def state_of(system, run, k):
-    """The state of a sample."""
-    q, v = ({arm: x[k] for arm, x in of_arms.items()} for of_arms in (
-        run.joint_positions, run.joint_velocities
-    ))  # fmt: skip
-    pose = run.object_position[k], run.object_quaternion_xyzw[k]
-    return system.state(*pose, q, run.object_twist[k], v)
-
-
 FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
 
 
@@ -106,6 +96,8 @@ SCENES = {
     ).with_solver("dense"),
     "compliant contacts": lambda tmp: ma.compile_system(ur5_pair(WELD, BALL, effects=SPRINGS)),
     "deficient arm": hanging_box,
+    "sliding on the floor": lambda tmp: over_floor(0.0, points=FEET, mu=0.3),
+    "sliding on more corners than it needs": lambda tmp: over_floor(0.0, mu=0.3),
     "on the floor": lambda tmp: over_floor(0.0, points=FEET),
     "at the end of a joint": lambda tmp: over_floor(0.1, END),
 }
@@ -118,6 +110,8 @@ def test_derivatives_in_the_full_matrix_are_those_of_whole_evaluations(name, tmp
     state = system.initial_state()
     if system.model.unilateral is None:
         state = random_state(system, rng, turn=0.05, speed=1.0)
+    elif name.startswith("sliding"):
+        state.velocity[[0, 1, *range(6, 12)]] = rng.uniform(-0.5, 0.5, 8)
     exact = Slope(system, state, alpha, beta)
     stepping = step_of_the_package(system, state, 1e-3, alpha, beta)
     assert not stepping.work[1].used[0]

@@ -9,10 +9,17 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import chain_urdf, first_difference, random_state, scene_of, ur5_pair
+from mechanics import (
+    chain_urdf,
+    first_difference,
+    over_floor,
+    random_state,
+    scene_of,
+    ur5_pair,
+)
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from steps import coupled, derivatives_of, step_of_the_package, without_derivatives
+from steps import coupled, derivatives_of, state_of, step_of_the_package, without_derivatives
 
 import multiarm as ma
 from multiarm.integration.step import coefficients
@@ -20,6 +27,7 @@ from multiarm.problems import HARD_CASES, ring_of_arms
 from multiarm.tableaus import METHODS
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
+FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
 AMPLITUDE = {
     "left": np.array([60.0, 80, 60, 20, 20, 10]),
     "right": np.array([40.0, -50, 30, 10, 5, 5]),
@@ -409,6 +417,21 @@ def agrees(system, duration, tolerance=1e-9, within=1e-7, **more):
 def test_redundant_constraints_do_not_disturb_the_stiff_method(name):
     found = agrees(ma.compile_system(HARD_CASES[name].scene()), 0.3)
     assert np.max(found.position_drift) < 1e-12
+
+
+def test_contacts_that_slide_do_not_disturb_the_stiff_method():
+    """A box on three feet, which a damped arm drags and turns: 11 evaluations a step, few steps."""
+    scene = over_floor(0.0, mu=0.2, points=FEET).scene
+    keys = scene.model_dump(exclude_unset=True)
+    pushed = {**keys["object"], "twist": [0, 0.3, 0, 0, 0, 0.2]}
+    effects = {**keys["effects"], "joint_damping": 200.0}
+    system = ma.compile_system(scene.replace(object=pushed, effects=effects))
+    after_impacts = ma.simulate(system, 0.01, accuracy=1e-8, certificate=False)
+    run = {"state": state_of(system, after_impacts, -1), "certificate": False}
+    found = agrees(system, 0.1, 1e-7, 1e-8, **run)
+    assert np.all(found.contact_states["floor"] == 2.0) and not found.events  # sliding
+    steps, rejected = found.statistics["steps"], found.statistics["rejected_steps"]
+    assert steps < 30 and found.statistics["evaluations"] < 11 * steps + 8 * rejected + 40
 
 
 def test_one_arm_with_slides_under_stiff_damping(tmp_path):

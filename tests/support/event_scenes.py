@@ -9,10 +9,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from mechanics import G
+import pinocchio as pin
+from mechanics import UR5_POSTURE, G
 
 import multiarm as ma
-from multiarm.scene import parse_scene
+from multiarm.problems.building import tip_pose
+from multiarm.scene import find_robot, parse_scene
 
 GRAVITY = -G[2]
 AS_WRITTEN = {"start": "as_written"}
@@ -122,3 +124,65 @@ def times(trajectory, *kinds: str) -> np.ndarray:
 def fall_time(height: float) -> float:
     """Of a body that falls from rest [s]."""
     return math.sqrt(2.0 * height / GRAVITY)
+
+
+# --- hands ----------------------------------------------------------------------------------------
+
+# Two UR5s hold a box between fingertips.
+MASS, SQUEEZE, RADIUS = 2.0, 40.0, 0.01  # [kg], [N], [m]
+# Fingertips of a hand, in a plane that stands upright [m].
+PADS = [(0.02, 0.0), (-0.01, 0.017), (-0.01, -0.017)]
+
+
+def held_box(mu: float):
+    """A box between the pads of two UR5s, which press on its ends."""
+    tip = tip_pose("ur5", "tool0", tuple(UR5_POSTURE))
+    half = 1.1 - tip[0, 3] - RADIUS
+    arms, joints = {}, []
+    for name, side in (("left", -1.0), ("right", 1.0)):
+        base = {"xyz": [side * 1.1, side * tip[1, 3], 0]}
+        if side > 0.0:
+            base["rpy"] = [0, 0, math.pi]
+        arms[name] = {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE, "base": base}
+        face = {"plane": {"point": [side * half, 0, 0], "normal": [side, 0, 0]}}
+        contacts = [
+            {"arm": {"sphere": {"center": (tip[:3, :3].T @ [0, *pad]).tolist(), "radius": RADIUS}},
+             "object": face}
+            for pad in PADS
+        ]  # fmt: skip
+        joints.append({"arm": name, "kind": "contacts", "contacts": contacts})
+    return parse_scene(
+        {
+            "gravity": G,
+            "object": {
+                "shape": {"box": [2 * half, 0.3, 0.3]}, "mass": MASS,
+                "pose": {"xyz": [0, 0, tip[2, 3]]},
+            },
+            "arms": arms,
+            "joints": joints,
+            "effects": {"unilateral_contacts": AS_WRITTEN, "contact_friction": mu},
+        }
+    )  # fmt: skip
+
+
+def lifting(rise: float):
+    """Each arm carries itself and half of the box, presses, and follows its posture stiffly.
+
+    The tips are pushed up with ``rise`` [N] more than the box weighs.
+    """
+    model = pin.buildModelFromUrdf(str(find_robot("ur5").urdf))
+    data, tool = model.createData(), model.getFrameId("tool0")
+    push = np.array([SQUEEZE, 0, 0.5 * (MASS * GRAVITY + rise), 0, 0, 0])
+
+    def torques(t, state):
+        found = {}
+        for name in ("left", "right"):
+            q, v = state.joint_positions[name], state.joint_velocities[name]
+            pin.computeJointJacobians(model, data, q)
+            pin.updateFramePlacements(model, data)
+            J = pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED)
+            carried = pin.computeGeneralizedGravity(model, data, q)
+            found[name] = carried + J.T @ push - 20.0 * v
+        return found
+
+    return torques

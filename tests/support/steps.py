@@ -59,6 +59,15 @@ def data_at(system, state):
     return data_of(system)
 
 
+def state_of(system, run, k):
+    """The state of a sample."""
+    q, v = ({arm: x[k] for arm, x in of_arms.items()} for of_arms in (
+        run.joint_positions, run.joint_velocities
+    ))  # fmt: skip
+    pose = run.object_position[k], run.object_quaternion_xyzw[k]
+    return system.state(*pose, q, run.object_twist[k], v)
+
+
 class Slope:
     """The rate of a step's state by evaluations of the whole system, at any state and time."""
 

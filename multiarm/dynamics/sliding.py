@@ -30,13 +30,32 @@ from typing import NamedTuple
 from multiarm.contacts.kernel import GAP_RATE
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_rows
-from multiarm.jit.kernels import kernel
-from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at
+from multiarm.dynamics.guards import Guards
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.structs import (
+    Float,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    Numbers,
+    count_entries,
+    struct_at,
+    view,
+)
+
+
+class FrictionNumbers(Numbers):
+    """Numbers of all sliding contacts."""
+
+    slow: Float  # the speed ``s_0`` [m/s]
+    power: Int  # index of the power of sliding friction in ``data.effects.power``
 
 
 class Slides(NamedTuple):
     """Sliding contacts, s of them."""
 
+    numbers: FrictionNumbers
     row: Ints1  # among the held rows
     arm: Ints1
     tangent: Ints1  # first of two, among the rows of the tangents
@@ -48,10 +67,20 @@ class Slides(NamedTuple):
     speed: Floats1  # along the latter [m/s]
 
 
+# In the struct of a mode they follow its guards.
+open_slides = view(Slides, count_entries(Guards))
+
+
+@inlined
+def slides_of(data):
+    """The sliding contacts of the mode of these data."""
+    return open_slides(struct_at(data.modes.mode, 0))
+
+
 @kernel
-def write_direction(slides, s, slow, first, second):
-    """Direction of slip from its two components, near to the last step's; ``slow`` is ``s_0``."""
-    d0, d1 = slides.direction[s, 0], slides.direction[s, 1]
+def write_direction(slides, s, first, second):
+    """Direction of slip from its two components, near to the last step's."""
+    d0, d1, slow = slides.direction[s, 0], slides.direction[s, 1], slides.numbers.slow
     along = first * d0 + second * d1
     p0, p1 = first - along * d0, second - along * d1
     root = math.sqrt(along * along + slow * slow)
@@ -63,7 +92,7 @@ def write_direction(slides, s, slow, first, second):
 
 
 @kernel
-def write_reactions(data, work, Wr, slides, slow, reactions):
+def write_reactions(data, work, Wr, slides, reactions):
     """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Wr``.
 
     Returns ``OK`` or ``CALLBACK_FAILED``.
@@ -81,7 +110,7 @@ def write_reactions(data, work, Wr, slides, slow, reactions):
     for s in range(slides.row.size):
         row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
         rates = sideways.rows.kinematics[t, GAP_RATE], sideways.rows.kinematics[t + 1, GAP_RATE]
-        write_direction(slides, s, slow, rates[0], rates[1])
+        write_direction(slides, s, rates[0], rates[1])
         first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
         for k in range(6):
             Wr[row, k] -= first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
@@ -102,10 +131,10 @@ def friction_power(slides, force):
 
 
 @kernel
-def follow_slip(slides, slow, contacts):
+def follow_slip(slides, contacts):
     """Make the direction at the end of a step that of the next; ``contacts`` are of all rows."""
     for s in range(slides.row.size):
         t = slides.tangent_of_all[s]
-        write_direction(slides, s, slow, contacts[t, GAP_RATE], contacts[t + 1, GAP_RATE])
+        write_direction(slides, s, contacts[t, GAP_RATE], contacts[t + 1, GAP_RATE])
         slides.direction[s, 0] = slides.turning[s, 0]
         slides.direction[s, 1] = slides.turning[s, 1]

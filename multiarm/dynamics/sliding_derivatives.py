@@ -1,0 +1,170 @@
+r"""Derivatives of sliding friction, for the equations of motion and its power.
+
+A sliding contact has the friction :math:`-\mu\lambda_n d` on its tangents
+(:mod:`multiarm.dynamics.sliding`).  At fixed forces it changes with the bodies as any contact
+forces do, and with the direction d, a unit vector.  With the slip :math:`s = a\,d_0 + b\,d_0^\perp`
+along the last step's direction and across it, and the angle :math:`\psi` from :math:`d_0` to d,
+
+.. math::
+    \tan\psi &= \frac{a b}{a^2 + s_0^2}, \qquad
+    d\psi = \frac{b\,(s_0^2 - a^2)\,da + a\,(a^2 + s_0^2)\,db}{(a^2 + s_0^2)^2 + a^2 b^2}, \\
+    d(d) &= d^\perp d\psi, \qquad
+    d(s\cdot d) = d\cdot ds + (s\cdot d^\perp)\,d\psi ,
+
+and ds are the derivatives of the tangents' rates.  The normal force is among the unknowns: its
+columns in K are those of the reaction matrices.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.contacts.kernel import GAP_RATE
+from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.contact_derivatives import column_of_state
+from multiarm.dynamics.coordinates import state_columns
+from multiarm.dynamics.equation_derivatives import (
+    columns_of_arm,
+    equation_work,
+    open_equations,
+    open_links,
+    write_load_derivatives,
+)
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.row_selection import RowSelection
+from multiarm.dynamics.sliding import slides_of
+from multiarm.dynamics.status import OK
+from multiarm.jit.kernels import INTS, kernel
+from multiarm.jit.structs import Floats2, Ints1, struct_at, struct_of, view
+
+
+class FrictionDerivatives(NamedTuple):
+    """Results for s sliding contacts, by the C coordinates of the arms of these."""
+
+    equations: Ints1  # struct of the derivatives of what forces in the tangents do to the bodies
+    angle: Floats2  # (s, C) of psi [rad]
+    speed: Floats2  # (s, C) of the slip along its direction [m/s]
+
+
+open_friction = view(FrictionDerivatives)
+
+
+def friction_derivatives(
+    data: Data, columns: int, placements: int = -1
+) -> tuple[FrictionDerivatives, np.ndarray]:
+    """The arrays and their struct, for derivatives as those of ``equation_work``.
+
+    The data keep them.
+    """
+    key = ("friction derivatives", columns, placements)
+    if key not in data.cache:
+        equations, count = np.zeros(0, dtype=np.int64), 0
+        work, _ = equation_work(data, columns, placements)
+        if data.arrays.modes.slides:
+            assert isinstance(data, RowSelection) and data.tangents is not None, "a mode"
+            _, equations = equation_work(data.tangents, columns, placements, masses=False)
+            count = data.tangents.rows.size // 2
+        angle, speed = np.zeros((2, count, work.rates.shape[1]))
+        friction = FrictionDerivatives(equations, angle, speed)
+        data.cache[key] = friction, struct_of(friction)
+    return data.cache[key]
+
+
+@kernel
+def add_friction(struct: INTS, own: INTS, of_friction: INTS):
+    """Add sliding friction to the derivatives of all equations; returns a status.
+
+    After :func:`multiarm.dynamics.equation_derivatives.write_derivatives`, in a mode in which some
+    contacts slide.  ``of_friction`` is the struct of :func:`friction_derivatives`.
+    """
+    data, friction, slides = (
+        open_data(struct),
+        open_friction(of_friction),
+        slides_of(open_data(struct)),
+    )
+    tangents = struct_at(data.modes.tangents, 0)
+    sideways = open_data(tangents)
+    for s in range(slides.row.size):
+        drag, t = -slides.mu[s] * data.rows.force[slides.row[s]], slides.tangent[s]
+        for k in range(2):
+            sideways.rows.static_force[t + k] = drag * slides.turning[s, k]
+    status = write_load_derivatives(tangents, friction.equations)
+    if status == OK:
+        add_loads(struct, own, friction)
+        for s in range(slides.row.size):
+            differentiate_slip(s, struct, own, friction)
+            add_reactions(s, struct, own)
+    return status
+
+
+@kernel
+def add_loads(struct, own, friction):
+    """Add what the friction at fixed forces does to the bodies."""
+    _, _, system = open_system(struct)
+    links, work, sideways = open_links(own), open_equations(own), open_equations(friction.equations)
+    for l in range(work.dF_o.shape[0]):
+        for c in range(work.dF_o.shape[1]):
+            work.dF_o[l, c] += sideways.dF_o[l, c]
+    for i in range(system.dofs.size - 1):
+        n = system.dofs[i + 1] - system.dofs[i]
+        for j in range(n):
+            for c in range(columns_of_arm(i, n, links, work).end):
+                work.dF[i, j, c] += sideways.dF[i, j, c]
+
+
+@kernel
+def differentiate_slip(s, struct, own, friction):
+    """Write the derivatives of the slip of a contact, and add what its turning does."""
+    _, data, system = open_system(struct)
+    links, work, sideways = open_links(own), open_equations(own), open_equations(friction.equations)
+    _, beside, tangents = open_system(struct_at(data.modes.tangents, 0))
+    slides, at = slides_of(data), state_columns(data)
+    i, t, slow = slides.arm[s], slides.tangent[s], slides.numbers.slow
+    d0, n, column = system.dofs[i], system.dofs[i + 1] - system.dofs[i], t - tangents.rows[i]
+    columns, drag = (
+        columns_of_arm(i, n, links, work),
+        -slides.mu[s] * data.rows.force[slides.row[s]],
+    )
+    along_0, along_1 = slides.direction[s, 0], slides.direction[s, 1]
+    d_0, d_1 = slides.turning[s, 0], slides.turning[s, 1]
+    first, second = beside.rows.kinematics[t, GAP_RATE], beside.rows.kinematics[t + 1, GAP_RATE]
+    a, b = along_0 * first + along_1 * second, along_0 * second - along_1 * first
+    smooth = a * a + slow * slow
+    size = smooth * smooth + a * a * b * b
+    by_along, by_across = b * (slow * slow - a * a) / size, a * smooth / size
+    for c in range(columns.end):
+        of_first, of_second = sideways.rates[t, c], sideways.rates[t + 1, c]
+        angle = by_along * (along_0 * of_first + along_1 * of_second)
+        angle += by_across * (along_0 * of_second - along_1 * of_first)
+        friction.angle[s, c] = angle
+        friction.speed[s, c] = d_0 * of_first + d_1 * of_second
+        friction.speed[s, c] += (d_0 * second - d_1 * first) * angle
+        force_0, force_1 = -drag * d_1 * angle, drag * d_0 * angle
+        for j in range(n):
+            W = tangents.W[i, j]
+            work.dF[i, j, c] -= W[column] * force_0 + W[column + 1] * force_1
+        place = work.placements + 6 * i + c - columns.placement
+        if c < columns.placement:
+            place = column_of_state(at, columns, d0, c)
+        for l in range(work.dF_o.shape[0]):
+            work.dF_o[l, place] -= (
+                beside.rows.Wo[t, l] * force_0 + beside.rows.Wo[t + 1, l] * force_1
+            )
+
+
+@kernel
+def add_reactions(s, struct, own):
+    """Add the friction of a unit normal force to the columns of the normal force."""
+    _, data, system = open_system(struct)
+    work, slides = open_equations(own), slides_of(data)
+    _, beside, tangents = open_system(struct_at(data.modes.tangents, 0))
+    i, t, row = slides.arm[s], slides.tangent[s], slides.row[s]
+    n, column = system.dofs[i + 1] - system.dofs[i], t - tangents.rows[i]
+    first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
+    for l in range(work.Wr.shape[1]):
+        work.Wr[row, l] -= first * beside.rows.Wo[t, l] + second * beside.rows.Wo[t + 1, l]
+    for j in range(n):
+        W = tangents.W[i, j]
+        work.K[i, j, n + row - system.rows[i]] += first * W[column] + second * W[column + 1]
