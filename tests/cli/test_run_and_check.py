@@ -289,17 +289,6 @@ def test_ctrl_c_is_noted_where_raising_would_lose_it():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_progress_is_told_in_simulated_time(monkeypatch):
-    screen = StringIO()
-    console = Console(file=screen, force_terminal=True, width=100, color_system=None)
-    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: console)
-    with RunProgress(4.0) as progress:
-        for t in (0.5, 1.0, 2.5):
-            progress(t)
-    assert "simulating" in screen.getvalue()
-    assert re.search(r"2\.5 of 4 s, \S+ x real time", screen.getvalue())
-
-
 @pytest.mark.slow
 def test_a_pipe_gets_a_plain_line_every_few_seconds(monkeypatch):
     pipe = StringIO()
@@ -347,19 +336,6 @@ def test_progress_says_that_kernels_are_compiled_while_they_are(monkeypatch):
     assert after.startswith("simulating, 1.5 of 3 s, ")
     (rate,) = re.findall(r"(\S+) x real time", after)
     assert float(rate) > 100.0, "1 s in some microseconds: the 50 ms of the compiler do not count"
-
-
-def test_the_bar_moves_and_tells_the_time_during_compilation(monkeypatch):
-    """The clock of its pace stands still then."""
-    screen = StringIO()
-    console = Console(file=screen, force_terminal=True, width=100, color_system=None)
-    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: console)
-    with Progress() as progress, compiling():
-        progress(1, 4, "working")
-        time.sleep(0.5)
-    frames = re.findall(r"(\S) compiling kernels .* (\S+)", screen.getvalue())
-    assert len({spinner for spinner, _ in frames}) >= 2
-    assert {elapsed for _, elapsed in frames} <= {"0:00:00", "0:00:01"}
 
 
 def test_the_estimate_of_a_run_that_is_checked_afterwards_ends_with_the_check(monkeypatch):
