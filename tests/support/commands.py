@@ -66,8 +66,9 @@ def finite_json(text: str):
 
 def promised_keys(function) -> set[str]:
     """The keys of its JSON that a command's help names."""
-    promise = re.search(r"The JSON has the keys (.*?)(;|\. Numbers)", function.__doc__, re.S)
-    return {key.strip() for key in promise[1].split(",")}
+    help_text = re.sub(r"\([^)]*\)", "", function.__doc__)
+    promise = re.search(r"The JSON has the keys (.*?)(;|\. Numbers)", help_text, re.S)
+    return {key.strip() for key in re.split(r",|\band\b", promise[1])}
 
 
 def figures(path: Path) -> dict:
