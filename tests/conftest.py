@@ -17,7 +17,7 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # The first example of a test may have to compile kernels.
-settings.register_profile("multiarm", deadline=None)
+settings.register_profile("multiarm", deadline=None, max_examples=40)
 settings.load_profile("multiarm")
 
 

@@ -11,6 +11,9 @@ if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; th
     $sudo apt-get install -y -qq --no-install-recommends chromium
 fi
 
+# Else each of the hundreds of processes below would compile the package's sources itself.
+unset PYTHONDONTWRITEBYTECODE
+
 environment=${MULTIARM_VENV:-.venv}
 echo "== installing multiarm into $environment"
 [ -d "$environment" ] || python3 -m venv "$environment"
@@ -32,7 +35,8 @@ case " $* " in
 esac
 
 echo "== tests"
-python -m pytest -n 2 "$@"
+# A file goes to one worker: fixtures of modules are made once.
+python -m pytest -n 2 --dist loadfile "$@"
 
 case " $* " in
 *" --quick "*) ;;

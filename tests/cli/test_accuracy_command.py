@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import sys
-from dataclasses import replace
 
 import commands
 import pytest
 from commands import finite_json, promised_keys
 from page_reader import Page
 from repository import SCENES
-from rich.console import Console
 from study_samples import sample_accuracy
 
 from multiarm.cli import accuracy as command
-from multiarm.plots.style import PALETTE
 from multiarm.studies import work_precision, work_precision_page
-from multiarm.studies.peers import PEERS
 from multiarm.studies.reference import QUANTITIES
-from multiarm.studies.settings import OURS, Setting, our_ladders
+from multiarm.studies.settings import OURS, Setting
 from multiarm.studies.work_precision_page import (
     comparison,
     decade_table,
-    figure,
-    figures,
     point_table,
     recommendation,
     render,
 )
-from multiarm.terminal.progress import Progress
 
 accuracy = commands.command("accuracy")
 command_module = sys.modules["multiarm.cli.accuracy"]
@@ -106,20 +98,6 @@ def test_ctrl_c_prints_and_writes_what_was_measured(two_ladders, tmp_path, monke
     assert "For errors below" in result.stdout
 
 
-def test_a_terminal_shows_the_recommendation_so_far(monkeypatch):
-    text = io.StringIO()
-    terminal = Console(file=text, force_terminal=True, width=120)
-    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: terminal)
-    with Progress() as progress:
-        progress(3.0, 40.0, "rk4, step 0.01 s")
-        progress.note("For errors below 1e-6 take [anything]")
-        progress.print("First results")
-        progress(4.0, 40.0, "rk4, step 0.005 s")
-    shown = text.getvalue()
-    assert shown.index("First results") < shown.rindex("rk4, step 0.005 s")
-    assert "For errors below 1e-6 take [anything]" in shown[shown.rindex("rk4, step 0.005 s") :]
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -136,7 +114,8 @@ def test_bad_input_is_named_before_the_work(words, message, tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_page_has_every_quantity_and_the_ranked_one_first():
+def test_the_page_has_every_quantity_and_the_ranked_one_first(monkeypatch):
+    monkeypatch.setattr(work_precision_page, "inline_svg", lambda *_: "")
     study = sample_accuracy()
     page = Page(render(study, "force").replace("\N{NON-BREAKING HYPHEN}", "-"))
     places = [page.text.index(f"Error over work: {about.what}") for about in QUANTITIES.values()]
@@ -147,22 +126,3 @@ def test_the_page_has_every_quantity_and_the_ranked_one_first():
     for table in (decade_table(study, "motion"), point_table(study)):
         for text in (text for row in table.rows for text in row):
             assert " ".join(text.split()) in page.text
-
-
-def test_figures_rank_the_quantity_that_is_asked_for():
-    study = sample_accuracy()
-    assert all(row["peer"] is None for row in figures(study, "force")["cheapest"]), "none tells it"
-    first = figures(study)["cheapest"][0]
-    assert (first["level"], first["peer"]) == (0.1, "MuJoCo/Euler//step=0.02")
-
-
-def test_every_method_and_every_peer_has_a_colour_of_its_own():
-    ours = [ladder[0].method for ladder in our_ladders(0.01, 1.0, 0.005)]
-    assert len({*ours, *PEERS}) <= len(set(PALETTE)) == len(PALETTE)
-
-
-def test_a_reference_without_digits_has_a_figure_with_a_finite_axis():
-    study = sample_accuracy()
-    study.reference = replace(study.reference, digits=dict.fromkeys(QUANTITIES, 0.0))
-    low, high = figure(study).axes[0].get_ylim()
-    assert 0.0 < low < high < 1e3

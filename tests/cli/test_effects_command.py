@@ -28,7 +28,6 @@ from multiarm.studies.effect_costs import (
     SETTING,
     TURN,
     Entry,
-    Estimate,
     Ledger,
     changes,
     ledger,
@@ -36,13 +35,8 @@ from multiarm.studies.effect_costs import (
     without,
 )
 from multiarm.studies.effect_costs_page import (
-    NO_EFFECTS,
-    NOISE,
-    figure,
-    percent,
     render,
     sentence,
-    size,
     summary,
 )
 
@@ -344,32 +338,6 @@ def test_the_summary_says_what_to_keep_and_what_to_leave_out():
     )
 
 
-def test_what_is_within_the_noise_is_called_noise():
-    found = sample_ledger()
-    drag, friction = entry_of(found, "drag"), entry_of(found, "friction")
-    assert size(found, drag, PATH) == NOISE == percent(friction.share)
-    assert size(found, friction, PATH) == "0", "equal to the bit"
-    assert size(found, friction, FORCE) == "3.2"
-
-
-def test_a_scene_without_effects_has_a_sentence_too():
-    bare = replace(sample_ledger(), entries=sample_ledger().entries[-1:])
-    assert summary(bare) == NO_EFFECTS
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (Estimate(0.0312, 0.0041), "3.1 ± 0.4"),
-        (Estimate(0.24, 0.012), "24 ± 1"),
-        (Estimate(-0.004, 0.02), "noise"),
-        (Estimate(1.5, 0.0), "150"),
-    ],
-)
-def test_a_share_is_told_with_its_uncertainty(share, text):
-    assert percent(share) == text
-
-
 # --- the command ----------------------------------------------------------------------------------
 
 
@@ -465,13 +433,3 @@ def test_the_page_has_every_entry_and_names_on_it_are_no_markup():
     assert "<title>arms &amp; &lt;disc&gt; · multiarm effects</title>" in text
     assert "the object &lt;falls&gt;" in text
     assert "a: &lt;b&gt;" in text
-
-
-def test_the_figure_draws_costs_and_changes_where_they_are():
-    shown = [entry for entry in sample_ledger().entries if entry.share and entry.changes]
-    left, right = figure(sample_ledger()).axes
-    widths = [bar.get_width() for bar in left.patches]
-    assert widths == pytest.approx([100.0 * entry.share.value for entry in shown])
-    places = {(line.get_ydata()[0], line.get_marker()): line.get_xdata()[0] for line in right.lines}
-    for k, entry in enumerate(shown):
-        assert places[k, "o"] == pytest.approx(max(entry.changes[PATH].value / 1e-3, 1e-6))

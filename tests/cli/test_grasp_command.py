@@ -151,7 +151,6 @@ def test_a_grasp_of_a_scene_is_drawn_where_its_faces_are_known(designed, tmp_pat
     [
         (["cube"], "'cube' is no body; write box:LX,LY,LZ, wedge:LX,LY,LZ[,TOP]"),
         (["box:1,2"], "'box:1,2' is no body"),
-        (["box:1,2,x"], "'box:1,2,x' is no body"),
         (["box:1,2,nan"], "'box:1,2,nan' is no body"),
         (["prism:2,1,1"], "a polygon has 3 to 1000 sides, not 2"),
         (["box:1,-2,1"], "positive"),
@@ -159,7 +158,6 @@ def test_a_grasp_of_a_scene_is_drawn_where_its_faces_are_known(designed, tmp_pat
         (["box:1,1,1", "--arms", "pandas", "panda"], "unknown robot 'pandas'; did you mean"),
         (["box:0.3,0.2,0.1", "--gripper-size", "0.5"], "grippers are too large for the block"),
         (["prism:200,0.5,1.0"], "revolution"),
-        (["prism:1e9,1,1"], "a polygon has 3 to 1000 sides"),
         (["prism:4,-1,1"], "radius of a polygon is greater than 0"),
         (["box:1,1,1", "--duration", "0"], "duration is greater than 0"),
         (["box:1,1,1", "--mass", "nan"], "mass is a finite number"),

@@ -39,8 +39,10 @@ def test_a_scene_of_every_kind_of_joint_runs(kind, tmp_path):
     assert ma.simulate(system, 0.02, accuracy=1e-4).status == "completed"
 
 
-@pytest.mark.parametrize("robots", [["panda"], ["ur5", "panda", "ur10"], ["textbook_6r"] * 4])
-@pytest.mark.parametrize("solid", SOLIDS)
+@pytest.mark.parametrize(
+    ("robots", "solid"),
+    [(["panda"], "box"), (["ur5", "panda", "ur10"], "sphere"), (["textbook_6r"] * 4, "cylinder")],
+)
 def test_robots_on_the_floor_lift_any_object_and_set_it_down(robots, solid, tmp_path):
     words = [word for robot in robots for word in ("--robot", robot)]
     system = made(tmp_path / "scene.yaml", *words, "--object", solid)

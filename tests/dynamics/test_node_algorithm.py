@@ -53,7 +53,7 @@ def condition(system):
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, shapes, st.sampled_from([1e-3, 1.0, 1e3]))
 def test_node_algorithm_equals_the_dense_solution(seed, shapes, ratio):
     system = random_system(np.random.default_rng(seed), shapes, ratio)
@@ -66,7 +66,7 @@ def test_node_algorithm_equals_the_dense_solution(seed, shapes, ratio):
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, shapes)
 def test_node_solution_satisfies_all_three_equations(seed, shapes):
     """Well conditioned arms: what is put back leaves only rounding."""

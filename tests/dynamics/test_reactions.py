@@ -206,7 +206,7 @@ def test_velocities_of_the_worked_example_are_projected_in_the_inertia_metric():
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, healthy, frictions, st.sampled_from([1e-3, 1.0, 1e3]))
 def test_healthy_arms_move_as_the_dense_system_says(seed, shapes, friction, ratio):
     rng = np.random.default_rng(seed)
@@ -219,7 +219,7 @@ def test_healthy_arms_move_as_the_dense_system_says(seed, shapes, friction, rati
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, healthy)
 def test_without_friction_it_is_the_node_algorithm(seed, shapes):
     system = orthonormal_system(np.random.default_rng(seed), shapes)
@@ -233,7 +233,7 @@ def test_without_friction_it_is_the_node_algorithm(seed, shapes):
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, deficient, frictions)
 def test_arms_with_too_few_joints_move_as_the_dense_system_says(seed, shapes, friction):
     rng = np.random.default_rng(seed)
@@ -493,7 +493,7 @@ def test_numbers_that_are_not_finite_are_refused(value, what, place, rng):
 # --- factors -------------------------------------------------------------------------------------
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, st.integers(1, 12), st.integers(1, 12), st.integers(0, 12))
 def test_singular_values_and_vectors_are_those_of_lapack(seed, m, n, rank):
     rng = np.random.default_rng(seed)
@@ -520,7 +520,7 @@ def test_small_singular_values_keep_their_digits(rng):
     np.testing.assert_allclose(singular, sizes, rtol=1e-14)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds, st.integers(1, 12))
 def test_lu_factors_solve_both_ways_and_show_singular_matrices(seed, n):
     rng = np.random.default_rng(seed)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import PathPatch
 from page_reader import Page
 from rich.console import Console
@@ -272,7 +271,9 @@ def test_kinds_are_counted_and_remarks_on_the_start_are_none_of_them():
 
 def test_every_time_plot_marks_the_events():
     run = eventful([event(1.25, "touches"), event(2.5, "lets go"), event(2.6, "slides")])
-    for title, figure in plots.figures(run).items():
+    drawn = plots.figures(run)
+    assert "Contact states" in drawn
+    for title, figure in drawn.items():
         for axes in figure.axes:
             found = marks(axes)
             assert list(found) == ["contact made", "contact lost", "slip"], title
@@ -280,14 +281,6 @@ def test_every_time_plot_marks_the_events():
         (legend,) = figure.legends
         words = [text.get_text() for text in legend.get_texts()]
         assert words == ["touches: 1 event", "lets go: 1 event", "slides: 1 event"]
-
-
-def test_families_differ_in_their_dashes_too():
-    run = eventful([event(0.1 * i, family.kinds[0]) for i, family in enumerate(FAMILIES[:-1])])
-    figure = plots.drift(run)
-    lines = figure.legends[0].get_lines()
-    patterns = {str(line._unscaled_dash_pattern) for line in lines}
-    assert len(patterns) == len(lines) == len(FAMILIES) - 1
 
 
 def test_lines_of_many_events_are_bounded_and_cover_all_of_them():
@@ -307,17 +300,6 @@ def test_events_leave_the_axes_as_they_are():
     assert len(marked.lines) == len(plain.lines)
     assert list(marks(marked)) == ["contact made"]
     assert plots.object_pose(eventful()).legends == []
-
-
-@pytest.mark.slow
-def test_legend_does_not_cover_the_axes():
-    events = [event(0.1 * i, kind) for i, kind in enumerate((*NEW_KINDS, *OLD_KINDS))]
-    for figure in plots.figures(eventful(events)).values():
-        renderer = FigureCanvasAgg(figure).get_renderer()
-        top = figure.legends[0].get_window_extent(renderer).y1
-        assert top <= min(axes.get_tightbbox(renderer).y0 for axes in figure.axes)
-        right = figure.legends[0].get_window_extent(renderer).x1
-        assert right <= figure.get_window_extent(renderer).x1
 
 
 def test_states_are_drawn_as_spans_of_time():
@@ -342,19 +324,7 @@ def test_strip_has_a_row_for_each_contact_that_has_states():
     }  # fmt: skip
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
     assert legend == [state.word for state in RECORDED_STATES]
-
-
-def test_bars_of_states_differ_in_shape_too():
-    axes = plots.contact_states(eventful()).axes[0]
-    handles = axes.get_legend().get_patches()
-    looks = {(h.get_facecolor(), h.get_hatch()) for h in handles}
-    assert len(looks) == len(RECORDED_STATES)
-    heights = {}
-    for collection in axes.collections:
-        (path, *_) = collection.get_paths()
-        look = (round(np.ptp(path.vertices[:, 1]), 3), collection.get_hatch())
-        heights.setdefault(tuple(collection.get_edgecolor()[0]), set()).add(look)
-    assert len({min(looks, key=str) for looks in heights.values()}) == len(RECORDED_STATES)
+    assert plots.contact_states(record(MemorySink())) is None
 
 
 def test_strip_of_very_many_contacts_says_how_many_are_left_out():
@@ -372,12 +342,6 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     axes = plots.contact_states(sink.finish("completed", "", {})).axes[0]
     assert len(axes.texts) == MOST_ROWS
     assert "9 more contacts not shown" in axes.get_xlabel()
-
-
-@pytest.mark.slow
-def test_there_is_no_strip_without_states():
-    assert plots.contact_states(record(MemorySink())) is None
-    assert "Contact states" not in plots.figures(record(MemorySink()))
 
 
 @pytest.mark.slow
@@ -494,8 +458,8 @@ def test_report_without_events_has_no_section():
     assert "<h2>Events</h2>" not in render(eventful())
 
 
-@pytest.mark.slow
-def test_report_names_the_work_of_each_effect():
+def test_report_names_the_work_of_each_effect(monkeypatch):
+    monkeypatch.setattr("multiarm.plots.figures", lambda run: {"Energy": plots.energy(run)})
     run = eventful()
     text = Page(render(run)).text
     control = run.work[-1] + 12.0 + 3.6
@@ -506,29 +470,20 @@ def test_report_names_the_work_of_each_effect():
 
 
 @pytest.mark.slow
-def test_report_shows_the_strip_of_states():
-    assert "Contact states" in Page(render(eventful())).text
-    assert "Contact states" not in Page(render(record(MemorySink()))).text
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("where", ["events", "contacts"])
-def test_hostile_names_of_contacts_are_text(where):
+def test_hostile_names_of_events_and_contacts_are_text():
     attack = "<script>alert(1)</script>".replace("/", "")
-    channels, events = FULL, [event(1.0, attack, attack, attack, before={attack: attack})]
-    if where == "contacts":
-        hostile = [attack, "$\\bad$"]
-        channels = trajectory_channels(
-            JOINTS, CONTACTS, works=EFFECTS, states={**STATES, "floor": hostile},
-            environment=hostile,
-        )  # fmt: skip
+    hostile = [attack, "$\\bad$"]
+    events = [event(1.0, attack, attack, attack, before={attack: attack})]
+    channels = trajectory_channels(
+        JOINTS, CONTACTS, works=EFFECTS, states={**STATES, "floor": hostile}, environment=hostile
+    )
     page = Page(render(eventful(events, channels)))
     assert "script" not in page.tags
-    assert page.text.count("alert(1)") >= 3
+    assert page.text.count("alert(1)") >= 6  # of the event, and of the contact
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [0, 1, 2])
+@pytest.mark.parametrize("count", [0, 1])
 def test_runs_of_few_samples_with_events_are_drawn(count):
     run = eventful()
     sink = MemorySink()

@@ -323,7 +323,7 @@ def test_the_same_grippers_hold_higher_bodies_and_no_lower_ones(seed):
 
 @pytest.mark.slow
 @given(st.integers(0, 100_000), st.floats(1e-3, 1e2), st.floats(0.0, 100.0))
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 def test_every_parallelepiped_is_held_of_any_size_anywhere(seed, factor, reach):
     body = oblique(seed)
     moved = body.scaled(factor).placed(pose_of(seed, reach * factor))

@@ -194,7 +194,7 @@ FAMILIES = [
 def test_both_decisions_are_those_of_exact_enumeration(family, d, counts, rng):
     verdicts = []
     for count in counts:
-        for _ in range(25):
+        for _ in range(10):
             contacts = family(rng, count, d)
             rounded, exact = is_form_closure(contacts), is_form_closure(contacts, exact=True)
             truth = exactly_closed(contacts)
@@ -225,13 +225,13 @@ def gripper_set(rng, count, d):
 @pytest.mark.parametrize("family", [flat_set, gripper_set], ids=lambda family: family.__name__)
 def test_flat_and_clustered_contacts_are_decided_as_exactly(family, rng):
     closed = 0
-    for number in range(240):
+    for number in range(120):
         contacts = family(rng, 7 + number % 4, 3)
         rounded, exact = is_form_closure(contacts), is_form_closure(contacts, exact=True)
         assert rounded.closed == exact.closed
         assert_proven(contacts, exact)
         closed += rounded.closed
-    assert closed > 10
+    assert closed > 5
 
 
 @pytest.mark.slow

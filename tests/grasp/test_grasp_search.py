@@ -414,7 +414,7 @@ def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning(best_of_
 def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter(best_of_block):
     def best(body, places):
         size = REACH * body.size / BLOCK.size
-        options = {"gripper_size": size, "places": places, "nodes": 8, "rng": 5}
+        options = {"gripper_size": size, "places": places, "nodes": 3, "rng": 5}
         return search(body=body, **options)
 
     plain, again = best(BLOCK, CORNERS), best(BLOCK, CORNERS)
@@ -435,7 +435,7 @@ def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter(bes
 
 @pytest.mark.slow
 def test_more_nodes_never_raise_the_bound_and_no_value_is_above_any_of_them():
-    few, more = (search(nodes=n, gap=1e-6) for n in (1, 60))
+    few, more = (search(nodes=n, gap=1e-6) for n in (1, 20))
     assert max(few.value, more.value) <= more.bound * (1 + SOLVED)
     assert more.bound <= few.bound
 

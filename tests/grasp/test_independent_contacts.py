@@ -262,7 +262,7 @@ def test_worked_contacts_on_parallel_planes_break_rule_3_and_have_determinant_ze
 @pytest.mark.slow
 def test_rules_are_equivalent_to_the_determinant_over_integer_triples(rng):
     verdicts, broken = [], set()
-    for _ in range(4000):
+    for _ in range(1000):
         points, along = rng.integers(-2, 3, size=(2, 3, 3))
         if not along.any(axis=1).all():
             continue
@@ -273,7 +273,7 @@ def test_rules_are_equivalent_to_the_determinant_over_integer_triples(rng):
         assert abs(found.determinant) > 1e-9 or exact == 0
         verdicts.append(exact != 0)
         broken |= {violation.condition for violation in found.violations}
-    assert 1000 < sum(verdicts) < len(verdicts) - 500
+    assert 250 < sum(verdicts) < len(verdicts) - 125
     assert broken == {1, 2, 3, 4, 5, 6}
 
 

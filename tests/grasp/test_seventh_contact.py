@@ -501,7 +501,7 @@ def test_region_and_surface_draw_the_border_at_one_place():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tilt", [1e-9, 1e-8, 1e-7, 3e-7])
+@pytest.mark.parametrize("tilt", [1e-9, 3e-7])
 def test_moments_refuse_normals_that_are_nearly_parallel(tilt):
     """What hangs on the difference of such normals is decided by the inverse alone, and rightly."""
     rng = np.random.default_rng(3)

@@ -18,10 +18,11 @@ from commands import command
 from repository import ROOT, SUPPORT
 
 
-def interpreted(what: str) -> dict:
+@pytest.fixture(scope="module")
+def interpreted() -> dict:
     """Results of another process, by name."""
     process = subprocess.run(
-        [sys.executable, "-W", "error", SUPPORT / "both_ways.py", what],
+        [sys.executable, "-W", "error", SUPPORT / "both_ways.py"],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
         capture_output=True,
         text=True,
@@ -31,23 +32,13 @@ def interpreted(what: str) -> dict:
 
 
 @pytest.fixture(scope="module")
-def computed() -> dict:
-    return interpreted("computations")
-
-
-@pytest.fixture(scope="module")
-def evaluated() -> dict:
-    return interpreted("evaluations")
-
-
-@pytest.fixture(scope="module")
 def frozen() -> dict:
     return golden.load()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", both_ways.COMPUTATIONS)
-def test_interpreted_kernels_compute_what_compiled_ones_do(name, computed):
+def test_interpreted_kernels_compute_what_compiled_ones_do(name, interpreted):
     compiled = json.loads(both_ways.as_json(both_ways.COMPUTATIONS[name]()))
     expected = {
         quantity: {"value": value}
@@ -55,33 +46,33 @@ def test_interpreted_kernels_compute_what_compiled_ones_do(name, computed):
         else {"value": value, "tolerance": golden.TOLERANCE}
         for quantity, value in compiled.items()
     }
-    outcome = golden.compared(name, expected, computed[name])
+    outcome = golden.compared(name, expected, interpreted[name])
     assert not outcome.faults, outcome.faults
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [case.name for case in both_ways.evaluated_cases()])
-def test_interpreted_evaluations_are_the_frozen_ones(name, evaluated, frozen):
+def test_interpreted_evaluations_are_the_frozen_ones(name, interpreted, frozen):
     """Compiled ones are, too: ``tests/package/test_golden.py``."""
     expected = {
         quantity: entry
         for quantity, entry in frozen[name]["results"].items()
         if not quantity.startswith("run/")
     }
-    outcome = golden.compared(name, expected, evaluated[name])
+    outcome = golden.compared(name, expected, interpreted[name])
     assert not outcome.faults, outcome.faults
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["number_after_the_last", "lanes_after_the_last"])
-def test_an_index_out_of_range_raises(name, computed):
-    assert computed[name] == "IndexError"
+def test_an_index_out_of_range_raises(name, interpreted):
+    assert interpreted[name] == "IndexError"
 
 
 @pytest.mark.slow
-def test_a_debugger_sees_the_lines_of_kernels(computed):
-    assert all(lines > 5 for lines in computed["lines_of_kernels"].values())
-    assert len(computed["lines_of_kernels"]) == 3
+def test_a_debugger_sees_the_lines_of_kernels(interpreted):
+    assert all(lines > 5 for lines in interpreted["lines_of_kernels"].values())
+    assert len(interpreted["lines_of_kernels"]) == 3
 
 
 def fenced(text: str, language: str) -> str:

@@ -180,7 +180,8 @@ def test_a_terminal_gets_no_codes_but_those_of_styles():
     assert steering(console.file.getvalue()) == set()
 
 
-def test_names_on_a_page_of_a_study_are_no_markup(tmp_path):
+def test_names_on_a_page_of_a_study_are_no_markup(tmp_path, monkeypatch):
+    monkeypatch.setattr(accuracy_page, "inline_svg", lambda *_: "")  # figures have none of them
     study = sample_accuracy()
     study.scene = {**study.scene, "name": HOSTILE, "text": HOSTILE}
     study.refusals = {HOSTILE: HOSTILE}

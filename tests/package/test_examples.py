@@ -57,32 +57,6 @@ def assert_within_limits(text: str) -> None:
     assert 0.0 < max(effort, speed, position) <= 100.0
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
-
-
-@pytest.mark.slow
-def test_the_scene_of_the_readme_can_be_run(tmp_path):
-    scene = next(text for text in blocks("yaml") if text.startswith("name:"))
-    (tmp_path / "scene.yaml").write_text(scene)
-    system = ma.compile_system(ma.load_scene(tmp_path / "scene.yaml"))
-    assert max(system.start_report.gaps.values()) < 1e-6
-    assert ma.simulate(system, 0.01, certificate=False).status == "completed"
-
-
-@pytest.mark.parametrize(
-    "scene", sorted((ROOT / "examples" / "solved").glob("*.yaml")), ids=lambda p: p.stem
-)
-def test_scenes_that_break_elsewhere_run(scene):
-    run = ma.simulate(ma.compile_system(ma.load_scene(scene)))
-    assert run.status == "completed" and run.certificate["met"]
-    assert run.position_drift.max() < 1e-12 and abs(run.energy_balance).max() < 1e-6
-    if scene.stem == "effort_limits":
-        assert sum(event["kind"] == "saturates" for event in run.events) > 5
-        limits = [150.0, 150.0, 150.0, 28.0, 28.0, 28.0]  # of a UR5's file [N m]
-        assert np.all(abs(run.joint_torques["left"]).max(axis=0) <= np.array(limits) + 1e-9)
-
-
 def assert_same_print(actual: str, expected: str) -> None:
     """The same words, and the same numbers to the last digit that is expected."""
     assert re.split(NUMBER, actual) == re.split(NUMBER, expected)

@@ -830,7 +830,7 @@ _places = st.sampled_from(
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(path=_places, value=_junk)
 def test_junk_anywhere_gives_a_scene_or_a_scene_error(path, value):
     data = with_functions(distance="shapes:blob") if "contacts" in path else scene_with(path, value)
@@ -856,7 +856,7 @@ def test_junk_anywhere_gives_a_scene_or_a_scene_error(path, value):
         assert parse_scene(dump_scene(scene)) == scene
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(text=st.text(max_size=60))
 def test_any_text_gives_a_scene_error(text):
     with pytest.raises(SceneError):

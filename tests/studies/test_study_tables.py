@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.text import Text
 
 from multiarm.cli.studies import rendered
 from multiarm.studies.tables import NUMBER, REMARK, TEXT, TextTable
@@ -40,26 +39,3 @@ def test_no_column_of_a_commands_table_is_lost_and_no_number_cut():
         for text in (*heads, *rows[0], *rows[1]):
             assert text in shown, f"{width} columns: {text}"
         assert shown.count("Joints") == 1
-
-
-def test_a_wide_column_is_narrowed_before_others_are_cut():
-    cells = [
-        Text("corner_grippers_near_loss\nCorner grippers that have nearly lost a constraint"),
-        Text("run ended early 0 / 0\nenergy error / largest kinetic energy 3.8e-11 / 1e-05"),
-        Text("rank 8, 21 events\n712 steps, 0.405 s"),
-        Text("pass"),
-    ]
-    for width in (70, 80, 90):
-        console = Console(width=width)
-        with console.capture() as capture:
-            console.print(columns("Cases", ("case", "criteria", "run", "verdict"), [cells]))
-        assert max(map(len, capture.get().splitlines())) <= width
-        words = {word for cell in cells for word in cell.plain.split()}
-        assert {"verdict", *words} <= set(capture.get().split())
-
-
-def test_two_columns_that_are_too_wide_are_broken_and_not_cut():
-    console = Console(width=30)
-    with console.capture() as capture:
-        console.print(columns("", ("arm", "kind"), [("left_upper_gripper_arm", "x" * 24)]))
-    assert capture.get().count("x") == 24

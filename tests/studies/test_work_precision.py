@@ -44,7 +44,6 @@ from multiarm.studies.settings import (
     Setting,
     halved_steps,
     our_ladders,
-    short,
 )
 from multiarm.studies.timing import OutOfTime, clocked_run
 from multiarm.studies.work_precision import (
@@ -60,7 +59,7 @@ from multiarm.studies.work_precision import (
     run_peer,
     run_study,
 )
-from multiarm.studies.work_precision_page import comparison, recommendation
+from multiarm.studies.work_precision_page import recommendation
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
@@ -273,14 +272,6 @@ def test_fixed_steps_follow_from_the_references_own():
     assert fast.value <= COARSEST * 1e-4 < 2.0 * fast.value
 
 
-@pytest.mark.parametrize(
-    ("value", "text"), [(1e-6, "1e-6"), (0.0025, "0.0025"), (1.5625e-4, "1.5625e-4"), (0.0, "0")]
-)
-def test_numbers_are_told_as_one_would_type_them(value, text):
-    assert short(value) == text
-    assert float(text) == value
-
-
 def test_failing_settings_are_points_with_a_reason(system, reference):
     lost = measure_ours(system, setting(1e-18, "dop853", "feedback", "tolerance"), reference, 10.0)
     assert (lost.status, lost.wall_time_s, lost.error("motion")) == (FAILED, None, None)
@@ -402,14 +393,6 @@ def test_every_fourth_setting_comes_first_and_half_of_them_are_quick(fast_study)
     assert {item.repeats for item in quick.points.values()} == {studies.QUICK_REPEATS}
 
 
-def test_progress_names_what_is_measured(fast_study):
-    told_: list[tuple[float, float, str]] = []
-    fast_study(Law(seconds=1e-9), progress=lambda *what: told_.append(what))
-    measured = [item for item in told_ if item[1]]
-    assert "step " in measured[0][2]
-    assert all(done <= total for done, total, _ in measured)
-
-
 # --- stages of a study, by a clock that only runs advance -----------------------------------------
 
 DIGITS = {"motion": 1e-12, "position": 1e-12, "rotation": 1e-12, "joints": 1e-12, "force": 1e-9}
@@ -512,7 +495,7 @@ def test_the_first_of_all_runs_by_accuracy_are_shown_of_a_slow_scene(study_in):
     assert len(study.points) >= 2
 
 
-@pytest.mark.parametrize("part", [0.01, 0.3, 0.9])
+@pytest.mark.parametrize("part", [0.01, 0.9])
 def test_an_interrupted_study_has_what_was_measured(study_in, part):
     whole = World(1)
     *_, finished = study_in(whole)
@@ -532,7 +515,7 @@ def test_an_interrupted_study_has_what_was_measured(study_in, part):
 @pytest.mark.slow
 def test_the_cheapest_of_each_decade_is_that_of_brute_force():
     rng = np.random.default_rng(3)
-    for _ in range(50):
+    for _ in range(15):
         digits = 10.0 ** rng.uniform(-12, -8)
         points = [
             replace(
@@ -562,11 +545,6 @@ def test_the_cheapest_of_each_decade_is_that_of_brute_force():
                 assert row.peer_over_ours == best[1].wall_time_s / best[0].wall_time_s
 
 
-def test_errors_below_the_digits_are_not_ranked():
-    exact = point(1.0, 0.0)
-    assert decades(study_of([exact], digits=2e-7), "motion")["level"].min() == 1e-6
-
-
 def test_the_recommendation_says_what_to_take_and_what_more_costs():
     by_accuracy = setting(1e-5, BY_ACCURACY, "", "accuracy")
     first = replace(point(3.1e-3, 5e-7), setting=by_accuracy, used="dop853")
@@ -578,48 +556,11 @@ def test_the_recommendation_says_what_to_take_and_what_more_costs():
     assert second.setting.advice("") == "tolerance 0.0062 (dop853, no stabilization)"
 
 
-def test_the_recommendation_aims_at_the_scenes_accuracy():
-    coarse, fine = point(1e-3, 5e-4), point(2e-3, 5e-7)
-    text = recommendation(study_of([coarse, fine], accuracy=1e-3))
-    assert text.startswith("For errors below 0.001 take step 0.001 s (rk4, projection): 1 ms")
-    assert text.endswith("1e-6 costs 2 times that.")
-
-
 def test_each_quantity_has_the_scenes_own_aim():
     run = {"duration": 0.1, "accuracy": {"position": 1e-4, "rotation": 1e-5, "force": 1e-2}}
     assert Study.of(ring().replace(run=run)).scene["accuracy"] == {
         "motion": 1e-5, "position": 1e-4, "rotation": 1e-5, "joints": 1e-5, "force": 1e-2,
     }  # fmt: skip
-
-
-def test_the_recommendation_admits_what_cannot_be_had():
-    only = point(1e-3, 5e-3)
-    assert recommendation(study_of([only])) == (
-        "No setting reached 1e-6. For errors below 0.01 take step 0.001 s (rk4, projection): 1 ms "
-        "for 1 s of motion."
-    )
-    failed = replace(only, status=FAILED)
-    assert "nothing can be recommended" in recommendation(study_of([failed]))
-    assert "No setting reached 0.001. For errors below 0.1 N take " in recommendation(
-        study_of([only]), "force"
-    )
-
-
-def test_peers_are_compared_at_two_levels():
-    ours, peer = point(1e-3, 1e-10), point(5e-3, 1e-10, solver="Drake", method="discrete", kind="")
-    assert comparison(study_of([ours, peer])) == (
-        "The best peer takes 5 times our time to reach 1e-6 (Drake, discrete, step 0.005 s), and "
-        "5 times our time to reach 1e-9 (Drake, discrete, step 0.005 s)."
-    )
-    assert comparison(study_of([ours])) == ""
-
-
-def test_series_put_ours_first_and_go_from_coarse_to_fine():
-    peer = point(1e-3, 1e-3, solver="Drake", method="discrete", kind="")
-    table = study_of([peer, point(2.0, 1e-9, value=0.1), point(1.0, 1e-3, value=0.2)]).table
-    assert list(table["series"]) == ["rk4, projection", "rk4, projection", "Drake, discrete"]
-    assert list(table["ours"]) == [True, True, False]
-    assert list(table["value"])[:2] == [0.2, 0.1]
 
 
 # --- peers ----------------------------------------------------------------------------------------

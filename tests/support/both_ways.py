@@ -1,9 +1,8 @@
 """What compiled and interpreted kernels both compute, to be compared.
 
-    NUMBA_DISABLE_JIT=1 python tests/support/both_ways.py computations
-    NUMBA_DISABLE_JIT=1 python tests/support/both_ways.py evaluations
+    NUMBA_DISABLE_JIT=1 python tests/support/both_ways.py
 
-print JSON, a line for each computation: its name, and its results interpreted.
+prints JSON, a line for each computation and each frozen case: its name, its results interpreted.
 """
 
 from __future__ import annotations
@@ -221,11 +220,9 @@ def evaluated_cases() -> Iterator[golden.Case]:
 
 
 def main() -> None:
-    """Print what the command line asks for."""
-    if sys.argv[1] == "evaluations":
-        for case in evaluated_cases():
-            _show(case.name, golden.measure(case, frozen_cases()[case.name]["states"])[0])
-        return
+    """Print all results."""
+    for case in evaluated_cases():
+        _show(case.name, golden.measure(case, frozen_cases()[case.name]["states"])[0])
     for name, compute in COMPUTATIONS.items():
         _show(name, compute())
     _show("number_after_the_last", error_of(number_after_the_last, np.zeros(4)))

@@ -66,8 +66,9 @@ def finite_json(text: str):
 
 def promised_keys(function) -> set[str]:
     """The keys of its JSON that a command's help names."""
-    promise = re.search(r"The JSON has the keys (.*?)(;|\. Numbers)", function.__doc__, re.S)
-    return {key.strip() for key in promise[1].split(",")}
+    help_text = re.sub(r"\([^)]*\)", "", function.__doc__)
+    promise = re.search(r"The JSON has the keys (.*?)(;|\.\s+Numbers)", help_text, re.S)
+    return {*re.split(r"[,\s]+(?:and\s+)?", promise[1].strip())}
 
 
 def figures(path: Path) -> dict:

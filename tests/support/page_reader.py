@@ -84,11 +84,9 @@ class View:
 
 
 @contextmanager
-def shown(browser, target, scheme="light", width=1300):
+def shown(browser, target):
     """A page in the browser, which complains about nothing and asks for nothing but itself."""
-    page = browser.new_page(
-        viewport={"width": width, "height": 1000}, offline=True, color_scheme=scheme
-    )
+    page = browser.new_page(offline=True)
     complaints, requests = [], []
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))

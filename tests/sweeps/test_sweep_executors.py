@@ -262,15 +262,6 @@ def by_file(scene, tmp_path):
     return load_scene(tmp_path / "scene.yaml"), tmp_path / "own.urdf"
 
 
-@pytest.mark.slow
-def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, tmp_path):
-    scene, _ = by_file
-    over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
-    asked = {"over": over, "certificate": False, "keep": ["final_z"]}
-    found = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=2, **RUN)
-    assert found.status_counts == {"completed": 2}
-
-
 def own_arm(scene, urdf):
     """The left arm, from a file."""
     table = scene.arms["left"].model_dump(mode="json", exclude_defaults=True)
@@ -279,12 +270,15 @@ def own_arm(scene, urdf):
 
 
 @pytest.mark.slow
-def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
+def test_named_files_start_at_the_scenes_folder_and_another_text_makes_another_sweep(
+    by_file, tmp_path
+):
     scene, urdf = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
     asked = {"over": over, "certificate": False, "keep": ["final_z"]}
     out = tmp_path / "s.sweep"
-    found = ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    found = ma.sweep(scene, asked, out=out, workers=2, **RUN)
+    assert found.status_counts == {"completed": 2}
     assert ma.sweep(scene, asked, out=out, workers=1, **RUN).complete  # nothing else changed
     urdf.write_text(urdf.read_text().replace("</robot>", "<!-- another -->\n</robot>"))
     with refused(SweepError, "own.urdf"):

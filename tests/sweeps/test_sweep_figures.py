@@ -15,7 +15,6 @@ from multiarm.errors import SweepError
 from multiarm.plots.sweep_figures import (
     BAND,
     PARTS,
-    POINTS,
     bands,
     cells,
     sweep_overview,
@@ -137,52 +136,12 @@ def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sw
 
 
 @pytest.mark.slow
-def test_runs_that_did_not_complete_are_seen(sweep):
-    panel = panel_of(sweep_overview(sweep), "object.mass", "gap [m]")
-    (ticks,) = [line for line in panel.lines if line.get_label() == "did not complete"]
-    failed = sweep.table.loc[sweep.table["status"] == "failed", "object.mass"]
-    assert sorted(ticks.get_xdata()) == sorted(failed)
-
-
-@pytest.mark.slow
-def test_words_are_levels_with_their_names_and_no_formulas(sweep):
-    figure = sweep_overview(sweep)
-    figure.savefig(io.BytesIO(), format="svg")
-    panel = panel_of(figure, "control.kind", "gap [m]")
-    labels = [label.get_text() for label in panel.get_xticklabels()]
-    assert labels == ["$none_", "joint_pd"]
-
-
-@pytest.mark.slow
 def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
     figure = sweep_overview(sweep)
     panels = [panel for panel in figure.axes if panel.get_xlabel()]
     assert len(panels) == 2 * (len(grid_row(1)[0]) + 1), "the third quantity has no number"
     for kind in ("png", "svg", "pdf"):
         figure.savefig(io.BytesIO(), format=kind)
-
-
-@pytest.mark.slow
-def test_a_legend_below_the_panels_explains_all_marks(sweep):
-    figure = sweep_overview(sweep)
-    figure.draw_without_rendering()
-    (legend,) = figure.legends
-    names = [text.get_text() for text in legend.get_texts()]
-    assert names == ["a run", "median", "middle half", "nine tenths", "did not complete"]
-    top = legend.get_window_extent().y1
-    assert all(top <= panel.get_tightbbox().y0 + 1.0 for panel in figure.axes)
-
-
-@pytest.mark.slow
-def test_ten_thousand_runs_make_a_figure_of_bounded_size():
-    def scattered(run):
-        x, y, z = np.random.default_rng(run).normal(size=3).tolist()
-        return {"a": x, "b": y}, z, x + y, True
-
-    figure = sweep_overview(sweep_of(10_000, scattered))
-    drawn = [len(line.get_xdata()) for panel in figure.axes for line in panel.lines]
-    drawn += [len(c.get_offsets()) for panel in figure.axes for c in panel.collections]
-    assert max(drawn) <= POINTS
 
 
 def test_what_cannot_be_drawn_is_said():

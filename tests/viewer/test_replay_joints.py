@@ -248,6 +248,8 @@ def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animat
         np.testing.assert_allclose(hand[:3], x, atol=5e-3)
         bead = page.evaluate(POSE, ["world", "joints", "right", "slide", "bead"])
         assert bead["position"][2] == pytest.approx(slide.dials[0].value[row], abs=1e-4)
+    page.get_by_label("joint axes").uncheck()
+    assert page.evaluate("viewer.scene_tree.find(['world', 'joints']).object.visible") is False
 
 
 @pytest.mark.slow
@@ -271,20 +273,3 @@ def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp
     for time, beyond in (("0", False), ("0.5", True)):
         page.fill("#seek", time)
         page.wait_for_function(f"({BEYOND})()[0] === {str(beyond).lower()}")
-
-
-@pytest.mark.slow
-def test_joint_axes_are_a_layer_that_can_be_hidden(view, exported):
-    page = opened(view, exported)
-    page.get_by_label("joint axes").uncheck()
-    assert page.evaluate("viewer.scene_tree.find(['world', 'joints']).object.visible") is False
-
-
-@pytest.mark.slow
-def test_page_without_limits_has_no_dials(view, tmp_path):
-    still_run = run("{arm: left, kind: ball}", "{arm: right, kind: revolute}")
-    page = opened(view, replay(still_run, tmp_path / "plain.html", meshes=False))
-    assert view.complaints == []
-    assert page.evaluate(DIALS) == []
-    names = page.evaluate(PARTS, ["world", "joints"])
-    assert "axis" in names and not {"sector", "rail", "hand", "bead"} & set(names)
