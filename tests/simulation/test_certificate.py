@@ -414,6 +414,7 @@ def test_a_python_controller_is_called_again_from_the_start(ring):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 def test_a_rerun_that_fails_leaves_the_run_uncertified(ring):
     seen = []
 
@@ -654,7 +655,7 @@ def test_an_accuracy_that_is_not_met_is_a_warning_and_no_failure(tmp_path):
     assert "warning: the accuracy is not met: " in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("accuracy", [{"position": 1e-6, "force": 1e-3}, 1e-15])
 def test_the_report_shows_verdict_numbers_and_attempts(ring, accuracy):
     run = ma.simulate(ring, accuracy=accuracy, **SHORT)
