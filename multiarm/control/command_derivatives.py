@@ -2,8 +2,8 @@ r"""Derivatives of torques that put a wrench on the object and accelerate the ar
 
 A law commands the wrench :math:`w` on the object, and distributes it over the contacts by
 :math:`\lambda = \lambda_s + W_o^T y` with :math:`A y = w - W_o\lambda_s`, :math:`A = W_o W_o^T`,
-and constant :math:`\lambda_s` (:mod:`multiarm.dynamics.forces.compiled`).  Its torques are those of
-the inverse dynamics,
+and desired forces :math:`\lambda_s` (:mod:`multiarm.dynamics.forces.compiled`).  Its torques are
+those of the inverse dynamics,
 
 .. math::
     \tau_i = M_i\ddot q_i + b_i - W_i\lambda_i, \qquad
@@ -13,8 +13,8 @@ the inverse dynamics,
 targets.  With :math:`\partial` for a derivative at fixed accelerations and forces,
 
 .. math::
-    A\,dy &= dw - \partial(W_o\lambda) - W_o\,\partial(W_o^T y), \qquad
-    d\lambda = \partial(W_o^T y) + W_o^T dy, \\
+    A\,dy &= dw - \partial(W_o\lambda) - W_o\,(\partial(W_o^T y) + d\lambda_s), \qquad
+    d\lambda = \partial(W_o^T y) + d\lambda_s + W_o^T dy, \\
     \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}
     \begin{bmatrix} d\ddot q_i \\ d\kappa_i \end{bmatrix} &= \begin{bmatrix}
     M_i\,dp_i - \partial\big(M_i(\ddot q_i - p_i) - W_i\kappa_i\big) \\
@@ -62,6 +62,7 @@ class CommandDerivatives(NamedTuple):
     wrench: Floats2  # (6, S) dw at fixed accelerations of object and arms; then dy
     acceleration: Floats2  # (6, 12) of the object that is commanded, by its pose and twist
     preferred: Floats2  # (d, C) dp of one arm
+    desired: Floats2  # (N, S) of the forces with which arms press
     forces: Floats2  # (N, S) of the contacts
     motions: Floats2  # (d + m, C) of one arm: right-hand sides, then dq'' and the multipliers
     pivots: Ints1  # (d + m,)
@@ -115,6 +116,7 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
             wrench=np.zeros((6, states)),
             acceleration=np.zeros((6, 12)),
             preferred=np.zeros((d, own)),
+            desired=np.zeros((layout.contacts, states)),
             forces=np.zeros((layout.contacts, states)),
             motions=np.zeros((d + m, own)),
             pivots=np.zeros(d + m, dtype=np.int64),
@@ -160,7 +162,7 @@ def differentiate_shares(data, work, motion, rest, by):
                 if own.twist <= c < own.positions:
                     continue  # y is no velocity of the state
                 rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
-                by.forces[k, column] = rate
+                by.forces[k, column] = rate = rate + by.desired[k, column]
                 for l in range(6):
                     by.wrench[l, column] -= data.rows.Wo[k, l] * rate
     for l in range(6):

@@ -10,7 +10,7 @@ reference, :math:`\exp\theta = R_r R_o^T`, a turn :math:`\delta` of the object g
 moment :math:`d(J_l^{-1}(\theta) K\theta) - D\,d\omega_o`, with :math:`J_l^{-1}` of
 :func:`multiarm.spatial.write_chart_rate`.
 
-Arms that hold their poses on the object, or press on it, leave differences.
+Arms that hold their poses on the object leave differences.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from multiarm.control.command_derivatives import (
 from multiarm.control.object_law import open_command, open_object_law
 from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, unit
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state, unit
+from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.equation_derivatives import (
     AT_REST,
     add_object_equation,
@@ -38,10 +39,12 @@ from multiarm.dynamics.equation_derivatives import (
     write_body,
     write_derivatives_at_rest,
 )
+from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, share_wrench
+from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
 from multiarm.jit.structs import struct_at
-from multiarm.jit.vectors import scale
+from multiarm.jit.vectors import add_cross, put, scale, vec
 from multiarm.spatial import rotation_between, write_chart_rate, write_chart_rate_slopes
 
 
@@ -60,7 +63,7 @@ def write_computed_torque_derivatives(address, size, at, t):
     law, command = open_object_law(struct, at), open_command(struct, at)
     by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
-    if not begin(law, command, data, by):
+    if not begin(law, command, data, work, by):
         return SINGULAR
     differentiate_acceleration(t, law, data, by)
     for l in range(6):
@@ -89,7 +92,7 @@ def write_object_impedance_derivatives(address, size, at, t):
     law, command = open_object_law(struct, at), open_command(struct, at)
     by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
-    if not begin(law, command, data, by):
+    if not begin(law, command, data, work, by):
         return SINGULAR
     differentiate_spring_wrench(t, law, data, by.wrench)
     copy(command.a_j, motion.a_j)
@@ -102,11 +105,7 @@ def write_object_impedance_derivatives(address, size, at, t):
 
 @kernel
 def has_closed_form(law, command):
-    """Whether the derivatives are here: targets are independent, poses free, no arm presses."""
-    for i in range(law.wrenches_of_arms.shape[0]):
-        for l in range(6):
-            if law.wrenches_of_arms[i, l] != 0.0:
-                return False
+    """Whether the derivatives are here: targets are independent, poses free."""
     return command.independent[0] != 0 and law.free_stiffness == 0.0
 
 
@@ -114,6 +113,10 @@ def has_closed_form(law, command):
 def differentiate_torques(law, command, struct, data, work, by):
     """Add the derivatives of the torques, after those of the commanded motion; returns a status."""
     motion, excess = open_equations(by.motion), open_equations(by.excess)
+    for i in range(law.wrenches_of_arms.shape[0]):
+        status = differentiate_press(i, law, struct, data, work, by)
+        if status != OK:
+            return status
     for j in range(command.a_j.size):
         excess.a_j[j] = command.a_j[j] - command.preferred[j]
     copy(command.multipliers, excess.force)
@@ -132,7 +135,7 @@ def differentiate_torques(law, command, struct, data, work, by):
 
 
 @inlined
-def begin(law, command, data, by):
+def begin(law, command, data, work, by):
     """Write y without the internal forces, and clear the results; see :func:`begin_command`.
 
     Returns whether there is a closed form.
@@ -141,9 +144,79 @@ def begin(law, command, data, by):
         return False
     copy(data.control.object_wrench, by.twist)
     for k in range(data.rows.Wo.shape[0]):
-        for l in range(6):
-            by.twist[l] -= data.rows.Wo[k, l] * law.forces_of_contacts[k]
+        subtract_wrench(data.rows.Wo[k], law.forces_of_contacts[k], by.twist)
+    subtract_presses(law, data, work, by.twist)
     return begin_command(data, by)
+
+
+@inlined
+def subtract_wrench(row, force, wrench):
+    """Subtract the wrench of a contact force."""
+    for l in range(6):
+        wrench[l] -= row[l] * force
+
+
+@allocating
+def subtract_presses(law, data, work, wrench):
+    """Subtract what the forces with which arms press put on the object."""
+    world, y = np.empty(6), np.empty(6)
+    for i in range(law.wrenches_of_arms.shape[0]):
+        if pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
+            Wo = data.rows.Wo[work.rows[i] : work.rows[i + 1]]
+            share_wrench(Wo, world, y)
+            for k in range(Wo.shape[0]):
+                subtract_wrench(Wo[k], force_of(Wo[k], y), wrench)
+
+
+@inlined
+def force_of(row, y):
+    """The force ``W_o^T y`` of one contact."""
+    force = 0.0
+    for l in range(6):
+        force += row[l] * y[l]
+    return force
+
+
+@allocating
+def differentiate_press(i, law, struct, data, work, by):
+    r"""Write the derivatives of the forces with which an arm presses; returns a status.
+
+    They are :math:`\lambda = W_o^+ w` of its contacts, :math:`\lambda = W_o^T y`, so that
+    :math:`d\lambda = \partial(W_o^T y) + W_o^+ (dw - \partial(W_o\lambda)
+    - W_o\,\partial(W_o^T y))`, where these carry the wrench; ``SINGULAR`` elsewhere.
+    """
+    excess, world, y, left = open_equations(by.excess), np.empty(6), np.empty(6), np.empty(6)
+    if not pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
+        return OK
+    r0, r1 = work.rows[i], work.rows[i + 1]
+    Wo, d0 = data.rows.Wo[r0:r1], work.dofs[i]
+    share_wrench(Wo, world, y)
+    clear(excess.a_j)
+    clear(excess.force)
+    copy(world, left)
+    for k in range(r1 - r0):
+        excess.force[r0 + k] = force_of(Wo[k], y)
+        subtract_wrench(Wo[k], excess.force[r0 + k], left)
+    for l in range(6):
+        if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
+            return SINGULAR
+    status = write_derivatives_at_rest(struct, by.excess, y)
+    own, columns = arm_columns(work.dofs[i + 1] - d0, False), force_columns(data)
+    for c in range(own.velocities):
+        if own.twist <= c < own.positions:
+            continue
+        column = column_of_state(columns, own, d0, c)
+        for l in range(6):
+            left[l] = excess.dF_o[l, column]
+        if 3 <= c < own.twist:
+            put(left, 0, add_cross(vec(left, 0), unit(c - 3), vec(world, 0)))
+            put(left, 3, add_cross(vec(left, 3), unit(c - 3), vec(world, 3)))
+        for k in range(r1 - r0):
+            subtract_wrench(Wo[k], excess.rates[r0 + k, c], left)
+        share_wrench(Wo, left, y)
+        for k in range(r1 - r0):
+            by.desired[r0 + k, column] = excess.rates[r0 + k, c] + force_of(Wo[k], y)
+    return status
 
 
 @allocating

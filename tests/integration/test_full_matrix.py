@@ -82,6 +82,14 @@ SCENES = {
     "object impedance": lambda tmp: ma.compile_system(
         ur5_pair(WELD, BALL, control={"kind": "object_impedance", **SPRING}).replace(**WEIGHT)
     ),
+    "computed torque that squeezes": lambda tmp: ma.compile_system(
+        ur5_pair(WELD, WELD, control={**MOVING, "squeeze": 30.0}).replace(**WEIGHT)
+    ),
+    "object impedance that squeezes": lambda tmp: ma.compile_system(
+        ur5_pair(
+            WELD, WELD, control={"kind": "object_impedance", **SPRING, "squeeze": 30.0}
+        ).replace(**WEIGHT)
+    ),
     "gravity compensation beside drives that couple": lambda tmp: coupled(
         ma.compile_system(
             ur5_pair(WELD, BALL, control={"kind": "gravity_compensation"}).replace(**WEIGHT)

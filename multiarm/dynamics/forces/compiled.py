@@ -68,15 +68,37 @@ def static_forces(Wo, weight, force):
     the contacts can carry the wrench, else that of least squares, with moments over the longest
     lever arm.
     """
-    A, b, x, scale = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.empty(6)
-    write_wrench_products(Wo, A, scale)
-    for i in range(6):
-        b[i] = scale[i] * weight[i]
-    solve_semidefinite(A, b, x)
+    y = np.empty(6)
+    share_wrench(Wo, weight, y)
     for k in range(Wo.shape[0]):
         force[k] = 0.0
         for i in range(6):
-            force[k] += Wo[k, i] * scale[i] * x[i]
+            force[k] += Wo[k, i] * y[i]
+
+
+@allocating
+def share_wrench(Wo, wrench, y):
+    """Write the ``y`` of these forces :math:`W_o^T y` for a wrench (6,)."""
+    A, b, scale = np.zeros((6, 6)), np.zeros(6), np.empty(6)
+    write_wrench_products(Wo, A, scale)
+    for i in range(6):
+        b[i] = scale[i] * wrench[i]
+    solve_semidefinite(A, b, y)
+    for i in range(6):
+        y[i] *= scale[i]
+
+
+@kernel
+def pressing_wrench(rotation, on_object, world):
+    """Write an arm's wrench of :func:`share_load` in world axes; returns whether there is any."""
+    presses = False
+    for a in range(6):
+        world[a], presses = 0.0, presses or on_object[a] != 0.0
+    for a in range(3):
+        for b in range(3):
+            world[a] += rotation[3 * a + b] * on_object[b]
+            world[3 + a] += rotation[3 * a + b] * on_object[3 + b]
+    return presses
 
 
 @allocating
@@ -96,18 +118,11 @@ def share_load(wrench, Wo, rows, rotation, of_contacts, of_arms, force):
         centre of mass, its axes).  Only their internal part remains.
     force : (N,), written
     """
-    desired, remaining = np.empty(of_contacts.size), np.empty(6)
+    desired, remaining, world = np.empty(of_contacts.size), np.empty(6), np.empty(6)
     copy(of_contacts, desired)
     for i in range(rows.size - 1):
-        on_object, presses = of_arms[i], False
-        for a in range(6):
-            presses = presses or on_object[a] != 0.0
-        if presses:
-            r0, r1, world = rows[i], rows[i + 1], np.zeros(6)
-            for a in range(3):
-                for b in range(3):
-                    world[a] += rotation[3 * a + b] * on_object[b]
-                    world[3 + a] += rotation[3 * a + b] * on_object[3 + b]
+        if pressing_wrench(rotation, of_arms[i], world):
+            r0, r1 = rows[i], rows[i + 1]
             static_forces(Wo[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]
