@@ -35,7 +35,7 @@ from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.effects.building import BuildContext, effect_program
 from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.integration.near_singular import evaluate_near_singular
-from multiarm.integration.reporting_guards import reporting_guards
+from multiarm.integration.reporting_guards import check_reports, reporting_guards
 from multiarm.scene import Scene
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -46,6 +46,7 @@ FUNCTIONS = {
     "project": solve,
     "record": record_solution,
     "compare": compare_solution,
+    "reports": check_reports,
 }
 LAZY_FUNCTIONS = {
     "coupled": solve_deficient,

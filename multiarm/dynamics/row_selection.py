@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property, lru_cache
-from itertools import pairwise
-from typing import Any
+from functools import cached_property, lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +40,7 @@ from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.dynamics.variables import Variables, row_shapes
 from multiarm.jit.kernels import INTS, clear, copy, kernel
 
-# Selections whose caches are kept.
+# Selections whose tables and caches are kept.
 MOST_RECENT = 32
 
 
@@ -99,39 +98,26 @@ class RowSelection(Data):
         # with room for all rows; the struct has their addresses
         self._constants = constants
         self._arrays, self._work, self._coupled = self.arrays, self.work, self.coupled
-        self._places = row_places(*self._shapes(counts, 0))
+        self._places = row_places(*_shapes(self._dofs, counts, 0))
+        tables = partial(_tables, self._dofs, self._bounds, self._of_joints)
+        self._tables = lru_cache(MOST_RECENT)(tables)
         # what is made for some rows stays right for them: their arrays are where they were
         self._cache_of = lru_cache(MOST_RECENT)(_cache_of)
         self.select(np.zeros(0, dtype=np.int64))
 
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
-        bounds = np.searchsorted(rows, self._bounds)
-        starts = bounds.tolist()
-        counts = [end - first for first, end in pairwise(starts)]
-        shapes = self._shapes(counts, int(np.count_nonzero(self._of_joints[rows])))
-        self.struct[self._places] = [
-            size for part in shapes for shape in part.values() for size in shape
-        ]
-        order = group_order(self._dofs, counts)
-        write_selection(self.struct, self._full.struct, rows, bounds, order)
-        self.rows, self.counts = rows, counts
         selected = np.zeros(self._bounds[-1], dtype=np.uint8)
         selected[rows] = 1
+        tables = self._tables(selected.tobytes())
+        self.struct[self._places] = tables.sizes
+        write_selection(self.struct, self._full.struct, rows, tables.bounds, tables.order)
+        self.rows, self.counts = rows, tables.counts
         if self.tangents is not None:
             selected[self.tangents.rows] = 2
         self.cache = self._cache_of(selected.tobytes())
         for name in ("model", "arrays", "work", "coupled"):
             vars(self).pop(name, None)
-
-    def _shapes(self, counts: list[int], of_joints: int) -> tuple[Shapes, Shapes, Shapes, Shapes]:
-        """Shapes of constants, variables and workspaces for numbers of rows."""
-        return (
-            dict.fromkeys(JointRows._fields, (of_joints,)),
-            row_shapes(sum(counts)),
-            {**work_shapes(self._dofs, counts), **group_shapes(self._dofs, counts)},
-            coupled_shapes(self._dofs, counts),
-        )
 
     @cached_property
     def model(self) -> Model:  # type: ignore[override]
@@ -158,6 +144,36 @@ class RowSelection(Data):
 
 def _cache_of(selected: bytes) -> dict[object, Any]:
     return {}
+
+
+class _Tables(NamedTuple):
+    """What belongs to some rows: their first ones of each arm, sizes of arrays, order of groups."""
+
+    bounds: np.ndarray  # (n + 1,)
+    counts: list[int]
+    sizes: np.ndarray
+    order: np.ndarray
+
+
+def _tables(
+    dofs: list[int], all_bounds: np.ndarray, of_joints: np.ndarray, selected: bytes
+) -> _Tables:
+    rows = np.flatnonzero(np.frombuffer(selected, dtype=np.uint8))
+    bounds = np.searchsorted(rows, all_bounds)
+    counts = np.diff(bounds).tolist()
+    shapes = _shapes(dofs, counts, int(np.count_nonzero(of_joints[rows])))
+    sizes = [size for part in shapes for shape in part.values() for size in shape]
+    return _Tables(bounds, counts, np.array(sizes), group_order(dofs, counts))
+
+
+def _shapes(dofs: list[int], counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
+    """Shapes of constants, variables and workspaces for numbers of rows."""
+    return (
+        dict.fromkeys(JointRows._fields, (of_joints,)),
+        row_shapes(sum(counts)),
+        {**work_shapes(dofs, counts), **group_shapes(dofs, counts)},
+        coupled_shapes(dofs, counts),
+    )
 
 
 def beginnings(holder: Any, shapes: Shapes) -> Any:

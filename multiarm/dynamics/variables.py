@@ -235,6 +235,7 @@ class Functions(Numbers):
     compare: Int  # the recorded solution with that of the previous step
     contact_forces: Int  # with unilateral contacts
     guards: Int  # with unilateral contacts
+    reports: Int  # the check of the guards that only report
     arms: Int  # terms of compiled arms, with address and size of their struct
     arms_struct: Int
     arms_size: Int

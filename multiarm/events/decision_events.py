@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import points_and_normals
@@ -11,11 +9,11 @@ from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
 from multiarm.events.transition import Decision, Hit
 from multiarm.results.channels import ContactState
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import RunEvent, Side
 
 
-def decision_events(
-    modes: Modes, t: float, decision: Decision, before: Mode
-) -> list[dict[str, Any]]:
+def decision_events(modes: Modes, t: float, decision: Decision, before: Mode) -> list[RunEvent]:
     """Events of one decision.
 
     ``before`` has no states at the beginning of a run, of which only impacts are events.
@@ -32,73 +30,70 @@ def decision_events(
 
 def _kind(
     constraint: Constraint, was: ContactState, now: ContactState, hit: Hit | None, rested: bool
-) -> str:
-    """The kind of event of a constraint; empty for none."""
+) -> EventKind | None:
+    """The kind of event of a constraint; None for none."""
     if constraint.kind == DRY_JOINT:
-        return "" if was.moves == now.moves else "joint slips" if now.moves else "joint sticks"
+        if was.moves == now.moves:
+            return None
+        return EventKind.JOINT_SLIPS if now.moves else EventKind.JOINT_STICKS
     if hit is not None and now == ContactState.OPEN:
-        return "bounces"
+        return EventKind.BOUNCES
     if rested:
-        return "comes to rest"
+        return EventKind.COMES_TO_REST
     if (was == ContactState.OPEN) != (now == ContactState.OPEN):
         if constraint.kind == LIMIT:
-            return "leaves its limit" if now == ContactState.OPEN else "reaches its limit"
-        return "lets go" if now == ContactState.OPEN else "touches"
+            opens = now == ContactState.OPEN
+            return EventKind.LEAVES_LIMIT if opens else EventKind.REACHES_LIMIT
+        return EventKind.LETS_GO if now == ContactState.OPEN else EventKind.TOUCHES
     if hit is not None:
-        return "touches"
+        return EventKind.TOUCHES
     was, now = was.recorded, now.recorded
     if {was, now} == {ContactState.SLIDING, ContactState.STICKING}:
-        return "slides" if now == ContactState.SLIDING else "sticks"
-    return ""
+        return EventKind.SLIDES if now == ContactState.SLIDING else EventKind.STICKS
+    return None
 
 
 def _event(
     modes: Modes,
     t: float,
     constraint: Constraint,
-    kind: str,
+    kind: EventKind,
     was: ContactState,
     now: ContactState,
     hit: Hit | None,
-) -> dict[str, Any]:
-    name = (
-        constraint.name
-        if constraint.kind == CONTACT
-        else modes.full.model.joint_name(constraint.joint)
-    )
-    event: dict[str, Any] = {
-        "time": float(t),
-        "kind": kind,
-        "arm": constraint.arm,
-        "contact" if constraint.kind == CONTACT else "joint": name,
-        "before": {"state": was.word},
-        "after": {"state": now.word},
-        "text": f"{constraint.arm}: {name} {_verb(modes, constraint, kind)}",
-    }
-    if constraint.kind == CONTACT:
+) -> RunEvent:
+    model, is_contact = modes.full.model, constraint.kind == CONTACT
+    name = constraint.name if is_contact else model.joint_name(constraint.joint)
+    where = None
+    if is_contact:
         points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))
-        event["where"] = points[0].tolist()
+        where = tuple(points[0].tolist())
+    before, after = Side(was), Side(now)
     if hit is not None:
-        turns = (
-            constraint.kind != CONTACT and modes.full.model.joint_units[constraint.joint] == "rad"
-        )
-        unit_of_rate = "rad_s" if turns else "m_s"
-        event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
-        event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
-        event["after"]["impulse"] = hit.impulse
-    return event
+        before, after = Side(was, hit.before), Side(now, hit.after, hit.impulse)
+    return RunEvent(
+        float(t),
+        kind,
+        f"{constraint.arm}: {name} {_verb(modes, constraint, kind)}",
+        constraint.arm,
+        contact=name if is_contact else "",
+        joint="" if is_contact else name,
+        where=where,
+        sides=(before, after),
+        turns=not is_contact and model.joint_units[constraint.joint] == "rad",
+    )
 
 
-def _verb(modes: Modes, constraint: Constraint, kind: str) -> str:
+def _verb(modes: Modes, constraint: Constraint, kind: EventKind) -> str:
     """The event as a verb; of a joint limit with the end of the range."""
-    verbs = {"joint slips": "slips", "joint sticks": "sticks"}
+    verbs = {EventKind.JOINT_SLIPS: "slips", EventKind.JOINT_STICKS: "sticks"}
     if constraint.kind == LIMIT:
         record = modes.full.model.records[constraint.row]
         assert isinstance(record, JointRow), "a limit is a joint's"
         end = "its lower limit" if record.side > 0.0 else "its upper limit"
         verbs = {
-            "bounces": f"bounces off {end}",
-            "reaches its limit": f"reaches {end}",
-            "leaves its limit": f"leaves {end}",
+            EventKind.BOUNCES: f"bounces off {end}",
+            EventKind.REACHES_LIMIT: f"reaches {end}",
+            EventKind.LEAVES_LIMIT: f"leaves {end}",
         }
-    return verbs.get(kind, kind)
+    return verbs.get(kind, kind.word)

@@ -89,9 +89,9 @@ class ModeGuards:
             **{name: column[:count] for name, column in columns.items() if name not in SHARED}
         )
 
-    def numbers(self, mode: Mode, sliding: list[int]) -> np.ndarray:
-        """Numbers of the guards of a mode, once its rows and sliding constraints are placed."""
-        held, numbers = (self.table.held >= 0).tolist(), []
+    def numbers(self, mode: Mode, rows: np.ndarray, sliding: list[int]) -> np.ndarray:
+        """Numbers of the guards of a mode with these held rows and sliding constraints."""
+        held, numbers = np.isin(np.arange(self.table.held.size), rows).tolist(), []
         for u, (constraint, number) in enumerate(
             zip(self._constraints, self._numbers, strict=True)
         ):

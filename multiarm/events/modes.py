@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.row_selection import RowSelection, beginnings
+from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginnings
 from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
 from multiarm.dynamics.variables import ModeStructs
@@ -98,6 +99,7 @@ class Modes:
         everything_open = [
             ContactState.FORWARD if kind == DRY_JOINT else ContactState.OPEN for kind in kinds
         ]
+        self._tables = lru_cache(MOST_RECENT)(partial(_tables, unilateral, self._guards))
         self.mode = Mode(tuple(everything_open), ())
         self._select(self.mode)
         # another run may have left friction and active springs
@@ -141,9 +143,9 @@ class Modes:
 
     def _select(self, mode: Mode) -> None:
         """Select the rows of a mode, and write its sliding contacts and guards."""
-        constraints, struct = self.unilateral.constraints, self._struct
-        rows = np.array(sorted([*self.unilateral.bilateral, *mode.rows]), dtype=np.int64)
-        self._sliding_constraints = sliding = mode.sliding(constraints)
+        struct = self._struct
+        rows, sliding, guards = self._tables(mode)
+        self._sliding_constraints = sliding
         if self.data.tangents is not None:
             first = self._of_slides.tangent_of_all[sliding]
             self.data.tangents.select(np.add.outer(first, (0, 1)).ravel())
@@ -152,13 +154,12 @@ class Modes:
         struct[self._sizes.rows], struct[self._sizes.slides] = rows.size, len(sliding)
         self._write_rows(mode, rows)
         self._write_slides(mode, self._guards.place(rows, sliding))
-        numbers = self._guards.numbers(mode, sliding)
-        struct[self._sizes.guards] = numbers.size
-        write_guards(struct, self._guards.struct, numbers)
+        struct[self._sizes.guards] = guards.size
+        write_guards(struct, self._guards.struct, guards)
         numbers_of_all, *columns = self._slides
         self.slides = Slides(numbers_of_all, *(column[: len(sliding)] for column in columns))
-        self.guards = self._guards.first(numbers.size)
-        self.watched = [self._guards.all[k] for k in numbers.tolist()]
+        self.guards = self._guards.first(guards.size)
+        self.watched = [self._guards.all[k] for k in guards.tolist()]
         self._choose_solver(sliding)
 
     def _write_rows(self, mode: Mode, rows: np.ndarray) -> None:
@@ -225,6 +226,20 @@ class Modes:
             speed=np.zeros(count),
         )
         return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all
+
+
+class _Tables(NamedTuple):
+    """What a mode selects: its held rows, sliding constraints and guards, by their numbers."""
+
+    rows: np.ndarray
+    sliding: list[int]
+    guards: np.ndarray
+
+
+def _tables(unilateral: UnilateralConstraints, guards: ModeGuards, mode: Mode) -> _Tables:
+    rows = np.array(sorted([*unilateral.bilateral, *mode.rows]), dtype=np.int64)
+    sliding = mode.sliding(unilateral.constraints)
+    return _Tables(rows, sliding, guards.numbers(mode, rows, sliding))
 
 
 def _reactions(full: Data, data: Data) -> ReactionWork:

@@ -24,7 +24,9 @@ from multiarm.dynamics.guards import Guard, accept_guards, judge_guards, write_v
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.geometry.records import Contact
-from multiarm.jit.kernels import INTS, NUMBER, kernel
+from multiarm.jit.kernels import INTS, cfunc, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_at
 
 # Excesses below this are roundings [m, rad]; and pulls below this part of the largest force.
 ROUNDING, SMALL_PULL = 1e-9, 1e-6
@@ -76,19 +78,26 @@ def write_reports(struct: INTS):
     write_values(open_reports(struct), struct, data, model, data)
 
 
-@kernel
-def check_reports(struct: INTS, h: NUMBER):
+@cfunc
+def check_reports(address, size, h, _b):
     """Check these guards at the end of a step of length ``h``; returns how many report an event.
 
-    ``data.last_step.coordinates`` has the joints' coordinates at that end.
+    ``data.coordinates`` has the joints' coordinates at that end.
     """
-    guards = open_reports(struct)
-    if guards.kind.size == 0:
-        return 0
+    struct = struct_at(address, size)
     write_reports(struct)
+    guards = open_reports(struct)
     events = judge_guards(guards, h)
     accept_guards(guards)
     return events
+
+
+@kernel
+def count_reports(struct, functions, h):
+    """Call :func:`check_reports` where there are such guards."""
+    if open_reports(struct).kind.size == 0:
+        return 0
+    return call_cfunc(functions.reports, struct, h, 0.0)
 
 
 def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:

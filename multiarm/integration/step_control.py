@@ -17,6 +17,7 @@ off the joints, and must meet the tolerance as the error estimate does.
 from __future__ import annotations
 
 import math
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -133,7 +134,7 @@ def make_clock(
         smallest_step=math.inf,
         stiff_since=math.nan,
         cause=STEP_TOO_SMALL,
-        lowest_rank=np.iinfo(np.int64).max,
+        lowest_rank=sys.maxsize,
     )
 
 

@@ -43,7 +43,7 @@ from multiarm.dynamics.status import (
 from multiarm.integration.dense_output import interpolate, prepare_dense
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
-from multiarm.integration.reporting_guards import check_reports
+from multiarm.integration.reporting_guards import count_reports
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import error_estimate, open_step, slope_at, stage_slope
 from multiarm.integration.step_control import (
@@ -140,7 +140,7 @@ def begin_run(struct: INTS):
     """Store joint coordinates, guards that report, and the solution at the start of a run."""
     model, data, _ = open_system(struct)
     follow_joints(model, data)
-    check_reports(struct, 0.0)
+    count_reports(struct, data.functions, 0.0)
     call_cfunc(data.functions.record, struct, 0.0, 0.0)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
 
@@ -320,7 +320,7 @@ def complete_step(method, step, clock, settings, h, end):
         for i in range(data.pairs.starts.shape[0]):
             copy(data.pairs.points[i], data.pairs.starts[i])
     follow_joints(model, data)
-    clock.reports = check_reports(struct, h)
+    clock.reports = count_reports(struct, data.functions, h)
     count_solution(struct, clock)
     if settings.adaptive and math.isfinite(method.stability):
         detect_stiffness(method, step, clock, h, end)

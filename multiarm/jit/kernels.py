@@ -106,12 +106,20 @@ class Kernel:
         self._stamp = _stamp_of(function)
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
-        part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        self._part = njit(**PART, **part)(function)
-        self._numba_type_ = self._part._numba_type_  # Numba reads the type of a global here
         self._whole: Any = None
         self._wait: Callable[[], object] | None = None
         self._making = threading.Lock()
+
+    @functools.cached_property
+    def _part(self) -> Any:
+        """Numba's dispatcher of the function as a part of others; cached wholes need none."""
+        part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        return njit(**PART, **part)(self.py_func)
+
+    @property
+    def _numba_type_(self) -> types.Type:
+        """What Numba reads where another kernel names this one."""
+        return self._part._numba_type_
 
     @property
     def whole(self) -> Any:

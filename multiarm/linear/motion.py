@@ -15,13 +15,15 @@ import numpy as np
 
 from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SolverError
-from multiarm.integration.samples import sample_columns
 from multiarm.linear.linearisation import LinearSystem
 from multiarm.linear.modes import Mode
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import RunEvent
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import failure_of
-from multiarm.simulation.run import begin, run_metadata
+from multiarm.simulation.record import open_sink
+from multiarm.simulation.run import begin
 from multiarm.simulation.setup import Task
 
 SAMPLES = 48  # a swing
@@ -59,10 +61,10 @@ def modes_trajectory(
     system, events, sink = linear.system, [], MemorySink()
     spec = system.scene.run.model_copy(update={"duration": end})
     task = Task(system, system.model.data(), spec, rest, math.inf)
-    sink.open(system.channels, run_metadata(system, spec, True), sample_columns)
+    open_sink(sink, system, spec, True)
     for place, number in enumerate(chosen):
         mode, first = linear.modes[number - 1], place * (SWING + PAUSE)
-        events.append({"time": first, "kind": "shows a mode", "text": mode_text(number, mode)})
+        events.append(RunEvent(first, EventKind.SHOWS_MODE, mode_text(number, mode)).entry())
         rows = _swing(task, mode.shape, phases, amplitude)
         rows[:, 0] = first + SWING * phases / (2.0 * math.pi)
         sink.append(rows)
@@ -106,5 +108,5 @@ def _sample(task: Task, move: np.ndarray) -> np.ndarray:
     row = np.zeros(driver.run.block.shape[1])
     status = driver.observe(row)
     if status != OK:
-        raise SolverError(failure_of(driver.run, status)[1])
+        raise SolverError(failure_of(driver.run, status).message)
     return row

@@ -22,7 +22,7 @@ from matplotlib.ticker import MaxNLocator
 
 from multiarm.notation import count_of
 from multiarm.plots.style import INK, STYLE
-from multiarm.results.event_log import (
+from multiarm.results.event_kinds import (
     ACTUATOR,
     FAMILIES,
     LIMIT,
@@ -31,12 +31,10 @@ from multiarm.results.event_log import (
     OTHER,
     SLIP,
     STICK,
-    Event,
     Family,
-    counts,
     family_of,
-    timed,
 )
+from multiarm.results.event_log import Event, counts, timed
 
 DISTINCT = 150
 """Lines of one family over the width of the axes, at most."""

@@ -1,4 +1,4 @@
-"""Events of a run: the first ones are listed, the others counted; their kinds and their text.
+"""Events of a run: the first ones are listed, the others counted; their text.
 
 An event of `Trajectory.events` is a dict with ``time`` [s], ``kind`` and ``text``, and, where they
 apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``, ``where`` (world
@@ -6,9 +6,9 @@ apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``
 words.
 
 A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
-by kind, so that neither a result nor its message grows with them. Figures and replays show kinds of
-one family alike, and a contact that bounces a hundred times as one group: events of the same
-contact or joint whose kinds repeat.
+by kind, so that neither a result nor its message grows with them. Figures and replays show a
+contact that bounces a hundred times as one group: events of the same contact or joint whose kinds
+repeat.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from typing import Any, NamedTuple
 
 from multiarm.notation import count_of, number, value_text
 from multiarm.results.channels import ContactState
+from multiarm.results.event_kinds import EventKind
 
 Event = dict[str, Any]
-START = "start"
-"""Kind of the remarks on how a run was prepared; they are no events of the motion."""
+"""An event of a result, see above."""
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
 CLAUSE_SEPARATOR = "; "
 """Between the clauses of a result's message."""
 # Kinds of events that the result's message mentions, and how.
 _MEANINGS = {
-    "pulls": "contacts that can only push were pulled, where real ones would come apart",
-    "leaves its patch": "contact points left the patch of their surface",
-    "passes its limit": "joints passed their limits, which are not enforced",
-    "saturates": "drives came to their torque limits",
-    "loses a direction": "arms could not follow their joint in every direction",
-    "passes a singular posture": "singular postures were passed",
-    "rank falls": "the chains lost constraints on the way",
+    EventKind.PULLS: "contacts that can only push were pulled, where real ones would come apart",
+    EventKind.LEAVES_PATCH: "contact points left the patch of their surface",
+    EventKind.PASSES_LIMIT: "joints passed their limits, which are not enforced",
+    EventKind.SATURATES: "drives came to their torque limits",
+    EventKind.LOSES_DIRECTION: "arms could not follow their joint in every direction",
+    EventKind.PASSES_SINGULAR_POSTURE: "singular postures were passed",
+    EventKind.RANK_FALLS: "the chains lost constraints on the way",
 }
 # The unit of a number, by the end of its name; longer ends first.
 _UNITS = {
@@ -67,46 +67,71 @@ STATE_STYLES = {
 
 
 @dataclass(frozen=True)
-class Family:
-    """Kinds of events that figures and replays show alike.
+class Side:
+    """What a contact or a joint did before or after an event.
 
     Attributes
     ----------
-    name : str
-    sign : str
-        One character, so that colour is not the only difference.
-    colour : str
-        ``#rrggbb``, readable on light and on dark ground.
-    kinds : tuple of str
+    state : ContactState
+    gap_rate : float or None
+        At an impact [m/s]; of a joint that turns [rad/s].
+    impulse : float or None
+        [N s]; of a joint that turns [N m s]
     """
 
-    name: str
-    sign: str
-    colour: str
-    kinds: tuple[str, ...] = ()
+    state: ContactState
+    gap_rate: float | None = None
+    impulse: float | None = None
 
 
-MADE, LOST, SLIP, STICK, LIMIT, ACTUATOR, OTHER = FAMILIES = (
-    Family(
-        "contact made", "\N{BLACK DOWN-POINTING TRIANGLE}", "#1f9d57",
-        ("touches", "bounces", "comes to rest", "pushes again", "is back on its patch"),
-    ),
-    Family(
-        "contact lost", "\N{WHITE UP-POINTING TRIANGLE}", "#d1495b",
-        ("lets go", "pulls", "leaves its patch"),
-    ),
-    Family("slip", "\N{WHITE DIAMOND}", "#d07c1e", ("slides", "joint slips")),
-    Family("stick", "\N{BLACK DIAMOND}", "#8a5fc4", ("sticks", "joint sticks")),
-    Family(
-        "limit", "\N{BLACK SQUARE}", "#3b7dd8",
-        ("reaches its limit", "leaves its limit", "passes its limit", "is back within its limit"),
-    ),
-    Family(
-        "saturation", "\N{WHITE SQUARE}", "#14939c", ("saturates", "is no longer saturated"),
-    ),
-    Family("other", "+", "#7a8797"),
-)  # fmt: skip
-_FAMILY_OF = {kind: family for family in FAMILIES for kind in family.kinds}
+@dataclass(frozen=True)
+class RunEvent:
+    """An event as a run logs it; results have its :meth:`entry`.
+
+    Attributes
+    ----------
+    time : float
+        [s]
+    kind : EventKind
+    text : str
+    arm : str
+        Empty for none, as ``contact`` and ``joint``; "floor" for the object's own contacts.
+    where : tuple of float or None
+        World [m].
+    sides : tuple of Side or None
+        Before and after.
+    turns : bool
+        The joint turns.
+    """
+
+    time: float
+    kind: EventKind
+    text: str
+    arm: str = ""
+    contact: str = ""
+    joint: str = ""
+    where: tuple[float, ...] | None = None
+    sides: tuple[Side, Side] | None = None
+    turns: bool = False
+
+    def entry(self) -> Event:
+        """The event as results have it."""
+        names = {"arm": self.arm, "contact": self.contact, "joint": self.joint}
+        before, after = (None, None) if self.sides is None else map(self._entry_of, self.sides)
+        where = None if self.where is None else list(self.where)
+        optional = {"before": before, "after": after, "text": self.text, "where": where}
+        return {
+            "time": self.time,
+            "kind": self.kind.word,
+            **{key: name for key, name in names.items() if name},
+            **{key: value for key, value in optional.items() if value is not None},
+        }
+
+    def _entry_of(self, side: Side) -> dict[str, Any]:
+        rate = "gap_rate_rad_s" if self.turns else "gap_rate_m_s"
+        numbers = {rate: side.gap_rate, "impulse": side.impulse}
+        known = {key: value for key, value in numbers.items() if value is not None}
+        return {"state": side.state.word, **known}
 
 
 class EventLog:
@@ -114,35 +139,31 @@ class EventLog:
 
     Attributes
     ----------
-    listed : list of dict
+    listed : list of RunEvent
         The first ``MOST_LISTED``.
     dropped : Counter
         How many more there were, by kind and arm ("" for events of no arm).
     """
 
     def __init__(self) -> None:
-        self.listed: list[Event] = []
-        self.dropped: Counter[tuple[str, str]] = Counter()
+        self.listed: list[RunEvent] = []
+        self.dropped: Counter[tuple[EventKind, str]] = Counter()
         self._span = (0.0, 0.0)
 
-    def add(self, events: Sequence[Event]) -> None:
+    def add(self, *events: RunEvent) -> None:
         """Append events, in order of time."""
         room = MOST_LISTED - len(self.listed)
         self.listed += events[:room]
         for event in events[room:]:
-            self.drop(event["time"], event["kind"], event.get("arm", ""))
+            self._span = (self._span[0] if self.dropped else event.time, event.time)
+            self.dropped[event.kind, event.arm] += 1
 
-    def drop(self, time: float, kind: str, arm: str = "", count: int = 1) -> None:
-        """Count events that are not listed."""
-        self._span = (self._span[0] if self.dropped else time, time)
-        self.dropped[kind, arm] += count
-
-    def all(self) -> list[Event]:
+    def entries(self) -> list[Event]:
         """Events in order of time; the last one states how many more there were."""
-        events = sorted(self.listed, key=lambda event: event["time"])
+        events = sorted(self.listed, key=lambda event: event.time)
         if self.dropped:
-            events.append({"time": self._span[1], "kind": "not listed", "text": self._not_listed()})
-        return events
+            events.append(RunEvent(self._span[1], EventKind.NOT_LISTED, self._not_listed()))
+        return [event.entry() for event in events]
 
     def remarks(self, room: int) -> list[str]:
         """Clauses for the result's message; one that is cut where they exceed ``room`` characters.
@@ -153,8 +174,8 @@ class EventLog:
         for kind, meaning in _MEANINGS.items():
             first: dict[str, float] = {}
             for event in self.listed:
-                if event["kind"] == kind:
-                    first.setdefault(event["text"].replace(f" {kind}", ""), event["time"])
+                if event.kind is kind:
+                    first.setdefault(event.text.replace(f" {kind.word}", ""), event.time)
             if first:
                 names = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
                 clauses.append(f"{meaning}: {_some(names)}")
@@ -167,7 +188,7 @@ class EventLog:
         """The events that are not listed, in words."""
         begin, end = self._span
         names = [
-            f"{count:,} times '{kind}'" + (f" ({arm})" if arm else "")
+            f"{count:,} times '{kind.word}'" + (f" ({arm})" if arm else "")
             for (kind, arm), count in self.dropped.most_common()
         ]
         return (
@@ -176,14 +197,11 @@ class EventLog:
         )
 
 
-def family_of(kind: str) -> Family:
-    """The family of a kind of event; "other" for an unknown one."""
-    return _FAMILY_OF.get(kind, OTHER)
-
-
 def timed(events: Iterable[Event]) -> list[Event]:
     """The events of the motion: with a time, and no remarks on the start."""
-    return [event for event in events if _is_complete(event) and event["kind"] != START]
+    return [
+        event for event in events if _is_complete(event) and event["kind"] != EventKind.START.word
+    ]
 
 
 def who(event: Event) -> str:

@@ -102,16 +102,16 @@ class Sink:
 
 
 class MemorySink(Sink):
-    """Keeps the samples in memory."""
+    """Keeps the samples in memory, as ``blocks`` (k, width)."""
 
     def _begin(self) -> None:
-        self._blocks: list[np.ndarray] = []
+        self.blocks: list[np.ndarray] = []
 
     def _keep(self, rows: np.ndarray) -> None:
-        self._blocks.append(rows.copy())
+        self.blocks.append(rows.copy())
 
     def _trajectory(self, outcome: Outcome) -> Trajectory:
-        blocks = self._blocks
+        blocks = self.blocks
         if len(blocks) == 1:
             rows = blocks[0]
         else:

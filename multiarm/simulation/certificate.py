@@ -52,6 +52,7 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.notation import number
+from multiarm.results.files import COMPLETED
 from multiarm.results.trajectory import ENERGIES, Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.comparison import (
@@ -203,7 +204,7 @@ def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec
         comparison,
         check_run(data, run, comparison, lengths),
         growth_rate(comparison.time - run.statistics["start_time_s"], apart),
-        complete=finer.status == "completed" and len(finer) == len(run),
+        complete=finer.status == COMPLETED and len(finer) == len(run),
     )
 
 

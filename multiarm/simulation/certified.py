@@ -17,7 +17,7 @@ the file holds a complete run without certificate.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,13 +26,16 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.results.files import COMPLETED
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory, amend_file, load_trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certificate import SAFETY, Finding, certificate, judge
 from multiarm.simulation.comparison import KINDS, LENGTHS
-from multiarm.simulation.run import BUDGET, TOO_MANY, Progress, carry_out
+from multiarm.simulation.driver import BUDGET, TOO_MANY, End
+from multiarm.simulation.run import carry_out
 from multiarm.simulation.setup import SMALLEST_TOLERANCE, Task
+from multiarm.terminal.progress import RunWatcher
 
 GROWTH, EXHAUSTED, ATTEMPTS, CHECK = "growth", "rounding", "attempts", "check"
 FAILED_RERUN, INTERRUPTED, MEMORY = "failed rerun", "interrupted", "memory"
@@ -104,21 +107,19 @@ class Attempts:
     task : Task
     out : Path or None
         Final place of the samples.
-    progress : callable or None
-        Called with the simulated time of the first run.  For a rerun its method
-        ``checking(time, number)`` is called if it has one, else ``progress`` with the end time.
+    watcher : RunWatcher
     """
 
     task: Task
     out: Path | None
-    progress: Progress | None
+    watcher: RunWatcher
     _attempts: list[Attempt] = field(default_factory=list)
     _judged: list[tuple[Attempt, Finding]] = field(default_factory=list)
 
     def first(self) -> Trajectory:
         """Carry out the task as given."""
         sink = MemorySink() if self.out is None else Hdf5Sink(self.out)
-        trajectory = carry_out(self.task, sink, self.progress).trajectory
+        trajectory = carry_out(self.task, sink, self.watcher).trajectory
         self._attempts.append(Attempt(trajectory, self.out, dict.fromkeys(KINDS)))
         return trajectory
 
@@ -226,25 +227,32 @@ class Attempts:
         first = self._attempts[0]
         tolerance = max(tolerance, SMALLEST_TOLERANCE)
         most = math.inf if coarser is None else _most(coarser, tolerance)
-        path = self._place(len(self._attempts))
+        number = len(self._attempts)
+        path = self._rerun_file(number)
         sink = MemorySink() if path is None else Hdf5Sink(path)
         try:
             task = self._with_shorter_steps(tolerance, coarser)
-            run, stalled = carry_out(task, sink, self._watch(), tolerance / first.tolerance, most)
+            trajectory, end = carry_out(
+                task,
+                sink,
+                lambda t: self.watcher.checking(t, number),
+                tolerance / first.tolerance,
+                most,
+            )
         except MultiarmError as error:
             self._remove(path)
             raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {error}") from error
         except BaseException:
             self._remove(path)
             raise
-        attempt = Attempt(run, path, dict.fromkeys(KINDS))
+        attempt = Attempt(trajectory, path, dict.fromkeys(KINDS))
         self._attempts.append(attempt)
-        if run.status == "interrupted":
+        if end is End.INTERRUPTED:
             raise _Stopped(INTERRUPTED, "")
-        if stalled:
+        if end is End.STALLED:
             raise _Stopped(EXHAUSTED, f"{TOO_MANY} at a tolerance of {tolerance:.1g}: {REMEDY}")
-        if run.status != "completed":
-            raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {run.message}")
+        if trajectory.status != COMPLETED:
+            raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {trajectory.message}")
         return attempt
 
     def _with_shorter_steps(self, tolerance: float, coarser: Attempt | None) -> Task:
@@ -258,16 +266,7 @@ class Attempts:
         before = coarser.trajectory.statistics["largest_step_s"] or math.inf
         return replace(self.task, longest_step=ratio * min(self.task.longest_step, before))
 
-    def _watch(self) -> Callable[[float], None] | None:
-        progress, number = self.progress, len(self._attempts)
-        if progress is None:
-            return None
-        checking = getattr(progress, "checking", None)
-        if checking is not None:
-            return lambda t: checking(t, number)
-        return lambda _t: progress(self.task.end)
-
-    def _place(self, number: int) -> Path | None:
+    def _rerun_file(self, number: int) -> Path | None:
         """File for the samples of a rerun."""
         if self.out is None:
             return None

@@ -1,5 +1,7 @@
 """The driver of a run: calls of the compiled loop, and what Python does between them.
 
+It drives the runs of ``simulate``, whose end stays, and those of a ``Stepper``, whose end moves on.
+
 The loop (:func:`multiarm.integration.time_loop.advance`) returns for contact events, which
 :mod:`multiarm.simulation.event_handling` handles, for changes of the solver, which are logged, and
 for stiffness.
@@ -13,6 +15,12 @@ stays only if it advances further with each of them.
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Callable
+from enum import Enum, auto
+from typing import NamedTuple
+
 import numpy as np
 
 from multiarm.dynamics.coordinates import chart_places, read_chart
@@ -25,6 +33,7 @@ from multiarm.dynamics.status import (
     CALLBACK_FAILED,
     DIVERGED,
     EVENT,
+    FINISHED,
     GUARD_FIRED,
     LARGE_CORRECTION,
     NOT_CONVERGED,
@@ -34,20 +43,60 @@ from multiarm.dynamics.status import (
     STIFF,
     STOPPED,
 )
-from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
+from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
 from multiarm.integration.methods import stepping_of
 from multiarm.integration.time_loop import advance, observe
+from multiarm.jit.compilation import compile_time, running_time
 from multiarm.jit.structs import struct_of
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import RunEvent
+from multiarm.results.files import COMPLETED, FAILED, INTERRUPTED
+from multiarm.scene import RunSpec
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
-from multiarm.simulation.setup import Run
+from multiarm.simulation.setup import Run, Task
 from multiarm.tableaus import METHODS
 
 FOR_STIFF_SCENES = "rodas5p"
 # Steps after which a trial shows how long the steps of that method are.
 TRIAL_STEPS = 16
+BUDGET = 4000  # evaluations between two calls of progress, and checks of time and Ctrl-C
+CHECKPOINT_INTERVAL = 2.0  # [s] of wall time
+# The pace of a run is judged over this many steps, including rejected ones.  A stop for an event,
+# of which every event makes two, takes about as long as EVENT_STEPS.
+JUDGED_STEPS, EVENT_STEPS = 5000, 5
+# Steps longer than this part of those that the user set are not too short.
+SHORT_SHARE = 0.01
+TOO_MANY = "steps became so short that the run hardly got on"
 # Reasons to return after which the loop is called again.
 GOES_ON = (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, GUARD_FIRED, STIFF)
+
+
+def never() -> bool:
+    """Of a run that nobody interrupts between two calls of the loop."""
+    return False
+
+
+class End(Enum):
+    """How the driving of a run ended."""
+
+    COMPLETED = auto()
+    INTERRUPTED = auto()
+    FAILED = auto()  # a step, or the recording of samples
+    STALLED = auto()  # the steps became too short, or too many
+    UNDECIDED = auto()  # no mode follows an event: the run cannot be advanced any more
+
+    @property
+    def status(self) -> str:
+        """The status of the result."""
+        return {End.COMPLETED: COMPLETED, End.INTERRUPTED: INTERRUPTED}.get(self, FAILED)
+
+
+class Ending(NamedTuple):
+    """How a run ended, and the sentence that says so."""
+
+    end: End
+    message: str
 
 
 class Driver:
@@ -55,17 +104,75 @@ class Driver:
 
     Attributes
     ----------
+    task : Task
     run : Run
     events : EventHandler or None
         Where contacts can open, close, slide or stick.
     event_stops : int
         How often the loop has stopped for an event.
+    wall, compilation : float
+        [s] for which the run was driven, without waiting for the compiler, and for which it waited.
     """
 
-    def __init__(self, run: Run, events: EventHandler | None) -> None:
-        self.run, self.events, self.event_stops = run, events, 0
-        self._switch = Switch()
+    def __init__(
+        self, task: Task, run: Run, events: EventHandler | None, compilation: float
+    ) -> None:
+        self.task, self.run, self.events, self.event_stops = task, run, events, 0
+        self.wall, self.compilation = 0.0, compilation
+        self._pace, self._switch = Pace(run, task.spec), Switch()
         self._settings = struct_of(run.settings)
+        self._loaded: tuple[int, str] | None = None
+
+    def load(self) -> None:
+        """Load the compiled loop and write the first sample, which is no part of ``wall``."""
+        compiled_before = compile_time()
+        self._loaded = self.advance(0)
+        self.compilation += compile_time() - compiled_before
+
+    def drive(
+        self, interrupted: Callable[[], bool] = never, most_evaluations: float = math.inf
+    ) -> Ending:
+        """Call the loop until the run is at its end or cannot go on; all samples are in the sink.
+
+        ``interrupted`` is called between two calls of the loop, and tells whether the run is to
+        end.  It is stalled, too, when it has taken more than ``most_evaluations``.
+        """
+        started, compiled_before = running_time(), compile_time()
+        next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
+        try:
+            reason, fault = self._loaded or self.advance(BUDGET)
+            self._loaded = None
+            while True:
+                ending = self._ending(reason, fault, interrupted(), most_evaluations)
+                due = time.perf_counter() >= next_checkpoint
+                try:
+                    if ending or due or reason == BLOCK_FULL:
+                        self.flush()
+                    if due:
+                        self.run.sink.checkpoint()
+                        next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
+                except TrajectoryError as error:
+                    ending = Ending(End.FAILED, f"{where_of(self.run)}: {error}")
+                if ending:
+                    return ending
+                reason, fault = self.advance(BUDGET)
+        finally:
+            self.wall += running_time() - started
+            self.compilation += compile_time() - compiled_before
+
+    def flush(self) -> None:
+        """Write the samples in the block to the sink and begin a new block.
+
+        Raises
+        ------
+        TrajectoryError
+            When the sink cannot take them.
+        """
+        run, clock = self.run, self.run.clock
+        rows = clock.sample - clock.block_first
+        clock.block_first = clock.sample
+        if rows:
+            run.sink.append(run.block[:rows])
 
     def advance(self, budget: int) -> tuple[int, str]:
         """Call the loop with a budget of evaluations.
@@ -96,6 +203,56 @@ class Driver:
         """Evaluate where the run is, and write it as a row of samples; returns a status."""
         run = self.run
         return observe(run.stepping.struct, run.clock.struct, self._settings, row)
+
+    def _ending(
+        self, reason: int, fault: str, interrupted: bool, most_evaluations: float
+    ) -> Ending | None:
+        """How the run ends where the loop has returned; None where it goes on."""
+        run, where = self.run, where_of(self.run)
+        if reason == FINISHED:
+            return Ending(End.COMPLETED, "the run reached its end")
+        if interrupted:
+            return Ending(End.INTERRUPTED, f"stopped by the user {where}")
+        if reason not in GOES_ON:
+            return failure_of(run, reason)
+        if fault:
+            return Ending(End.UNDECIDED, f"{where}: {fault}")
+        too_many = run.clock.evaluations > most_evaluations
+        if stalled := TOO_MANY if too_many else self._pace.judge(run, self.event_stops):
+            return Ending(End.STALLED, f"{where}: {stalled}")
+        return None
+
+
+class Pace:
+    """Steps of a run for a second of simulated time; a run whose steps get too short is ended."""
+
+    def __init__(self, run: Run, spec: RunSpec) -> None:
+        self._unit, self._most = min(1.0, spec.duration), spec.most_steps  # [s], see `most_steps`
+        chosen = run.settings.longest_step if run.settings.adaptive else run.clock.step
+        self._shortest = min(self._unit / self._most, SHORT_SHARE * chosen)
+        self._steps, self._t = 0, run.settings.begin
+
+    def judge(self, run: Run, event_stops: int) -> str:
+        """Why the run is ended; empty while it advances fast enough.
+
+        ``event_stops``: how often the loop has stopped for an event.
+        """
+        t, clock = run.clock.t, run.clock
+        steps = clock.steps + clock.rejected + EVENT_STEPS * event_stops
+        judged, advanced = steps - self._steps, t - self._t
+        if judged < JUDGED_STEPS:
+            return ""
+        self._steps, self._t = steps, t
+        if advanced >= judged * self._shortest:
+            return ""
+        loosen = "loosen `accuracy`, " if run.settings.adaptive else ""
+        return (
+            f"{TOO_MANY}: the last {judged:,} steps, rejected ones and events counted, advanced it "
+            f"by {advanced:.2g} s, the next one is {run.clock.h:.2g} s long; a pace of more "
+            f"than {self._most:.2g} steps (`run.most_steps`) for {self._unit:.3g} s; {loosen}look "
+            f"for a control that jumps or oscillates, contacts that chatter or a singular posture "
+            f"there, or raise `most_steps`"
+        )
 
 
 class Switch:
@@ -134,7 +291,7 @@ class Switch:
         self._until, self._spent = run.clock.steps + TRIAL_STEPS, _step_evaluations(run)
         self._since = run.clock.t
         text = f"{why}: the run goes on with {name}"
-        run.log.add([{"time": run.clock.t, "kind": "method changes", "text": text}])
+        run.log.add(RunEvent(run.clock.t, EventKind.METHOD_CHANGES, text))
 
 
 def _step_evaluations(run: Run) -> int:
@@ -155,21 +312,22 @@ def where_of(run: Run) -> str:
     return f"at t = {run.clock.t:.9g} s (step {run.clock.steps})"
 
 
-def failure_of(run: Run, reason: int) -> tuple[str, str]:
-    """Status and message of a run that ended early."""
+def failure_of(run: Run, reason: int) -> Ending:
+    """How a run ends in which a step failed."""
     where = where_of(run)
     smaller = "a smaller `accuracy`" if run.settings.adaptive else "a smaller `step`"
     if reason == CALLBACK_FAILED:
         try:
             run.data.reraise()
         except KeyboardInterrupt:
-            return "interrupted", f"stopped by the user {where}"
+            return Ending(End.INTERRUPTED, f"stopped by the user {where}")
         except SolverError as error:
-            return "failed", f"{where}: {lost_contact_text(run.data) or error}"
+            return Ending(End.FAILED, f"{where}: {lost_contact_text(run.data) or error}")
         except MultiarmError as error:
-            return "failed", f"{where}: {error}"
+            return Ending(End.FAILED, f"{where}: {error}")
         except USER_FAULTS as error:
-            return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
+            fault = f"a callback raised {type(error).__name__}: {error}"
+            return Ending(End.FAILED, f"{where}: {fault}")
     if reason == STEP_TOO_SMALL:
         fault = (
             f"the step became too small ({run.clock.h:.2g} s) for the required accuracy; loosen "
@@ -195,4 +353,4 @@ def failure_of(run: Run, reason: int) -> tuple[str, str]:
         fault = lost or f"the state is no longer finite; take {smaller}"
     else:
         fault = failure_text(run.data, reason)
-    return "failed", f"{where}: {fault}"
+    return Ending(End.FAILED, f"{where}: {fault}")

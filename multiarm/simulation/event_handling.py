@@ -298,7 +298,7 @@ class EventHandler:
     def _log_decision(self, t: float, decision: Decision, before: Mode) -> None:
         events = decision_events(self.modes, t, decision, before)
         self.count += len(events)
-        self._log.add(events)
+        self._log.add(*events)
 
     def _limit_events(self, t: float) -> str:
         """Count an event; returns why the run must end after 60 of them at one time, else empty."""

@@ -6,8 +6,6 @@ dense output.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
@@ -24,14 +22,15 @@ from multiarm.integration.event_location import GuardValues, sign_changes
 from multiarm.integration.methods import Stepping
 from multiarm.integration.reporting_guards import write_reports
 from multiarm.integration.step_control import Clock
-from multiarm.results.event_log import EventLog
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import EventLog, RunEvent
 
 # Kinds of the events at which a guard falls below zero, and is above it again.
 KINDS = {
-    PushingForce: ("pulls", "pushes again"),
-    RangeDepth: ("passes its limit", "is back within its limit"),
-    DriveMargin: ("saturates", "is no longer saturated"),
-    PatchDepth: ("leaves its patch", "is back on its patch"),
+    PushingForce: (EventKind.PULLS, EventKind.PUSHES_AGAIN),
+    RangeDepth: (EventKind.PASSES_LIMIT, EventKind.RETURNS_TO_RANGE),
+    DriveMargin: (EventKind.SATURATES, EventKind.UNSATURATES),
+    PatchDepth: (EventKind.LEAVES_PATCH, EventKind.RETURNS_TO_PATCH),
 }
 
 
@@ -41,7 +40,7 @@ def log_start(data: Data, log: EventLog, begin: float) -> None:
     for g in map(int, np.flatnonzero(guards.result == FIRED)):
         events.append(_event(data, g, begin))
         turn_round(guards, g)
-    log.add(events)
+    log.add(*events)
 
 
 def log_reports(data: Data, stepping: Stepping, clock: Clock, log: EventLog) -> None:
@@ -53,30 +52,23 @@ def log_reports(data: Data, stepping: Stepping, clock: Clock, log: EventLog) -> 
         for theta in sign_changes(values, g, results[g] == FIRED, float(levels[g])):
             events.append(_event(data, g, begin + theta * length))
             turn_round(guards, g)
-    log.add(sorted(events, key=lambda event: event["time"]))
+    log.add(*sorted(events, key=lambda event: event.time))
 
 
-def _event(data: Data, g: int, time: float) -> dict[str, Any]:
+def _event(data: Data, g: int, time: float) -> RunEvent:
     """The event at which a guard changes its sign."""
     model, watched = data.model, data.model.guards[g].function
     kind = KINDS[type(watched)][0 if data.guards.sign[g] > 0 else 1]
-    part, where = "joint", ""
+    time = float(time)
     if isinstance(watched, RangeDepth):
         arm, name = model.arm_names[watched.arm], f"joint, {COMPONENTS[watched.component]}"
-    elif isinstance(watched, DriveMargin):
-        joint = watched.joint
-        arm = model.arm_names[int(np.searchsorted(model.layout.dofs, joint, side="right")) - 1]
-        name = model.joint_name(joint)
-    else:
-        patch = isinstance(watched, PatchDepth)
-        arm, contact = model.owner(watched.row)
-        part, name = "contact", contact.name
-        if patch:
-            where = " (on the object)" if watched.body == ON_OBJECT else " (on the arm)"
-    return {
-        "time": float(time),
-        "kind": kind,
-        "arm": arm,
-        part: name,
-        "text": f"{arm}: {name} {kind}{where}",
-    }
+        return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
+    if isinstance(watched, DriveMargin):
+        number = int(np.searchsorted(model.layout.dofs, watched.joint, side="right")) - 1
+        arm, name = model.arm_names[number], model.joint_name(watched.joint)
+        return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
+    (arm, contact), where = model.owner(watched.row), ""
+    if isinstance(watched, PatchDepth):
+        where = " (on the object)" if watched.body == ON_OBJECT else " (on the arm)"
+    text = f"{arm}: {contact.name} {kind.word}{where}"
+    return RunEvent(time, kind, text, arm, contact=contact.name)

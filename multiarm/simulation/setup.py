@@ -34,7 +34,8 @@ from multiarm.integration.step_control import (
 )
 from multiarm.integration.time_loop import begin_run
 from multiarm.results.channels import width_of
-from multiarm.results.event_log import EventLog
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import EventLog, RunEvent
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
 from multiarm.scene.faults import place, shown
@@ -211,7 +212,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     stepping = stepping_of(data, METHODS[name])
     step = stepping.step
     set_tolerance(step, data, tolerance)
-    state, report = _place(task, step)
+    state, report = _place_start(task, step)
     settings = _settings(task, tolerance)
     first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
     step.stage.alpha, step.stage.beta = gains(settings, first_length)
@@ -222,7 +223,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         _first_slope(task, stepping)
         step.stage.gap = -1.0
     begin_run(data.struct)
-    log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
+    log.add(*(RunEvent(begin, EventKind.START, f"start: {line}") for line in report.lines()))
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)
     log_start(data, log, begin)
@@ -305,13 +306,13 @@ def check_control_span(model: Model, begin: float, end: float) -> None:
         )
 
 
-def span_notice(model: Model, end: float) -> list[dict]:
+def span_notice(model: Model, end: float) -> list[RunEvent]:
     """An event where a run until ``end`` [s] leaves the times at which its control is defined."""
     span = model.control_span
     if span is None or span.end >= end:
         return []
     rest = "is zero" if span.outside == "zero" else "holds its last row"
-    return [{"time": span.end, "kind": "control ends", "text": f"{span.what} ends and {rest}"}]
+    return [RunEvent(span.end, EventKind.CONTROL_ENDS, f"{span.what} ends and {rest}")]
 
 
 def _samples(task: Task) -> tuple[int, int]:
@@ -346,7 +347,7 @@ def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
     )
 
 
-def _place(task: Task, step: Step) -> tuple[State, StartReport]:
+def _place_start(task: Task, step: Step) -> tuple[State, StartReport]:
     """The state at which the run begins, with its kinematics in the data, and its chart."""
     system, data = task.system, task.data
     begin, report = system.initial_state(), system.start_report

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,13 +12,12 @@ from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_control, require_system
 from multiarm.errors import SceneError, TrajectoryError
-from multiarm.results.files import resolved
+from multiarm.results.files import COMPLETED, resolved
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
-from multiarm.simulation.run import Progress
 from multiarm.simulation.setup import Task, increasing_times, run_spec
-from multiarm.terminal.progress import RunProgress, displayed
+from multiarm.terminal.progress import RunProgress, RunWatcher, TimeWatcher, displayed
 
 
 def simulate(
@@ -40,7 +39,7 @@ def simulate(
     sample_time: float | None = None,
     sample_delay: bool = False,
     out: str | os.PathLike | None = None,
-    progress: bool | Progress | None = None,
+    progress: bool | RunWatcher | Callable[[float], None] | None = None,
     certificate: bool = True,
 ) -> Trajectory:
     """Simulate a system.
@@ -160,9 +159,10 @@ def simulate(
         for callback in data.user_callbacks:
             callback.forget()
         task = Task(system, data, spec, state, max_step, start_time, times)
-        place = None if out is None else resolved(out, TrajectoryError)
-        attempts = Attempts(task, place, show)
+        path = None if out is None else resolved(out, TrajectoryError)
+        watcher = show if isinstance(show, RunWatcher) else TimeWatcher(show, task.end)
+        attempts = Attempts(task, path, watcher)
         trajectory = attempts.first()
-        if is_checked and trajectory.status == "completed":
+        if is_checked and trajectory.status == COMPLETED:
             trajectory = attempts.certify()
     return trajectory.of(system.scene)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from multiarm.dynamics.diagnosis import describe, lost_motions
@@ -12,15 +10,20 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
-from multiarm.results.event_log import EventLog
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import EventLog, RunEvent
 
-LOSES_DIRECTION, REGAINS_DIRECTION = "loses a direction", "regains a direction"
-PASSES_SINGULAR_POSTURE = "passes a singular posture"
-RANK_FALLS, RANK_RISES = "rank falls", "rank rises"
 SOLVER_EVENTS = frozenset(
-    {LOSES_DIRECTION, REGAINS_DIRECTION, PASSES_SINGULAR_POSTURE, RANK_FALLS, RANK_RISES}
+    kind.word
+    for kind in (
+        EventKind.LOSES_DIRECTION,
+        EventKind.REGAINS_DIRECTION,
+        EventKind.PASSES_SINGULAR_POSTURE,
+        EventKind.RANK_FALLS,
+        EventKind.RANK_RISES,
+    )
 )
-"""Kinds of the events of the solver."""
+"""Kinds of the events of the solver, by the words of results."""
 
 
 class SolverLog:
@@ -36,7 +39,7 @@ class SolverLog:
         step, count = data.arrays.last_step, len(data.model.arm_names)
         lost, passed = step.lost_directions[:count].copy(), step.sign_changes[:count].copy()
         rank = step.solution.rank
-        events = self._of_rank(rank)
+        events = self._of_rank(float(t), rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
             in_words = self._added < 100  # a description takes as long as many steps
@@ -50,40 +53,38 @@ class SolverLog:
                 arm = data.model.arm_names[i]
                 if lost[i] != self._lost[i]:
                     what = words.get(arm, ())
-                    events.append(_of_arm(arm, int(lost[i]), int(self._lost[i]), what))
+                    events.append(_of_arm(float(t), arm, int(lost[i]), int(self._lost[i]), what))
                 else:
                     where = f", {_nearest(data, i)}" if in_words else ""
                     text = f"{arm}: passed a singular posture{where}"
-                    events.append({"kind": PASSES_SINGULAR_POSTURE, "arm": arm, "text": text})
+                    kind = EventKind.PASSES_SINGULAR_POSTURE
+                    events.append(RunEvent(float(t), kind, text, arm))
         self._lost, self._rank = lost, rank
         self._added += len(events)
-        self._log.add([{"time": float(t), **event} for event in events])
+        self._log.add(*events)
 
     def reset(self, data: Data) -> None:
         """Compare later solutions with the last one, without logging anything."""
         self._lost = data.arrays.last_step.lost_directions[: self._lost.size].copy()
         self._rank = data.arrays.last_step.solution.rank
 
-    def _of_rank(self, rank: int) -> list[dict[str, Any]]:
+    def _of_rank(self, t: float, rank: int) -> list[RunEvent]:
         if rank == self._rank:
             return []
-        kind = RANK_FALLS if rank < self._rank else RANK_RISES
-        text = f"{kind} from {self._rank} to {rank} independent constraints"
+        kind = EventKind.RANK_FALLS if rank < self._rank else EventKind.RANK_RISES
+        text = f"{kind.word} from {self._rank} to {rank} independent constraints"
         if rank < self._rank:
             text += ": more than one way to move on"
-        return [{"kind": kind, "text": text}]
+        return [RunEvent(t, kind, text)]
 
 
-def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str, Any]:
+def _of_arm(t: float, arm: str, now: int, before: int, words: tuple[str, ...]) -> RunEvent:
     if now > before:
         what = "; ".join(words) or f"directions of its joint lost: {now}"
-        return {"kind": LOSES_DIRECTION, "arm": arm, "text": f"{arm}: {what}"}
+        return RunEvent(t, EventKind.LOSES_DIRECTION, f"{arm}: {what}", arm)
     left = f", {now} still lost" if now else ""
-    return {
-        "kind": REGAINS_DIRECTION,
-        "arm": arm,
-        "text": f"{arm}: can move along its joint's directions again{left}",
-    }
+    text = f"{arm}: can move along its joint's directions again{left}"
+    return RunEvent(t, EventKind.REGAINS_DIRECTION, text, arm)
 
 
 def _nearest(data: Data, i: int) -> str:

@@ -10,24 +10,25 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 
 from multiarm.dynamics.state import State, fill_by_arm
-from multiarm.dynamics.status import BLOCK_FULL, FINISHED, OK
+from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
-from multiarm.jit.compilation import compile_time, running_time
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of
+from multiarm.results.files import COMPLETED
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.scene.faults import shown
-from multiarm.simulation.driver import GOES_ON, Driver, failure_of, state_of, where_of
-from multiarm.simulation.run import BUDGET, Pace, begin, run_metadata, run_statistics
+from multiarm.simulation.driver import Driver, End, Ending, failure_of, state_of
+from multiarm.simulation.record import open_sink, run_statistics
+from multiarm.simulation.run import begin
 from multiarm.simulation.setup import Run, Task, check_control_span, run_spec
 
 Torques = Mapping[str, np.ndarray]
@@ -152,7 +153,7 @@ class Stepper:
     @property
     def events(self) -> list[dict]:
         """Events since the start, as in :attr:`multiarm.Trajectory.events`."""
-        return self._run.log.all()
+        return self._run.log.entries()
 
     def trajectory(self) -> Trajectory:
         """The recorded samples up to now, and the present, as the result of a run.
@@ -164,22 +165,17 @@ class Stepper:
         """
         if not self._records:
             raise SolverError("trajectory: nothing was recorded; make it `Stepper(record=True)`")
-        run, task, clock = self._run, self._task, self._run.clock
-        sink = MemorySink()
-        sink.open(self._channels, self._metadata(), sample_columns)
-        rows = run.block[: clock.sample - clock.block_first]
-        for block in (*self._blocks, rows, self._observe()[None]):
+        driver, task, sink = self._driver, self._task, MemorySink()
+        # the scene's run is as long as this one is now
+        spec = task.spec.model_copy(update={"duration": self.time or task.spec.duration})
+        about = {"control": "torques given to a stepper"} if self._driven else {}
+        open_sink(sink, task.system, spec, task.state is not None, **about)
+        driver.flush()
+        for block in (*self._samples.blocks, self._observe()[None]):
             sink.append(block)
         message = f"advanced to t = {self.time:.9g} s"
-        statistics = run_statistics(self._driver, task, self._wall, self._compilation)
-        return sink.finish("completed", message, statistics, run.log.all()).of(task.system.scene)
-
-    def _metadata(self) -> dict[str, Any]:
-        """Provenance; the scene's run is as long as this one is now."""
-        task = self._task
-        spec = task.spec.model_copy(update={"duration": self.time or task.spec.duration})
-        metadata = run_metadata(task.system, spec, task.state is not None)()
-        return {**metadata, "control": "torques given to a stepper"} if self._driven else metadata
+        statistics, events = run_statistics(driver), driver.run.log.entries()
+        return sink.finish(COMPLETED, message, statistics, events).of(task.system.scene)
 
     # --- what it does -------------------------------------------------------------------------
 
@@ -234,29 +230,28 @@ class Stepper:
             check_control_span(self._task.data.model, 0.0, end)
         self._control(torques)
         self._extend(end)
-        started, compiled_before = running_time(), compile_time()
-        try:
-            self._drive()
-        finally:
-            self._wall += running_time() - started
-            self._compilation += compile_time() - compiled_before
+        ending = self._driver.drive()
+        if ending.end in (End.FAILED, End.INTERRUPTED):
+            self._fail(ending)
+        if ending.end is End.UNDECIDED:
+            self._broken = ending.message
+        if ending.end is not End.COMPLETED:
+            raise SolverError(ending.message)
         return state_of(self._run, self._layout)
 
     def _begin(self, torques: np.ndarray | None) -> None:
         """Bring the task to its start, where ``torques`` are held, or those of its own control."""
-        compiled_before = compile_time()
-        self._task.data.hold(torques)
-        self._driver: Driver = begin(self._task, MemorySink())
+        task, self._samples = self._task, MemorySink()
+        task.data.hold(torques)
+        self._driver: Driver = begin(task, self._samples)
+        open_sink(self._samples, task.system, task.spec, task.state is not None)
         run = self._driver.run
         run.clock.final_sample = -1
         if torques is not None:
             run.clock.control_due = run.clock.control_step = math.inf
         self._held = self._driven = torques is not None
         self._run: Run = run
-        self._pace = Pace(run, self._task.spec)
-        self._blocks: list[np.ndarray] = []
         self._row = np.zeros(run.block.shape[1])
-        self._wall, self._compilation = 0.0, compile_time() - compiled_before
 
     def _end_after(self, duration: float) -> float:
         t = self._run.clock.t
@@ -309,42 +304,19 @@ class Stepper:
         if abs(clock.sample * step - clock.t) > SAME_TIME * step:
             return
         if clock.sample - clock.block_first == len(block):
-            self._flush()
+            self._driver.flush()
         block[clock.sample - clock.block_first] = self._observe()
         clock.sample += 1
 
-    def _drive(self) -> None:
-        driver, run, reason = self._driver, self._run, BLOCK_FULL
-        while reason != FINISHED:
-            reason, fault = driver.advance(BUDGET)
-            if reason == BLOCK_FULL:
-                self._flush()
-            if fault:
-                self._broken = f"{where_of(run)}: {fault}"
-                raise SolverError(self._broken)
-            if reason == FINISHED:
-                return
-            if reason not in GOES_ON:
-                self._fail(reason)
-            fault = self._pace.judge(run, driver.event_stops)
-            if fault:
-                raise SolverError(f"{where_of(run)}: {fault}")
-
-    def _fail(self, reason: int) -> None:
+    def _fail(self, ending: Ending) -> NoReturn:
         """Raise the error of a step that failed; the next call begins with a usual step again."""
         run = self._run
-        status, text = failure_of(run, reason)
         run.data.forgive()
         run.clock.stop = math.inf
         run.clock.h, run.clock.retry_steps = run.clock.step, 0
-        if status == "interrupted":
+        if ending.end is End.INTERRUPTED:
             raise KeyboardInterrupt
-        raise SolverError(text)
-
-    def _flush(self) -> None:
-        clock = self._run.clock
-        self._blocks.append(self._run.block[: clock.sample - clock.block_first].copy())
-        clock.block_first = clock.sample
+        raise SolverError(ending.message)
 
     def _present(self, quantity: str) -> dict[str, np.ndarray]:
         """A quantity of each arm, and of the floor where it has one, there; copies."""
@@ -359,5 +331,5 @@ class Stepper:
         """The present as a row of samples."""
         status = self._driver.observe(self._row)
         if status != OK:
-            self._fail(status)
+            self._fail(failure_of(self._run, status))
         return self._row

@@ -29,7 +29,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
 from multiarm.scene.faults import shown
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.simulation.run import leave_undone
+from multiarm.simulation.record import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.axes import is_integer

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from typing_extensions import Self
 
@@ -30,7 +30,9 @@ __all__ = [
     "Progress",
     "Report",
     "RunProgress",
+    "RunWatcher",
     "SweepProgress",
+    "TimeWatcher",
     "displayed",
     "span",
 ]
@@ -38,6 +40,33 @@ __all__ = [
 Shown = AbstractContextManager[Callable[..., None]]
 Report = Callable[[float, float, str], None]
 """Called with how much is done, of how much (0: not known), and what is being done."""
+
+
+@runtime_checkable
+class RunWatcher(Protocol):
+    """What a run tells how far it is, as a function that knows of reruns does."""
+
+    def __call__(self, t: float) -> None:
+        """The run has come to ``t`` [s]."""
+
+    def checking(self, t: float, number: int) -> None:
+        """A rerun that checks its accuracy has come to ``t`` [s]: the second, third, ... run."""
+
+
+class TimeWatcher:
+    """A function of the simulated time as a watcher; while the run is checked, of its end [s]."""
+
+    def __init__(self, function: Callable[[float], None], end: float) -> None:
+        self._function, self._end = function, end
+
+    def __call__(self, t: float) -> None:
+        """See :class:`RunWatcher`."""
+        self._function(t)
+
+    def checking(self, t: float, number: int) -> None:
+        """See :class:`RunWatcher`."""
+        self._function(self._end)
+
 
 LINES, SLOWEST, SHARE = 5.0, 30.0, 0.1
 """Where there is no terminal, a line comes after so long [s] at least and at most; between the two
@@ -166,7 +195,7 @@ class Progress(_Display):
 
 
 class RunProgress(_Display):
-    """How far a run is: ``progress(t)``, and ``progress.checking(t, number)`` of a rerun.
+    """How far a run is, and a rerun that checks it; a :class:`RunWatcher`.
 
     Parameters
     ----------

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multiarm.results.channels import ContactState
-from multiarm.results.event_log import Event, Family
+from multiarm.results.event_kinds import Family
+from multiarm.results.event_log import Event
 from multiarm.results.limit_use import ROUNDING
 from multiarm.viewer.mesh import Mesh
 

@@ -28,7 +28,8 @@ from multiarm.geometry.records import (
 )
 from multiarm.geometry.smooth_surfaces import ParametricSurface
 from multiarm.results.channels import ContactState, channels_of
-from multiarm.results.event_log import Event, family_of, timed
+from multiarm.results.event_kinds import family_of
+from multiarm.results.event_log import Event, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
 from multiarm.viewer.mesh import Mesh, revolve
 

@@ -33,17 +33,8 @@ from multiarm.plots.panels import DISTINCT
 from multiarm.plots.run_figures import MOST_ROWS, spans
 from multiarm.reports.report import SHOWN_EVENTS, render
 from multiarm.results.channels import RECORDED_STATES, ContactState, trajectory_channels
-from multiarm.results.event_log import (
-    FAMILIES,
-    OTHER,
-    change,
-    counts,
-    family_of,
-    grouped,
-    timed,
-    what,
-    who,
-)
+from multiarm.results.event_kinds import FAMILIES, OTHER, family_of
+from multiarm.results.event_log import change, counts, grouped, timed, what, who
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import load_trajectory
 

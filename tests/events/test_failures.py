@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from event_scenes import arm, ball, on_floor, run, scene
+from event_scenes import AS_WRITTEN, arm, ball, on_floor, run, scene
 
 import multiarm as ma
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import enter_mode_at
+from multiarm.events.kernels import start_guards
+from multiarm.events.modes import Modes
 
 RADIUS = 0.05  # [m]
 WORN_OUT = 0.02  # [m] from the surface, where it fails
@@ -122,3 +124,51 @@ def test_no_failure_of_a_surface_is_overlooked_by_an_evaluation():
     assert told > 100
     surface.last = 0
     assert np.array_equal(forces(), right)
+
+
+@pytest.mark.parametrize(
+    ("room", "start"),
+    [("events.evaluation", 1), ("simulation.event_handling", 1), ("simulation.event_handling", 2)],
+    ids=["evaluation", "begin of a run", "event"],
+)
+def test_a_surface_that_fails_where_guards_are_started_is_told(monkeypatch, room, start):
+    """At the first start of guards, and at the one that decides the mode after an event."""
+    starts, fails = 0, False
+
+    def distance(p):
+        if fails:
+            raise ValueError("worn out")
+        return distance_from_a_ball(p)
+
+    def failing_start(struct):
+        nonlocal starts, fails
+        starts += 1
+        fails = starts == start
+        status = start_guards(struct)
+        fails = False
+        return status
+
+    def contradicted(modes):
+        assert starts < start, "guards that could not be started were judged"
+        return judge(modes)
+
+    judge = Modes.contradicted.fget
+    monkeypatch.setattr(Modes, "contradicted", property(contradicted))
+    monkeypatch.setattr(f"multiarm.{room}.start_guards", failing_start)
+    contact = {
+        "arm": {"sphere": {"radius": 0.01}},
+        "object": {"surface": {"distance": distance, "length": RADIUS}},
+    }
+    falling = ball(RADIUS, 0.1, twist=[0, 0, -1.0, 0, 0, 0])
+    effects = {"unilateral_contacts": AS_WRITTEN}
+    system = ma.compile_system(
+        scene(falling, {"below": arm("z")}, {"below": [contact]}, effects, [0, 0, 0])
+    )
+    if start == 1:
+        call = ma.evaluate if room == "events.evaluation" else ma.simulate
+        with pytest.raises(ma.MultiarmError, match="worn out"):
+            call(system)
+    else:
+        trajectory = ma.simulate(system, 1.0, accuracy=1e-6, certificate=False)
+        assert trajectory.status == "failed" and "worn out" in trajectory.message
+    assert starts == start

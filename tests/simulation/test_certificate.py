@@ -501,7 +501,7 @@ def test_an_interrupted_repetition_keeps_the_run_that_was_judged(
 
 
 def test_progress_tells_the_first_run_and_the_check_apart(ring, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
     watcher, plain = Watcher(), []
     ma.simulate(ring, accuracy=1e-6, progress=watcher, **SHORT)
     assert watcher.times == sorted(watcher.times) and watcher.times[-1] == 0.2

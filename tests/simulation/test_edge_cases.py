@@ -195,7 +195,7 @@ def test_a_controller_that_fails_after_the_start_makes_a_failed_run(free_block_s
 
 
 def test_an_exception_from_outside_leaves_a_finished_file(free_block_system, tmp_path, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
 
     def progress(t):
         if t > 0.02:

@@ -251,7 +251,7 @@ def test_many_samples_are_one_run_whatever_the_blocks(free_block_system, monkeyp
     run = {"duration": 0.3, "accuracy": 1e-6, "output_step": 1e-3}
     whole = ma.simulate(free_block_system, **run)
     monkeypatch.setattr("multiarm.simulation.setup.BLOCK_NUMBERS", 1)  # blocks of sixteen samples
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 10)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 10)
     pieces = ma.simulate(free_block_system, **run)
     np.testing.assert_array_equal(pieces.time, whole.time)
     np.testing.assert_array_equal(pieces.object_position, whole.object_position)
@@ -514,7 +514,7 @@ def test_a_start_that_cannot_be_evaluated_is_an_error_not_a_run(ur5_system):
 @pytest.mark.parametrize("source", ["controller", "progress"])
 def test_an_interrupted_run_keeps_what_it_has(free_block_system, source, monkeypatch):
     """Ctrl-C while compiled code or Python runs."""
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
 
     def controller(t, state):
         if source == "controller" and t >= 0.05:
@@ -560,7 +560,7 @@ def test_ctrl_c_always_ends_a_run(free_block_system):
 
 
 def test_progress_tells_the_simulated_time(free_block_system, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
     seen = []
     ma.simulate(free_block_system, duration=0.1, accuracy=1e-5, progress=seen.append)
     assert seen == sorted(seen) and seen[-1] == 0.1 and len(seen) > 2

@@ -16,10 +16,12 @@ from repository import SCENES
 
 import multiarm as ma
 from multiarm.errors import SceneError
-from multiarm.results.event_log import MOST_LISTED, EventLog
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import MOST_LISTED, EventLog, RunEvent
 from multiarm.scene import RunSpec
+from multiarm.simulation.driver import BUDGET, EVENT_STEPS, JUDGED_STEPS, Pace
 from multiarm.simulation.event_handling import EventHandler
-from multiarm.simulation.run import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH, Pace
+from multiarm.simulation.run import MESSAGE_LENGTH
 
 FAST, SLOW = 1e9, 0.5  # [Hz]
 # A look at the pace may come late by the steps of one budget of evaluations, of at least 6 each.
@@ -74,7 +76,7 @@ def test_slower_torques_of_the_same_size_complete():
 @pytest.mark.slow
 def test_a_controller_that_answers_at_random_ends_the_run(free_block_system, monkeypatch):
     """Steps are then as short as keeps the error of a jump within the tolerance."""
-    monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", 500)
+    monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", 500)
 
     def noise(t, state):
         return {"one": 300.0 * np.sin(1e15 * t + np.arange(6.0) ** 3)}
@@ -86,7 +88,7 @@ def test_a_controller_that_answers_at_random_ends_the_run(free_block_system, mon
 
 @pytest.mark.slow
 def test_a_run_that_goes_on_with_the_method_for_stiff_scenes_ends_too(monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", 500)
+    monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", 500)
 
     def control(t, state):
         frequency = SLOW if t < 0.1 else FAST
@@ -139,12 +141,12 @@ def test_steps_that_are_asked_for_are_never_too_short(settings):
 @pytest.fixture
 def endless_events(monkeypatch):
     """An event engine that is broken: the first event is followed by others, every nanosecond."""
-    kinds = ("bounces", "slides", "sticks")
+    kinds = EventKind.BOUNCES, EventKind.SLIDES, EventKind.STICKS
 
     def cross(self, run):
         t = run.clock.t
-        events = [{"time": t, "kind": kind, "arm": "floor", "text": kind} for kind in kinds]
-        self._log.add(events)
+        events = [RunEvent(t, kind, kind.word, "floor") for kind in kinds]
+        self._log.add(*events)
         self.count += len(events)
         run.clock.stop = t + 1e-9
         return ""
@@ -172,10 +174,10 @@ def test_events_that_follow_each_other_without_end_end_the_run(endless_events, s
 def test_the_rerun_of_a_certified_run_has_the_same_bound(monkeypatch):
     """The run ends before its pace is judged; the rerun takes more steps."""
     first = ma.simulate(ma.compile_system(shaken(SLOW)), certificate=False)
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
-    monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", tried(first) + 1)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", tried(first) + 1)
     # the rerun's longest step follows from the run's, and is not much longer than its own steps
-    monkeypatch.setattr("multiarm.simulation.run.SHORT_SHARE", 1.0)
+    monkeypatch.setattr("multiarm.simulation.driver.SHORT_SHARE", 1.0)
     held = ma.simulate(ma.compile_system(shaken(SLOW, most_steps=tried(first) + 1)))
     certificate = held.certificate
     run, rerun = certificate["attempts"][:2]
@@ -208,12 +210,16 @@ def test_the_bound_is_a_positive_number():
 
 def test_a_log_counts_what_it_does_not_list():
     log, count = EventLog(), 23_140
-    kinds = ["loses a direction", "regains a direction", "rank falls", "rank rises"]
+    kinds = (
+        EventKind.LOSES_DIRECTION,
+        EventKind.REGAINS_DIRECTION,
+        EventKind.RANK_FALLS,
+        EventKind.RANK_RISES,
+    )
     for k in range(MOST_LISTED + count):
-        kind = kinds[k % 4]
-        by = {"arm": "left"} if k % 4 < 2 else {}
-        log.add([{"time": 1e-9 * k, "kind": kind, "text": "no motion along z", **by}])
-    events = log.all()
+        arm = "left" if k % 4 < 2 else ""
+        log.add(RunEvent(1e-9 * k, kinds[k % 4], "no motion along z", arm))
+    events = log.entries()
     assert len(events) == MOST_LISTED + 1
     assert [event["time"] for event in events] == sorted(event["time"] for event in events)
     text = events[-1]["text"]
@@ -226,7 +232,7 @@ def test_a_log_counts_what_it_does_not_list():
 @pytest.mark.parametrize("room", [600, 200, 0, -50])
 def test_what_happened_fits_into_the_message(room):
     log = EventLog()
-    log.add([{"time": 0.0, "kind": "pulls", "text": f"{k}: {'tip ' * 80} pulls"} for k in range(9)])
+    log.add(*(RunEvent(0.0, EventKind.PULLS, f"{k}: {'tip ' * 80} pulls") for k in range(9)))
     (summary,) = log.remarks(room)
     assert len(summary) <= max(room, 60)
     assert summary.endswith("... (see `events`)")

@@ -270,9 +270,9 @@ def test_a_failed_step_leaves_the_last_good_state(tmp_path):
 
 
 def test_a_run_that_hardly_gets_on_is_ended(ur5_system, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", 3)
-    monkeypatch.setattr("multiarm.simulation.run.SHORT_SHARE", 1.0)
-    monkeypatch.setattr("multiarm.simulation.stepper.BUDGET", 20)
+    monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", 3)
+    monkeypatch.setattr("multiarm.simulation.driver.SHORT_SHARE", 1.0)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 20)
     scene = ur5_system.scene
     hasty = scene.replace(run=scene.run.model_copy(update={"most_steps": 10.0}))
     stepper = ma.Stepper(ma.compile_system(hasty, like=ur5_system), max_step=1e-3)

@@ -304,7 +304,7 @@ def test_threads_are_one_where_evaluations_call_python(welded_ur5_system, monkey
 
 def test_python_goes_on_while_a_run_is_in_its_loop(welded_ur5_system, monkeypatch):
     """One call of the loop makes the whole run: a thread that held the lock would stop others."""
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 10**9)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 10**9)
     system = ma.compile_system(welded_ur5_system.scene, arms="compiled")
     run = {"integrator": "rk4", "step": 1e-4, "duration": 1.0, "output_step": 0.5}
     ma.simulate(system, **{**run, "duration": 0.01})  # what must be compiled is

@@ -27,7 +27,7 @@ ENDLESS = {"integrator": "rk4", "step": 1e-3, "output_step": 0.1, "duration": 1e
 
 def test_progress_tells_time_and_runs_done_in_the_calling_thread(welded_ur5_system, monkeypatch):
     monkeypatch.setattr("multiarm.sweeps.many.POLL", 1e-3)
-    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
     told, seen = threading.Event(), []
 
     def control(t, state):

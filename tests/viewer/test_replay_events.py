@@ -12,7 +12,7 @@ from sample_run import rows_of
 
 import multiarm as ma
 from multiarm.results.channels import Channel, ContactState
-from multiarm.results.event_log import LOST, MADE, SLIP, family_of
+from multiarm.results.event_kinds import LOST, MADE, SLIP, family_of
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.scene.joints.contacts import ContactsJoint
