@@ -27,19 +27,19 @@ from multiarm.dynamics.sensitivity import ByPath, Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError
-from multiarm.gradients.along import Along, Course, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
+from multiarm.gradients.linearised_run import Done, Linearisation, LinearisedRun, Parameters
 from multiarm.gradients.segments import (
     RICHARDSON,
     ROUNDING,
     WHOLE,
     Coefficients,
+    CollocatedPanel,
     Halving,
     Panel,
-    Piece,
     Segment,
 )
-from multiarm.gradients.variation import TINY, displaced
+from multiarm.gradients.variational_equation import TINY, displaced
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.faults import shown, unknown
@@ -67,13 +67,13 @@ class Gradient:
     parameters : mapping str -> float
         By numbers of the scene, path -> derivative.
     trajectory : Trajectory
-        The run, sampled at the nodes of series (:mod:`multiarm.gradients.motion`).
+        The run, sampled at the nodes of series (:mod:`multiarm.gradients.run_series`).
     error : float
         Estimated error of the derivatives, relative to the largest; of those by numbers of the
         scene relative to what each adds up of over the run, or where that is a rounding, to what it
         would be if the number's size changed the accelerations as a whole.  What the error of the
         run itself changes is a part of it: the difference from derivatives along a second run with
-        a tenth of the tolerance (:mod:`multiarm.gradients.along`).
+        a tenth of the tolerance (:mod:`multiarm.gradients.linearised_run`).
     digits : int
         How many are right, by this error; 0 of a chaotic run that is too long.
     message : str
@@ -146,11 +146,11 @@ class Gradient:
         return self.start.layout.split_joints(shape.T @ weighted)
 
 
-class _Walk(NamedTuple):
-    """The result of a walk backward over all segments."""
+class _AdjointSolution(NamedTuple):
+    """The adjoint over all segments, from the end of the run to its start."""
 
     error: float
-    shares: np.ndarray
+    segment_errors: np.ndarray
     value: float
     start: np.ndarray  # (D,), the adjoint's part along displacements that keep the joints closed
     start_size: float  # what errors of it are relative to
@@ -160,12 +160,12 @@ class _Walk(NamedTuple):
     weights: np.ndarray
     torque_density: np.ndarray
 
-    def difference(self, neighbour: _Walk) -> float:
-        """The largest relative difference of a derivative along a neighbour."""
-        of_start = np.abs(neighbour.start - self.start).max()
-        of_start /= max(self.start_size, neighbour.start_size)
-        sizes = np.maximum(self.sizes, neighbour.sizes)
-        by_parameters = np.abs(neighbour.by_parameters - self.by_parameters) / sizes
+    def difference(self, comparison: _AdjointSolution) -> float:
+        """The largest relative difference of a derivative along the comparison run."""
+        of_start = np.abs(comparison.start - self.start).max()
+        of_start /= max(self.start_size, comparison.start_size)
+        sizes = np.maximum(self.sizes, comparison.sizes)
+        by_parameters = np.abs(comparison.by_parameters - self.by_parameters) / sizes
         return float(max(of_start, by_parameters.max(initial=0.0)))
 
 
@@ -235,20 +235,22 @@ def gradient(
     begin, duration = require_time(start_time), positive("duration", duration)
     integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
-        along = Along(system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand)
+        linearised = LinearisedRun(
+            system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand
+        )
 
-        def walk(course: Course, report: Done) -> _Walk:
-            at_end = 0.0, np.zeros(along.size)
+        def solve(linearisation: Linearisation, report: Done) -> _AdjointSolution:
+            at_end = 0.0, np.zeros(linearised.size)
             if final is not None:
-                at_end = _differentiated(final, along.end, course.state(along.end))
-            return _Backward(along, course, *at_end).walk(report)
+                at_end = _differentiated(final, linearised.end, linearisation.state(linearised.end))
+            return _AdjointSolver(linearised, linearisation, *at_end).solve(report)
 
-        solution, quality = along.to_accuracy(walk, show)
+        solution, quality = linearised.to_accuracy(solve, show)
     return Gradient(
         value=solution.value,
-        start=Sensitivity(solution.start, along.layout, along.layout.columns),
-        parameters=ByPath(zip(along.paths, solution.by_parameters.tolist(), strict=True)),
-        trajectory=along.trajectory,
+        start=Sensitivity(solution.start, linearised.layout, linearised.layout.columns),
+        parameters=ByPath(zip(linearised.paths, solution.by_parameters.tolist(), strict=True)),
+        trajectory=linearised.trajectory,
         **quality._asdict(),
         times=solution.times,
         weights=solution.weights,
@@ -256,13 +258,13 @@ def gradient(
     )
 
 
-class _Solved(NamedTuple):
+class _PanelSolution(NamedTuple):
     """The adjoint over one panel, and its error that is solved for with it."""
 
     start: np.ndarray  # (d,), the adjoint
     integrals: np.ndarray  # (1 + P,)
     magnitudes: np.ndarray  # (1 + P,), of the integrands
-    usual: np.ndarray  # (1 + P,), what the integrals by parameters are as a rule
+    typical: np.ndarray  # (1 + P,), what the integrals by parameters are as a rule
     torque_density: np.ndarray  # (s, n)
     start_error: np.ndarray  # (d,)
     integral_errors: np.ndarray  # (1 + P,)
@@ -270,55 +272,70 @@ class _Solved(NamedTuple):
     series_integrals: np.ndarray  # (1 + P,), the same of the integrals
 
 
-class _Backward:
-    """A walk over all segments, from the end of the run to its start."""
+class _AdjointSolver:
+    """Solves the adjoint equation, from the end of the run to its start."""
 
-    def __init__(self, along: Along, course: Course, value: float, slope: np.ndarray) -> None:
-        self._along, self._course, count = along, course, 1 + len(along.parameters)
+    def __init__(
+        self,
+        linearised: LinearisedRun,
+        linearisation: Linearisation,
+        value: float,
+        slope: np.ndarray,
+    ) -> None:
+        self._linearised, self._linearisation, count = (
+            linearised,
+            linearisation,
+            1 + len(linearised.parameters),
+        )
         self._mu, self._error = slope, np.zeros_like(slope)
         self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
-        self._magnitudes, self._usual = np.zeros(count), np.zeros(count)
+        self._magnitudes, self._typical = np.zeros(count), np.zeros(count)
         self._integrals[0], self._magnitudes[0] = value, abs(value)
         # what the adjoint is as a rule: displacements neither grow nor fade
-        self._usual_start = np.abs(slope).max()
+        self._typical_start = np.abs(slope).max()
         self._pieces: list[tuple[Panel, np.ndarray]] = []
 
-    def walk(self, report: Done) -> _Walk:
+    def solve(self, report: Done) -> _AdjointSolution:
         """Solve the adjoint equation over all segments."""
-        along = self._along
-        shares = np.zeros(along.count), np.zeros((along.count, self._integrals.size))
-        for k in reversed(range(along.count)):
-            segment = self._course.segment(k)
-            self._enter(segment)
-            self._usual_start += segment.panel.length * segment.steepest
-            for piece in reversed(segment.pieces(along.bounds)):
-                for share, added in zip(shares, self._over(piece), strict=True):
-                    share[k] += added
+        linearised = self._linearised
+        segment_errors = (
+            np.zeros(linearised.count),
+            np.zeros((linearised.count, self._integrals.size)),
+        )
+        for k in reversed(range(linearised.count)):
+            segment = self._linearisation.segment(k)
+            self._change_coordinates(segment)
+            self._typical_start += segment.panel.length * segment.steepest
+            for collocated in reversed(segment.panels(linearised.bounds)):
+                for segment_error, added in zip(
+                    segment_errors, self._solve_panel(collocated), strict=True
+                ):
+                    segment_error[k] += added
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
-            report(along.count - k)
-        sizes, admissible = self._sizes(self._magnitudes, self._usual), along.admissible
+            report(linearised.count - k)
+        sizes, admissible = self._sizes(self._magnitudes, self._typical), linearised.admissible
         start = admissible @ self._mu
-        resolved = ROUNDING / along.tolerance * self._usual_start
+        resolved = ROUNDING / linearised.tolerance * self._typical_start
         start_size = float(max(np.abs(start).max(), resolved, TINY))
         of_start = np.abs(admissible @ self._error).max() / start_size
         self._pieces.reverse()
         weights = [panel.length * WEIGHTS for panel, _ in self._pieces]
-        of_series = np.maximum(shares[0], (shares[1] / sizes).max(axis=1))
+        of_series = np.maximum(segment_errors[0], (segment_errors[1] / sizes).max(axis=1))
         of_integrals = (np.abs(self._integral_errors) / sizes).max()
-        return _Walk(
+        return _AdjointSolution(
             error=float(max(of_start, of_integrals, of_series.sum())),
-            shares=of_series,
+            segment_errors=of_series,
             value=float(self._integrals[0]),
             start=start,
             start_size=start_size,
-            by_parameters=self._integrals[1:] + self._mu @ along.start_by_parameters,
+            by_parameters=self._integrals[1:] + self._mu @ linearised.start_by_parameters,
             sizes=sizes[1:],
             times=np.concatenate([panel.nodes for panel, _ in self._pieces]),
             weights=np.concatenate(weights),
             torque_density=np.concatenate([density for _, density in self._pieces]),
         )
 
-    def _enter(self, segment: Segment) -> None:
+    def _change_coordinates(self, segment: Segment) -> None:
         """From displacements at the end of a segment to its coordinates."""
         E, n = segment.lift(segment.panel.end)
         self._integrals[1:] += self._mu @ n
@@ -326,34 +343,36 @@ class _Backward:
         self._integral_errors[1:] += self._error @ n
         self._mu, self._error = self._mu @ E, self._error @ E
 
-    def _over(self, piece: Piece, halving: Halving = WHOLE) -> tuple[float, np.ndarray]:
-        """Solve over one piece, or over parts of it.
+    def _solve_panel(
+        self, collocated: CollocatedPanel, halving: Halving = WHOLE
+    ) -> tuple[float, np.ndarray]:
+        """Solve over one collocated, or over parts of it.
 
         Returns what the series' error adds: relative to the adjoint, and to the integrals.
         """
-        along, panel, (first, second) = self._along, piece.panel, piece.halves
-        start, _, integrand = _adjoint(piece, self._mu)
-        late = _solved(second, self._mu, self._error)
-        early = _solved(first, late.start, late.start_error)
+        linearised, panel, (first, second) = self._linearised, collocated.panel, collocated.halves
+        start, _, integrand = _adjoint(collocated, self._mu)
+        late = _solved_with_error(second, self._mu, self._error)
+        early = _solved_with_error(first, late.start, late.start_error)
         missed = (start - early.start) / RICHARDSON
         integrals = late.integrals + early.integrals
         missed_integrals = (panel.length * WEIGHTS @ integrand - integrals) / RICHARDSON
         magnitudes = late.magnitudes + early.magnitudes
-        part = panel.length / (along.end - along.begin)
-        usual = late.usual + early.usual
+        part = panel.length / (linearised.end - linearised.begin)
+        typical = late.typical + early.typical
         sizes = np.maximum(magnitudes, part * self._magnitudes)
-        sizes = self._sizes(sizes, np.maximum(usual, part * self._usual))
+        sizes = self._sizes(sizes, np.maximum(typical, part * self._typical))
         wrong = np.abs(missed).max() / (part * np.abs(early.start).max(initial=TINY))
         wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
-        if wrong > along.panel_tolerance and (finer := halving.next(wrong, part)):
-            later, later_integrals = self._over(second, finer)
-            earlier, earlier_integrals = self._over(first, finer)
+        if wrong > linearised.panel_tolerance and (finer := halving.next(wrong, part)):
+            later, later_integrals = self._solve_panel(second, finer)
+            earlier, earlier_integrals = self._solve_panel(first, finer)
             return later + earlier, later_integrals + earlier_integrals
         self._mu, self._error = early.start, early.start_error + missed
         self._integrals += integrals
         self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
         self._magnitudes += magnitudes
-        self._usual += usual
+        self._typical += typical
         densities = late.torque_density, early.torque_density
         self._pieces += zip((second.panel, first.panel), densities, strict=True)
         return (
@@ -361,34 +380,38 @@ class _Backward:
             late.series_integrals + early.series_integrals,
         )
 
-    def _sizes(self, magnitudes: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    def _sizes(self, magnitudes: np.ndarray, typical: np.ndarray) -> np.ndarray:
         """What errors of integrals are relative to: with smaller sizes they would be roundings."""
-        return np.maximum(magnitudes, ROUNDING / self._along.tolerance * usual) + TINY
+        return np.maximum(magnitudes, ROUNDING / self._linearised.tolerance * typical) + TINY
 
 
-def _adjoint(piece: Piece, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the adjoint equation over one piece, from its value at the end.
+def _adjoint(
+    collocated: CollocatedPanel, end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve the adjoint equation over one collocated, from its value at the end.
 
     Returns its value at the start (d,), at the stages (s, d), and the integrands (s, 1 + P).
     """
-    start, stages = piece.collocation.backward(end, piece.at.slope)
-    return start, stages, _integrand(piece.at, stages) + piece.at.rates
+    start, stages = collocated.collocation.backward(end, collocated.at.slope)
+    return start, stages, _integrand(collocated.at, stages) + collocated.at.rates
 
 
-def _solved(piece: Piece, end: np.ndarray, error: np.ndarray) -> _Solved:
-    """Solve the adjoint equation over one piece, and for its error."""
-    at, defect, weights = piece.at, piece.defect, piece.panel.length * WEIGHTS
-    start, stages, integrand = _adjoint(piece, end)
+def _solved_with_error(
+    collocated: CollocatedPanel, end: np.ndarray, error: np.ndarray
+) -> _PanelSolution:
+    """Solve the adjoint equation over one collocated, and for its error."""
+    at, defect, weights = collocated.at, collocated.defect, collocated.panel.length * WEIGHTS
+    start, stages, integrand = _adjoint(collocated, end)
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
-    start_error, error_stages = piece.collocation.backward(error, wrong)
+    start_error, error_stages = collocated.collocation.backward(error, wrong)
     of_series = _integrand(defect, stages) + defect.rates
-    usual = np.zeros_like(integrand)
-    usual[:, 1:] = np.abs(stages) @ piece.scale
-    return _Solved(
+    typical = np.zeros_like(integrand)
+    typical[:, 1:] = np.abs(stages) @ collocated.scale
+    return _PanelSolution(
         start,
         weights @ integrand,
         weights @ np.abs(integrand),
-        weights @ usual,
+        weights @ typical,
         np.einsum("idn,id->in", at.B, stages),
         start_error,
         weights @ (_integrand(at, error_stages) + of_series),

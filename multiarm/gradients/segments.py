@@ -24,11 +24,11 @@ of order p, the result of the halves is wrong by
 The estimate takes p = 5, the order of the stages: long panels and strong damping leave no more of
 the method's order nine.  Panels with a larger error than allowed are divided.
 
-*The neighbour.*  Along a neighbour of the run (:mod:`multiarm.gradients.motion`), the matrices
-differ by as little as the states.  In the same basis R, their differences are series of a low
-degree, from few evaluations; with them added, a segment of the run is one of its neighbour.
+*The comparison run.*  Along it (:mod:`multiarm.gradients.run_series`), the matrices differ by
+as little as the states.  In the same basis R, their differences are series of a low degree, from
+few evaluations; with them added, a segment of the run is one of the comparison run.
 
-*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of their usual size, that
+*Roundings.*  Derivatives by parameters are exact to a part ``ROUNDING`` of their typical size, that
 of a parameter whose change by its size changes the accelerations as a whole.  Smaller derivatives,
 such as those that vanish by symmetry, are not resolved any finer.
 """
@@ -48,7 +48,7 @@ from multiarm.dynamics.sensitivity import free_bases
 from multiarm.errors import SolverError
 from multiarm.gradients.collocation import COUNT, NODES, Collocation
 from multiarm.gradients.interpolation import Series, nodes
-from multiarm.gradients.variation import TINY, Variation
+from multiarm.gradients.variational_equation import TINY, VariationalEquation
 
 # Shortest panels and segments that are tried, as part of the run.
 SHORTEST = 1e-6
@@ -127,7 +127,7 @@ class Segment:
     Parameters
     ----------
     panel : Panel
-    values : sequence of Variation
+    values : sequence of VariationalEquation
         At the nodes of a series of even degree.
 
     Attributes
@@ -150,7 +150,7 @@ class Segment:
         When the number of displacements that keep the joints closed changes.
     """
 
-    def __init__(self, panel: Panel, values: Sequence[Variation]) -> None:
+    def __init__(self, panel: Panel, values: Sequence[VariationalEquation]) -> None:
         bases = _bases(panel, values)
         self.panel, self.basis = panel, bases[len(bases) // 2]
         self._joints, (_, d) = values[0].B.shape[1], self.basis.shape
@@ -163,8 +163,8 @@ class Segment:
         of_lift = self._lift.defect[:, :d].max(initial=0.0)
         self.error = float(max(panel.length * wrong, of_lift))
 
-    def of_neighbour(self, values: Sequence[Variation]) -> Segment:
-        """The segment of a neighbour, with values at the nodes of a low degree."""
+    def of_comparison_run(self, values: Sequence[VariationalEquation]) -> Segment:
+        """The segment of the comparison run, with values at the nodes of a low degree."""
         panel, segment = self.panel, copy(self)
         times = nodes(*panel, len(values) - 1)
         moved = _in_coordinates(values, _bases(panel, values), self.basis)
@@ -191,11 +191,11 @@ class Segment:
         both = self._lift.at([t])[0][0]
         return both[:, : self.basis.shape[1]], both[:, self.basis.shape[1] :]
 
-    def pieces(self, bounds: np.ndarray) -> list[Piece]:
+    def panels(self, bounds: np.ndarray) -> list[CollocatedPanel]:
         """Pieces to begin with, from each of some times to the next, in order."""
         inner = bounds[(bounds > self.panel.begin) & (bounds < self.panel.end)]
         times = [self.panel.begin, *inner.tolist(), self.panel.end]
-        return [Piece(self, Panel(*pair)) for pair in pairwise(times)]
+        return [CollocatedPanel(self, Panel(*pair)) for pair in pairwise(times)]
 
     def _parts(self, values: np.ndarray) -> Coefficients:
         size, n = values.shape[1] - 1, self._joints
@@ -209,7 +209,7 @@ class Segment:
         )
 
 
-def _bases(panel: Panel, values: Sequence[Variation]) -> list[np.ndarray]:
+def _bases(panel: Panel, values: Sequence[VariationalEquation]) -> list[np.ndarray]:
     """N at the nodes of a segment."""
     bases = free_bases([value.motions for value in values])
     if len({N.shape for N in bases}) > 1:
@@ -221,7 +221,7 @@ def _bases(panel: Panel, values: Sequence[Variation]) -> list[np.ndarray]:
 
 
 def _in_coordinates(
-    values: Sequence[Variation], bases: Sequence[np.ndarray], R: np.ndarray
+    values: Sequence[VariationalEquation], bases: Sequence[np.ndarray], R: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """All matrices of the equation in the coordinates of a basis, and (E, n), at each node.
 
@@ -241,7 +241,7 @@ def _in_coordinates(
     return matrices, np.dstack([E, n])
 
 
-class Piece:
+class CollocatedPanel:
     """A panel of a segment, with the solution of its equation.
 
     Attributes
@@ -260,7 +260,7 @@ class Piece:
         self.collocation = Collocation(self.at.A, panel.length)
 
     @cached_property
-    def halves(self) -> tuple[Piece, Piece]:
-        """The piece in two."""
+    def halves(self) -> tuple[CollocatedPanel, CollocatedPanel]:
+        """The collocated in two."""
         first, second = self.panel.parts(2)
-        return Piece(self._segment, first), Piece(self._segment, second)
+        return CollocatedPanel(self._segment, first), CollocatedPanel(self._segment, second)

@@ -21,17 +21,17 @@ from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SceneError
-from multiarm.gradients.along import Along, Course, Done, Parameters
 from multiarm.gradients.collocation import WEIGHTS
+from multiarm.gradients.linearised_run import Done, Linearisation, LinearisedRun, Parameters
 from multiarm.gradients.segments import (
     RICHARDSON,
     ROUNDING,
     WHOLE,
     Coefficients,
+    CollocatedPanel,
     Halving,
-    Piece,
 )
-from multiarm.gradients.variation import TINY
+from multiarm.gradients.variational_equation import TINY
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -126,19 +126,19 @@ class Sensitivities:
         }
 
 
-class _Walk(NamedTuple):
-    """The result of a walk over all panels."""
+class _ForwardSolution(NamedTuple):
+    """The variational equation over all panels, from the start of the run to its end."""
 
     error: float
-    shares: np.ndarray
+    segment_errors: np.ndarray
     at: dict[float, np.ndarray]  # (D, D + P) at all bounds of panels
     sizes: np.ndarray  # (D + P,), what errors of the columns are relative to
 
-    def difference(self, neighbour: _Walk) -> float:
-        """The largest relative difference of a derivative along a neighbour."""
-        times = self.at.keys() & neighbour.at.keys()
-        wrong = np.max([np.abs(neighbour.at[t] - self.at[t]).max(axis=0) for t in times], axis=0)
-        return float((wrong / np.maximum(self.sizes, neighbour.sizes)).max())
+    def difference(self, comparison: _ForwardSolution) -> float:
+        """The largest relative difference of a derivative along the comparison run."""
+        times = self.at.keys() & comparison.at.keys()
+        wrong = np.max([np.abs(comparison.at[t] - self.at[t]).max(axis=0) for t in times], axis=0)
+        return float((wrong / np.maximum(self.sizes, comparison.sizes)).max())
 
 
 def sensitivities(
@@ -180,94 +180,102 @@ def sensitivities(
         )
     with displayed(progress, Progress) as show:
         duration = float(at[-1]) - begin
-        along = Along(system, begin, duration, accuracy, start, parameters, at)
-        solution, quality = along.to_accuracy(
-            lambda course, report: _Forward(along, course).walk(report), show
+        linearised = LinearisedRun(system, begin, duration, accuracy, start, parameters, at)
+        solution, quality = linearised.to_accuracy(
+            lambda linearisation, report: _ForwardSolver(linearised, linearisation).solve(report),
+            show,
         )
-    rows, columns = along.layout.columns, along.layout.columns
-    for path in along.paths:
+    rows, columns = linearised.layout.columns, linearised.layout.columns
+    for path in linearised.paths:
         columns[path] = slice(end := max(part.stop for part in columns.values()), end + 1)
     return Sensitivities(
         time=at,
         matrix=np.stack([solution.at[t] for t in at.tolist()]),
         rows=rows,
         columns=columns,
-        states=[along.state(t) for t in at.tolist()],
-        trajectory=along.trajectory,
+        states=[linearised.state(t) for t in at.tolist()],
+        trajectory=linearised.trajectory,
         **quality._asdict(),
-        layout=along.layout,
+        layout=linearised.layout,
     )
 
 
-class _Forward:
-    """A walk over all segments, from the start of the run to its end."""
+class _ForwardSolver:
+    """Solves the variational equation, from the start of the run to its end."""
 
-    def __init__(self, along: Along, course: Course) -> None:
-        self._along, self._course = along, course
-        self._S = np.hstack([along.admissible, along.start_by_parameters])
+    def __init__(self, linearised: LinearisedRun, linearisation: Linearisation) -> None:
+        self._linearised, self._linearisation = linearised, linearisation
+        self._S = np.hstack([linearised.admissible, linearised.start_by_parameters])
         self._error, self._worst = np.zeros_like(self._S), np.zeros(self._S.shape[1])
         self._sizes = np.abs(self._S).max(axis=0, initial=TINY)
         self._grown = np.zeros(self._S.shape[1])
-        self._at = {along.begin: self._S}
+        self._at = {linearised.begin: self._S}
 
-    def walk(self, report: Done) -> _Walk:
+    def solve(self, report: Done) -> _ForwardSolution:
         """Solve the variational equation over all segments."""
-        along = self._along
-        shares = np.zeros((along.count, self._S.shape[1]))
-        for k in range(along.count):
-            segment = self._course.segment(k)
+        linearised = self._linearised
+        segment_errors = np.zeros((linearised.count, self._S.shape[1]))
+        for k in range(linearised.count):
+            segment = self._linearisation.segment(k)
             if k == 0:  # columns that begin with nothing grow to about this size
                 at, _ = segment.at([segment.panel.nodes[1]])
-                duration, of_all = along.end - along.begin, slice(along.size, None)
+                duration, of_all = linearised.end - linearised.begin, slice(linearised.size, None)
                 self._grown[of_all] = duration * np.abs(at.beta).max(axis=(0, 1))
-                least = ROUNDING / along.tolerance * duration * segment.scale.max(axis=0, initial=0)
+                least = (
+                    ROUNDING
+                    / linearised.tolerance
+                    * duration
+                    * segment.scale.max(axis=0, initial=0)
+                )
                 self._sizes[of_all] = np.maximum(self._sizes[of_all], least)
             to = segment.basis.T
             self._S, self._error = to @ self._S, to @ self._error
-            for piece in segment.pieces(along.bounds):
-                self._over(piece, shares[k])
-                E, n = segment.lift(piece.panel.end)
-                self._at[piece.panel.end] = E @ self._S
-                self._at[piece.panel.end][:, along.size :] += n
+            for collocated in segment.panels(linearised.bounds):
+                self._solve_panel(collocated, segment_errors[k])
+                E, n = segment.lift(collocated.panel.end)
+                self._at[collocated.panel.end] = E @ self._S
+                self._at[collocated.panel.end][:, linearised.size :] += n
             self._S, self._error = self._at[segment.panel.end], E @ self._error
             report(k + 1)
-        of_series = (shares / self._sizes).max(axis=1)
+        of_series = (segment_errors / self._sizes).max(axis=1)
         error = max((self._worst / self._sizes).max(), of_series.sum())
-        return _Walk(float(error), of_series, self._at, self._sizes)
+        return _ForwardSolution(float(error), of_series, self._at, self._sizes)
 
-    def _over(self, piece: Piece, share: np.ndarray, halving: Halving = WHOLE) -> None:
-        """Solve over one piece, or over parts of it; adds the errors of the series, (C,)."""
-        along, panel, S, error = self._along, piece.panel, self._S, self._error
-        whole, _, _ = _solved(piece, S, error)
+    def _solve_panel(
+        self, collocated: CollocatedPanel, segment_error: np.ndarray, halving: Halving = WHOLE
+    ) -> None:
+        """Solve over one collocated, or over parts of it; adds the errors of the series, (C,)."""
+        linearised, panel, S, error = self._linearised, collocated.panel, self._S, self._error
+        whole, _, _ = _solved_with_error(collocated, S, error)
         of_series = np.zeros(S.shape[1])
-        for half in piece.halves:
-            S, error, of_half = _solved(half, S, error)
+        for half in collocated.halves:
+            S, error, of_half = _solved_with_error(half, S, error)
             of_series += of_half
         missed = (whole - S) / RICHARDSON
         sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
-        part = panel.length / (along.end - along.begin)
+        part = panel.length / (linearised.end - linearised.begin)
         wrong = np.abs(missed).max(axis=0) / (part * np.maximum(sizes, self._grown))
-        if wrong.max() > along.panel_tolerance and (finer := halving.next(wrong.max(), part)):
-            for half in piece.halves:
-                self._over(half, share, finer)
+        if wrong.max() > linearised.panel_tolerance and (finer := halving.next(wrong.max(), part)):
+            for half in collocated.halves:
+                self._solve_panel(half, segment_error, finer)
             return
         self._S, self._error, self._sizes = S, error + missed, sizes
         self._worst = np.maximum(self._worst, np.abs(self._error).max(axis=0))
-        share += of_series
+        segment_error += of_series
 
 
-def _solved(
-    piece: Piece, S: np.ndarray, error: np.ndarray
+def _solved_with_error(
+    collocated: CollocatedPanel, S: np.ndarray, error: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the variational equation over one piece, and for its error.
+    """Solve the variational equation over one collocated, and for its error.
 
     Returns both at the end, (d, C) each, and the part of the error that begins here, (C,).
     """
-    at, defect, collocation = piece.at, piece.defect, piece.collocation
+    at, defect, collocation = collocated.at, collocated.defect, collocated.collocation
     end, stages = collocation.forward(S, _by_column(at, S))
     wrong = defect.A @ stages + _by_column(defect, S)
     error, _ = collocation.forward(error, wrong)
-    of_series = piece.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
+    of_series = collocated.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
     return end, error, of_series
 
 

@@ -29,17 +29,22 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError, SceneError, SolverError
-from multiarm.gradients import along as along_module
-from multiarm.gradients.along import Along
+from multiarm.gradients import linearised_run as linearised_module
 from multiarm.gradients.collocation import COUNT, NODES, ORDER, WEIGHTS, Collocation
-from multiarm.gradients.gradient import _Backward
-from multiarm.gradients.gradient import _solved as _backward
+from multiarm.gradients.gradient import _AdjointSolver
+from multiarm.gradients.gradient import _solved_with_error as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
-from multiarm.gradients.motion import Motion
-from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, Panel, Piece, Segment
-from multiarm.gradients.sensitivities import _Forward
-from multiarm.gradients.sensitivities import _solved as _forward
-from multiarm.gradients.variation import Parameter, Variation, displaced, displacement
+from multiarm.gradients.linearised_run import LinearisedRun
+from multiarm.gradients.run_series import RunSeries
+from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, CollocatedPanel, Panel, Segment
+from multiarm.gradients.sensitivities import _ForwardSolver
+from multiarm.gradients.sensitivities import _solved_with_error as _forward
+from multiarm.gradients.variational_equation import (
+    Parameter,
+    VariationalEquation,
+    displaced,
+    displacement,
+)
 from multiarm.scene.changes import value_at
 
 CARRIAGE, BODY, SPRING, DAMPER, REST = 3.0, 2.0, 50.0, 4.0, 0.2  # [kg, kg, N/m, N s/m, m]
@@ -191,7 +196,7 @@ def test_the_error_of_a_series_is_solved_for_with_the_solution():
     def variation(t):
         A = np.array([[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]])
         beta, slope = np.array([[0.0], [np.sin(25.0 * t)]]), np.array([np.cos(20.0 * t), 0.0])
-        return Variation(
+        return VariationalEquation(
             A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope, 0.0, np.zeros((2, 1))
         )
 
@@ -205,11 +210,13 @@ def test_the_error_of_a_series_is_solved_for_with_the_solution():
     whole, less = (Segment(panel, [variation(t) for t in nodes(*panel, degree)]) for _ in range(2))
     less._series._coefficients[-2:] = 0.0
     end, nothing = np.array([0.3, -1.0]), np.zeros(2)
-    full, short = (_backward(Piece(own, panel), end, nothing) for own in (whole, less))
+    full, short = (_backward(CollocatedPanel(own, panel), end, nothing) for own in (whole, less))
     close(full.start_error, full.start - short.start, 0.02)
     close(full.integral_errors[1:], (full.integrals - short.integrals)[1:], 0.02)
     S = np.column_stack([np.eye(2), [0.1, 0.2]])
-    full, short = (_forward(Piece(own, panel), S, np.zeros((2, 3))) for own in (whole, less))
+    full, short = (
+        _forward(CollocatedPanel(own, panel), S, np.zeros((2, 3))) for own in (whole, less)
+    )
     close(full[1], full[0] - short[0], 0.02)
 
 
@@ -580,10 +587,11 @@ def test_estimated_errors_are_as_large_as_the_errors(name, tolerance):
     """Along one run of high accuracy, against the derivatives of high accuracy along it."""
     system, T = ma.compile_system(CHAINS[name]), 0.4
     exact = ma.sensitivities(system, [T], accuracy=1e-9, parameters=["object.mass"])
-    along = Along(system, 0.0, T, 1e-9, None, ["object.mass"], np.array([T]))
-    along.tolerance = along.panel_tolerance = tolerance
-    found, _ = along.to_accuracy(
-        lambda course, report: _Forward(along, course).walk(report), lambda *_: None
+    linearised = LinearisedRun(system, 0.0, T, 1e-9, None, ["object.mass"], np.array([T]))
+    linearised.tolerance = linearised.panel_tolerance = tolerance
+    found, _ = linearised.to_accuracy(
+        lambda linearisation, report: _ForwardSolver(linearised, linearisation).solve(report),
+        lambda *_: None,
     )
     sizes = np.maximum(np.abs(exact.matrix[0]).max(axis=0), 1.0)
     missed = (np.abs(found.at[T] - exact.matrix[0]).max(axis=0) / sizes).max()
@@ -591,13 +599,15 @@ def test_estimated_errors_are_as_large_as_the_errors(name, tolerance):
 
     target = height_with_slope
     g = ma.gradient(system, T, final=target, accuracy=1e-9, parameters=["object.mass"])
-    along = Along(system, 0.0, T, 1e-9, None, ["object.mass"], np.zeros(0))
-    along.tolerance = along.panel_tolerance = tolerance
+    linearised = LinearisedRun(system, 0.0, T, 1e-9, None, ["object.mass"], np.zeros(0))
+    linearised.tolerance = linearised.panel_tolerance = tolerance
 
-    def walk(course, report):
-        return _Backward(along, course, *target(T, course.state(T))).walk(report)
+    def solve(linearisation, report):
+        return _AdjointSolver(linearised, linearisation, *target(T, linearisation.state(T))).solve(
+            report
+        )
 
-    back, _ = along.to_accuracy(walk, lambda *_: None)
+    back, _ = linearised.to_accuracy(solve, lambda *_: None)
     missed = np.abs(back.start - g.start.matrix).max() / np.abs(g.start.matrix).max()
     assert back.error <= tolerance and missed <= 5.0 * back.error + 1e-8
     by_mass, exact_by_mass = back.by_parameters[0], g.parameters["object.mass"]
@@ -612,7 +622,7 @@ def test_a_run_that_turns_sharply_is_a_series_all_the_same():
     """Near a singular posture, shortly after 0.3 s; a panel that is too long shows no progress."""
     scene = random_scene(np.random.default_rng(1))
     system, T = ma.compile_system(scene), 0.5
-    motion = Motion(system, 0.0, T, 1e-6, None, np.zeros(0))
+    motion = RunSeries(system, 0.0, T, 1e-6, None, np.zeros(0))
     times = np.linspace(0.305, 0.37, 40).tolist()
     run = ma.simulate(system, T, accuracy=1e-6, output_times=times, certificate=False)
     states = [motion.states([t])[0] for t in times]
@@ -623,7 +633,7 @@ def test_a_run_that_turns_sharply_is_a_series_all_the_same():
 def test_little_memory_gives_the_same_numbers(monkeypatch):
     system = ma.compile_system(CHAINS["open loop"])
     free = ma.gradient(system, 0.3, final=height, accuracy=1e-7)
-    monkeypatch.setattr(along_module, "MOST_KEPT", 0.0)
+    monkeypatch.setattr(linearised_module, "MOST_KEPT", 0.0)
     bounded = ma.gradient(system, 0.3, final=height, accuracy=1e-7)
     np.testing.assert_array_equal(bounded.start.matrix, free.start.matrix)
 

@@ -65,7 +65,7 @@ UNEVEN, START_ROUNDINGS, ACCELERATION_ROUNDINGS = 0.1, 1e-9, 1e-5
 OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
 
-class Variation(NamedTuple):
+class VariationalEquation(NamedTuple):
     """The variational equation at one state, D = 12 + 2 n.
 
     Attributes
@@ -104,7 +104,7 @@ class Variation(NamedTuple):
         return sum(part.size for part in arrays if isinstance(part, np.ndarray))
 
 
-def variation(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
+def state_matrices(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``B`` from the derivatives of the accelerations."""
     layout, rows, columns = derivatives.layout, derivatives.rows, derivatives.columns
     at, size = layout.columns, 2 * layout.nv

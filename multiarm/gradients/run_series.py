@@ -5,9 +5,9 @@ steps.  It is sampled at the nodes of series over panels (:mod:`multiarm.gradien
 Where a series of the highest degree is not the motion to the accuracy of the run, the panel is
 divided, and the run repeated.
 
-A run differs from the exact motion by an error that grows as motions separate.  A *neighbour* is a
-second run from the same start, with a tenth of the tolerance: their difference is about the error
-of the first as long as it is small, and as large as the motion itself where no digit is right.
+A run differs from the exact motion by an error that grows as motions separate.  A *comparison run*
+starts from the same state, with a tenth of the tolerance: their difference is about the error of
+the first as long as it is small, and as large as the motion itself where no digit is right.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ SMOOTHER = 0.5
 # Defects above this multiple of the accuracy are no noise, but a motion too sharp for the panel,
 # which is divided again; with so many panels all of the run is rough.
 SHARP, MOST_PANELS = 1e3, 500
-# Accuracy of a neighbour, as part of the run's.  Runs with less than the second have the smallest
-# tolerances already, and their neighbours err ten times as much.
+# Accuracy of the comparison run, as part of the run's.  Runs with less than the second have the
+# smallest tolerances already, and their comparison runs err ten times as much.
 SHARPER, SHARPEST = 0.1, 100.0 * SMALLEST_TOLERANCE
 
 
-class Motion:
+class RunSeries:
     """A run.
 
     Parameters
@@ -116,8 +116,8 @@ class Motion:
         """Positions and velocities, one after the other, on the panel of a time."""
         return self._series[max(bisect_right(self._begins, t) - 1, 0)]
 
-    def neighbour(self, times: list[float]) -> dict[float, State]:
-        """States of a neighbour at some times, and at the ends of the run."""
+    def comparison_run(self, times: list[float]) -> dict[float, State]:
+        """States of the comparison run at some times, and at the ends of the run."""
         sharper = SHARPER if self._accuracy > SHARPEST else 1.0 / SHARPER
         _, numbers = self._simulated(sharper * self._accuracy, [*times, *self._bounds])
         return {t: self._state(row) for t, row in numbers.items()}

@@ -1,18 +1,18 @@
 r"""A run with its variational equation, as a function of time.
 
-The run is a function of time (:mod:`multiarm.gradients.motion`), which is divided into segments,
-without a time inside at which control or loads are not smooth.  The matrices of the variational
-equation (:mod:`multiarm.gradients.variation`) are evaluated at the nodes of a segment, and are
-series between them (:mod:`multiarm.gradients.interpolation`): how many evaluations that takes
-depends on how fast the posture changes, not on how fast motions die out.  Segments are planned from
-the series of the velocities.  The equation itself is solved over panels of the segments
-(:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the result.  Segments
-that contribute too much get more nodes, or are divided.
+The run is a function of time (:mod:`multiarm.gradients.run_series`), which is divided into
+segments, without a time inside at which control or loads are not smooth.  The matrices of the
+variational equation (:mod:`multiarm.gradients.variational_equation`) are evaluated at the nodes of
+a segment, and are series between them (:mod:`multiarm.gradients.interpolation`): how many
+evaluations that takes depends on how fast the posture changes, not on how fast motions die out.
+Segments are planned from the series of the velocities.  The equation itself is solved over panels
+of the segments (:mod:`multiarm.gradients.segments`).  Errors of both are carried along with the
+result.  Segments that contribute too much get more nodes, or are divided.
 
 *The run's own error* changes the derivatives, too, the more the faster motions separate.  The
-equation is therefore solved once more along a neighbour of the run
-(:mod:`multiarm.gradients.motion`), over the same segments, with matrices evaluated at few nodes of
-each.  How much the result differs is added to the error.
+equation is therefore solved once more along a comparison run
+(:mod:`multiarm.gradients.run_series`), over the same segments, with matrices evaluated at few nodes
+of each.  How much the result differs is added to the error.
 
 *Memory.*  Series of the states stay in memory, and the matrices of one segment at a time; those of
 all segments too, as long as they have at most ``MOST_KEPT`` numbers.
@@ -35,9 +35,9 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
-from multiarm.gradients.motion import Motion
+from multiarm.gradients.run_series import RunSeries
 from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
-from multiarm.gradients.variation import Parameter, Variation, variation
+from multiarm.gradients.variational_equation import Parameter, VariationalEquation, state_matrices
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
@@ -48,10 +48,10 @@ from multiarm.threads import one_thread
 FINEST = 1e-8
 # Numbers of all matrices that are kept, at nodes and of segments.
 MOST_KEPT = 3e7
-MOST_WALKS = 12
+MOST_ROUNDS = 12
 # Derivatives with a larger relative error are of no use.
 USELESS = 1e-2
-# The degree of a series of differences between neighbours: this part of the segment's, and least.
+# The degree of a series of differences between the two runs: this part of the segment's, and least.
 COARSER, LOWEST = 8, 2
 # With fewer digits than the first a result says so, unless its error is the one that was asked for
 # or not much larger.
@@ -67,8 +67,8 @@ Parameters = Sequence[str] | Mapping[str, float | None]
 Slope = Callable[[float, State], tuple[float, np.ndarray]]
 
 
-class Walk(Protocol):
-    """The result of a walk over all segments."""
+class Solution(Protocol):
+    """A solution over all segments: of the variational equation, or of its adjoint."""
 
     @property
     def error(self) -> float:
@@ -76,17 +76,17 @@ class Walk(Protocol):
         ...
 
     @property
-    def shares(self) -> np.ndarray:
+    def segment_errors(self) -> np.ndarray:
         """Of every segment's series, relative to the whole."""
         ...
 
-    def difference(self: AnyWalk, neighbour: AnyWalk) -> float:
-        """How much it differs from that along a neighbour of the run, relative to its size."""
+    def difference(self: AnySolution, comparison: AnySolution) -> float:
+        """How much it differs from that along the comparison run, relative to its size."""
         ...
 
 
-class Course(Protocol):
-    """The run, or a neighbour, with its variational equation."""
+class Linearisation(Protocol):
+    """The run, or its comparison run, with its variational equation."""
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
@@ -97,7 +97,7 @@ class Course(Protocol):
         ...
 
 
-AnyWalk = TypeVar("AnyWalk", bound=Walk)
+AnySolution = TypeVar("AnySolution", bound=Solution)
 
 
 class Quality(NamedTuple):
@@ -108,7 +108,7 @@ class Quality(NamedTuple):
     message: str
 
 
-class Along:
+class LinearisedRun:
     """A run with its variational equation.
 
     Parameters
@@ -169,19 +169,21 @@ class Along:
         self._segments: list[tuple[Panel, int]] = []
         of_start = [parameter.of_start(begin, start) for parameter in self.parameters]
         self.start_by_parameters = np.reshape(of_start, (-1, self.size)).T
-        self._values: dict[float, Variation] = {}
+        self._values: dict[float, VariationalEquation] = {}
         self._built: dict[tuple[Panel, int], Segment] = {}
         # of segments: the defects of their series, and the errors that they alone may make
         self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
 
     @cached_property
-    def _motion(self) -> Motion:
-        return Motion(self.system, self.begin, self.end, self._accuracy, self._start, self.bounds)
+    def _run(self) -> RunSeries:
+        return RunSeries(
+            self.system, self.begin, self.end, self._accuracy, self._start, self.bounds
+        )
 
     @property
     def trajectory(self) -> Trajectory:
         """The run, sampled at the bounds and where it is a series."""
-        return self._motion.trajectory
+        return self._run.trajectory
 
     @property
     def layout(self) -> Layout:
@@ -205,7 +207,7 @@ class Along:
 
     def state(self, t: float) -> State:
         """The state at a bound, or at the ends of the run."""
-        return self._motion.state(t)
+        return self._run.state(t)
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
@@ -213,8 +215,8 @@ class Along:
         if key in self._built:
             return self._built[key]
         times = nodes(*panel, degree)
-        pairs = zip(times, self._motion.states(times), strict=True)
-        segment = Segment(panel, [self._value(t, state) for t, state in pairs])
+        pairs = zip(times, self._run.states(times), strict=True)
+        segment = Segment(panel, [self._equation_at_node(t, state) for t, state in pairs])
         self._quality[key] = segment.defect, segment.error
         if len(self._built) * segment.numbers < MOST_KEPT:
             self._built[key] = segment
@@ -234,13 +236,13 @@ class Along:
         return self._derivatives(self.begin, start).motions.admissible()
 
     def to_accuracy(
-        self, walk: Callable[[Course, Done], AnyWalk], show: Report
-    ) -> tuple[AnyWalk, Quality]:
-        """The result of a walk over segments that are short enough, or as short as helps.
+        self, solve: Callable[[Linearisation, Done], AnySolution], show: Report
+    ) -> tuple[AnySolution, Quality]:
+        """The solution over segments that are short enough, or as short as helps.
 
         Returns
         -------
-        solution : AnyWalk
+        solution : AnySolution
         quality : Quality
             With the error of the walk along the run, and that which the run's own error adds.
 
@@ -251,29 +253,31 @@ class Along:
         """
         with one_thread():  # the matrices are too small for several
             self._plan()
-            self._resolve()
-            solution = self._along_run(walk, show)
-            words = "derivatives of a neighbour"
-            neighbour = walk(_Neighbour(self), partial(_show, show, self.count, words))
-        error = solution.error + solution.difference(neighbour)
+            self._refine_coarse()
+            solution = self._along_the_run(solve, show)
+            words = "derivatives of the comparison run"
+            comparison = solve(_ComparisonRun(self), partial(_show, show, self.count, words))
+        error = solution.error + solution.difference(comparison)
         return solution, _quality(error, self.tolerance, self.end)
 
-    def _along_run(self, walk: Callable[[Course, Done], AnyWalk], show: Report) -> AnyWalk:
+    def _along_the_run(
+        self, solve: Callable[[Linearisation, Done], AnySolution], show: Report
+    ) -> AnySolution:
         """The result of a walk along the run over segments that are short enough."""
-        best: AnyWalk | None = None
-        for number in range(1, MOST_WALKS + 1):
+        best: AnySolution | None = None
+        for number in range(1, MOST_ROUNDS + 1):
             words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
-            solution = walk(self, partial(_show, show, self.count, words))
+            solution = solve(self, partial(_show, show, self.count, words))
             if best is not None and solution.error > LESSENED * best.error:  # roundings are left
                 break
             best, segments = solution, self._segments
             if best.error <= self.tolerance:
                 break
-            if best.shares.sum() > 0.5 * self.tolerance:
-                self._refine(best.shares)
+            if best.segment_errors.sum() > 0.5 * self.tolerance:
+                self._refine(best.segment_errors)
             else:
                 self.panel_tolerance *= 0.1
-        assert best is not None, "there is a first walk"
+        assert best is not None, "there is a first round"
         if best.error > USELESS:
             raise SolverError(
                 f"the derivatives of the run have an error of {best.error:.1g} of their size, and "
@@ -283,19 +287,19 @@ class Along:
         self._segments = segments
         return best
 
-    def neighbour(self) -> tuple[dict[float, State], list[list[float]]]:
-        """The states of a neighbour, and the times at which its matrices are wanted, by segment."""
+    def comparison_run(self) -> tuple[dict[float, State], list[list[float]]]:
+        """States of the comparison run, and by segment the times at which matrices are wanted."""
         times = [nodes(*panel, max(LOWEST, degree // COARSER)) for panel, degree in self._segments]
-        return self._motion.neighbour([*chain.from_iterable(times)]), times
+        return self._run.comparison_run([*chain.from_iterable(times)]), times
 
     def _plan(self) -> None:
         """Choose segments over which the velocities of the run are series of low degree."""
         self._segments = []
-        for panel in self._motion.panels:
-            series, first = self._motion.series(panel.begin), self.layout.nq
-            self._segments += _planned(panel, series, first, self.tolerance / ROUGHER)
+        for panel in self._run.panels:
+            series, first = self._run.series(panel.begin), self.layout.nq
+            self._segments += _planned_segments(panel, series, first, self.tolerance / ROUGHER)
 
-    def _resolve(self) -> None:
+    def _refine_coarse(self) -> None:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
         allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
         while True:
@@ -309,34 +313,36 @@ class Along:
                 return
             self._refine(np.where(coarse, errors, 0.0))
 
-    def _refine(self, shares: np.ndarray) -> None:
+    def _refine(self, segment_errors: np.ndarray) -> None:
         """Give segments that contribute much to the error more nodes, or divide them."""
-        large = min(0.5 * self.tolerance / self.count, shares.max())
+        large = min(0.5 * self.tolerance / self.count, segment_errors.max())
         segments = []
-        for (panel, degree), share in zip(self._segments, shares, strict=True):
+        for (panel, degree), segment_error in zip(self._segments, segment_errors, strict=True):
             defect, _ = self._quality[panel, degree]
-            if share < large:
+            if segment_error < large:
                 segments.append((panel, degree))
-            elif finer := [k for k in DEGREES if share * defect ** (k / degree - 1.0) < large]:
+            elif finer := [
+                k for k in DEGREES if segment_error * defect ** (k / degree - 1.0) < large
+            ]:
                 segments.append((panel, finer[0]))
             else:
                 segments += [(half, DEGREES[0]) for half in panel.parts(2)]
         self._segments = segments
 
-    def _value(self, t: float, state: State) -> Variation:
+    def _equation_at_node(self, t: float, state: State) -> VariationalEquation:
         """The equation at a node."""
         value = self._values.get(t)
         if value is None:
-            value = self.evaluated(t, state)
+            value = self.equation_at(t, state)
             if len(self._values) * value.numbers < MOST_KEPT:
                 self._values[t] = value
         return value
 
-    def evaluated(self, t: float, state: State) -> Variation:
+    def equation_at(self, t: float, state: State) -> VariationalEquation:
         """The equation at a state."""
         count, D = len(self.parameters), self._derivatives(t, state)
         beta, offset = np.zeros((2, self.size, count))
-        A, B = variation(D)
+        A, B = state_matrices(D)
         for k, parameter in enumerate(self.parameters):
             along_joints, offset[:, k] = parameter.at(t, state, D.motions)
             at_state = along_joints - A @ offset[:, k]
@@ -345,13 +351,13 @@ class Along:
         if self._integrand is not None:
             rate, slope = self._integrand(t, state)
         scale = self._scale(D.evaluation.accelerations)
-        return Variation(A, B, beta, D.motions, offset, slope, rate, scale)
+        return VariationalEquation(A, B, beta, D.motions, offset, slope, rate, scale)
 
     def _scale(self, accelerations: np.ndarray) -> np.ndarray:
         """What the derivatives of the accelerations by parameters are as a rule, shape (D, P)."""
         largest = np.abs(np.append(accelerations, self.system.scene.gravity or 0.0)).max()
-        usual = np.array([largest / parameter.size for parameter in self.parameters])
-        return np.outer(self._accelerations, usual)
+        typical = np.array([largest / parameter.size for parameter in self.parameters])
+        return np.outer(self._accelerations, typical)
 
     def _derivatives(self, t: float, state: State) -> Derivatives:
         try:
@@ -360,17 +366,17 @@ class Along:
             raise SolverError(f"at t = {t:.9g} s: {error}") from None
 
 
-class _Neighbour:
-    """A neighbour of the run, over the same segments."""
+class _ComparisonRun:
+    """The comparison run, over the same segments."""
 
-    def __init__(self, along: Along) -> None:
-        self._along = along
-        self._states, self._times = along.neighbour()
+    def __init__(self, linearised: LinearisedRun) -> None:
+        self._linearised = linearised
+        self._states, self._times = linearised.comparison_run()
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
-        values = [self._along.evaluated(t, self._states[t]) for t in self._times[k]]
-        return self._along.segment(k).of_neighbour(values)
+        values = [self._linearised.equation_at(t, self._states[t]) for t in self._times[k]]
+        return self._linearised.segment(k).of_comparison_run(values)
 
     def state(self, t: float) -> State:
         """The state at a bound, or at the ends of the run."""
@@ -409,7 +415,7 @@ def _refuse(system: System) -> None:
         )
 
 
-def _planned(
+def _planned_segments(
     panel: Panel, series: Series, first: int, allowed: float, before: float = math.inf
 ) -> list[tuple[Panel, int]]:
     """Segments of a panel over which a series, from a component on, is one of lower degree."""
@@ -421,5 +427,5 @@ def _planned(
             return [(panel, degree)]
     if defect > LESSENED * before or panel.length < SHORTEST:  # noise of the run, or a kink
         return [(panel, DEGREES[-1])]
-    halves = (_planned(half, series, first, allowed, defect) for half in panel.parts(2))
+    halves = (_planned_segments(half, series, first, allowed, defect) for half in panel.parts(2))
     return list(chain.from_iterable(halves))
