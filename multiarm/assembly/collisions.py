@@ -26,6 +26,7 @@ from multiarm.arms.arm import Arm
 from multiarm.scene import ObjectSpec, Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.meshes import read_mesh
+from multiarm.scene.shapes import Box, Cylinder, Hull, Mesh, Sphere
 
 # Distances beyond this one need not be known [m].
 HORIZON = 0.05
@@ -171,15 +172,19 @@ def nearest(links: Placed, obstacles: Placed) -> NearestPair:
 
 def object_hull(body: ObjectSpec) -> Any:
     """The convex shape of the object in its frame; None where it has none that can be read."""
-    shape = body.shape
-    if shape.box is not None:
-        return coal.Box(*shape.box)
-    if shape.sphere is not None:
-        return coal.Sphere(shape.sphere)
-    if shape.cylinder is not None:
-        return coal.Cylinder(shape.cylinder.radius, shape.cylinder.height)
-    points = shape.corners()
-    return None if points is None else _hull(points)
+    match body.shape.solid:
+        case Box(edges):
+            return coal.Box(*edges)
+        case Sphere(radius):
+            return coal.Sphere(radius)
+        case Cylinder(radius=radius, height=height):
+            return coal.Cylinder(radius, height)
+        case Hull(points):
+            return _hull(np.array(points))
+        case Mesh() as mesh:
+            triangles = mesh.triangles()
+            return None if triangles is None else _hull(triangles[0])
+    return None
 
 
 def _hull(points: np.ndarray) -> Any:

@@ -269,7 +269,8 @@ def clear_of(
         the quality of a posture, see :meth:`InverseKinematics.search`.
     """
     pose = body.pose.matrix()
-    corners = body.shape.bounding_box() if meshes or body.shape.mesh is None else None
+    solid = body.shape.solid if meshes or body.shape.mesh is None else None
+    corners = None if solid is None else solid.bounds()
 
     def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
         outside = above = np.zeros(0)

@@ -33,7 +33,8 @@ def _joints_off_the_object(system: System) -> list[str]:
     warnings = []
     for number, joint in enumerate(system.scene.joints):
         point = system.frames[joint.arm].on_object[:3, 3]
-        nearest = None if joint.as_listed else system.scene.object.shape.nearest(point)
+        solid = None if joint.as_listed else system.scene.object.shape.solid
+        nearest = None if solid is None else solid.nearest(point)
         if nearest is None:
             continue
         distance = float(np.linalg.norm(point - nearest))

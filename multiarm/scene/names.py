@@ -40,7 +40,7 @@ from multiarm.scene.loading import (
     without_code,
 )
 from multiarm.scene.meshes import resolve_mesh
-from multiarm.scene.object import Mesh, ObjectSpec, Shape
+from multiarm.scene.object import ObjectSpec
 from multiarm.scene.robots import (
     RobotEntry,
     available_robots,
@@ -55,6 +55,7 @@ from multiarm.scene.run import (
     StabilizationSpec,
 )
 from multiarm.scene.schema import Scene, changed_scenes
+from multiarm.scene.shapes import Shape
 from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose, gain_vector, joint_vector

@@ -286,27 +286,14 @@ def resolve_run(spec: RunSpec) -> RunFacts:
 
 
 def _object_facts(spec: ObjectSpec) -> ObjectFacts:
-    position, quaternion = _placement(spec.pose.matrix())
+    (position, quaternion), solid = _placement(spec.pose.matrix()), spec.shape.solid
     return ObjectFacts(
-        shape=_shape_words(spec),
+        shape="no shape" if solid is None else solid.words,
         mass=spec.mass,
         inertia=spec.inertia_matrix().tolist(),
         position=position,
         quaternion_xyzw=quaternion,
     )
-
-
-def _shape_words(spec: ObjectSpec) -> str:
-    shape = spec.shape
-    if shape.box is not None:
-        return f"box {' x '.join(f'{edge:g}' for edge in shape.box)} m"
-    if shape.sphere is not None:
-        return f"sphere of radius {shape.sphere:g} m"
-    if shape.cylinder is not None:
-        return f"cylinder of radius {shape.cylinder.radius:g} m, height {shape.cylinder.height:g} m"
-    if shape.hull is not None:
-        return f"convex polyhedron of {len(shape.hull)} corners"
-    return "no shape" if shape.mesh is None else f"mesh {shape.mesh.file.name}"
 
 
 def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmFacts:

@@ -17,6 +17,8 @@ import numpy as np
 
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.scene.meshes import read_mesh
+from multiarm.scene.shapes import Box, Cylinder, Hull, Sphere
+from multiarm.scene.shapes import Mesh as MeshFile
 from multiarm.viewer.mesh import Mesh, box, capsule, cone, cylinder, sphere
 
 if TYPE_CHECKING:
@@ -74,30 +76,30 @@ def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
 
 def object_mesh(spec: ObjectSpec) -> Mesh:
     """Return the mesh of the common object, in the object frame."""
-    shape = spec.shape
-    if shape.box is not None:
-        return box(shape.box)
-    if shape.sphere is not None:
-        return sphere(shape.sphere)
-    if shape.cylinder is not None:
-        return cylinder(shape.cylinder.radius, shape.cylinder.height)
-    if shape.hull is not None:
-        body = Polyhedron.hull(np.array(shape.hull))
-        fans = [
-            (loop[0], loop[k], loop[k + 1])
-            for (loop,) in body.loops
-            for k in range(1, len(loop) - 1)
-        ]
-        return Mesh(body.vertices, np.array(fans))
-    if shape.mesh is not None:
-        try:
-            return usable(Mesh(*read_mesh(shape.mesh.file, shape.mesh.scale)))
-        except ValueError as error:
-            warnings.warn(
-                f"cannot read the object's mesh {shape.mesh.file} ({error}): the replay shows a "
-                "box with the object's inertia instead",
-                stacklevel=2,
-            )
+    match spec.shape.solid:
+        case Box(edges):
+            return box(edges)
+        case Sphere(radius):
+            return sphere(radius)
+        case Cylinder(radius=radius, height=height):
+            return cylinder(radius, height)
+        case Hull(points):
+            body = Polyhedron.hull(np.array(points))
+            fans = [
+                (loop[0], loop[k], loop[k + 1])
+                for (loop,) in body.loops
+                for k in range(1, len(loop) - 1)
+            ]
+            return Mesh(body.vertices, np.array(fans))
+        case MeshFile(file=file, scale=scale):
+            try:
+                return usable(Mesh(*read_mesh(file, scale)))
+            except ValueError as error:
+                warnings.warn(
+                    f"cannot read the object's mesh {file} ({error}): the replay shows a box with "
+                    "the object's inertia instead",
+                    stacklevel=2,
+                )
     return _inertia_box(spec.mass, spec.inertia_matrix())
 
 

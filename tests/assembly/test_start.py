@@ -248,7 +248,7 @@ WEDGE = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0], [0, 0, 0.2]]) - [0.075, 0
 )
 def test_the_nearest_point_of_a_convex_solid_is_on_its_side_of_a_plane(shape, rng):
     """n is nearest to p exactly if n is in the solid and (p - n) . (x - n) <= 0 for all its x."""
-    solid, inside = Shape(**shape), rng.uniform(-0.4, 0.4, (4000, 3))
+    solid, inside = Shape(**shape).solid, rng.uniform(-0.4, 0.4, (4000, 3))
     if "box" in shape:
         inside = inside[np.all(np.abs(inside) <= np.array(shape["box"]) / 2, axis=1)]
     elif "sphere" in shape:
@@ -269,11 +269,11 @@ def test_the_nearest_point_of_a_mesh_with_a_dent(tmp_path, rng):
     parts = [((-0.2, -0.1, -0.1), (0.2, 0.0, 0.1)), ((-0.2, 0.0, -0.1), (-0.1, 0.3, 0.1))]
     boxes = [trimesh.creation.box(bounds=1000.0 * np.array(ends)) for ends in parts]
     trimesh.util.concatenate(boxes).export(tmp_path / "l.stl")
-    solid = Shape(mesh={"file": tmp_path / "l.stl", "scale": 1e-3})
+    solid = Shape(mesh={"file": tmp_path / "l.stl", "scale": 1e-3}).solid
     for p in rng.uniform(-0.4, 0.4, (60, 3)):
         distances = [np.linalg.norm(p - np.clip(p, low, high)) for low, high in parts]
         assert np.linalg.norm(p - solid.nearest(p)) == pytest.approx(min(distances), abs=1e-7)
-    assert Shape(mesh={"file": tmp_path / "none.stl"}).nearest(np.zeros(3)) is None
+    assert Shape(mesh={"file": tmp_path / "none.stl"}).solid.nearest(np.zeros(3)) is None
 
 
 @pytest.mark.parametrize(

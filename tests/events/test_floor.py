@@ -11,12 +11,12 @@ from mechanics import data_of
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.contacts.unilateral import hull_corners
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.errors import SceneError
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
 from multiarm.problems import HARD_CASES
+from multiarm.scene.solids import hull_corners
 
 GRAVITY = 9.81
 

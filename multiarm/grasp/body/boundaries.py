@@ -29,7 +29,7 @@ from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
 from multiarm.programs import LinearSolution, linear_program
 from multiarm.scene import meshes
-from multiarm.scene.object import TOO_THIN, hull_triangles
+from multiarm.scene.solids import TOO_THIN, hull_triangles
 
 # A body of half-spaces is bounded when the origin is inside the hull of their duals by more than
 # this; it has a ball inside that is larger.

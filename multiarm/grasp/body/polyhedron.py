@@ -22,7 +22,7 @@ from multiarm.grasp.body import boundaries
 from multiarm.grasp.body.face import PLANE_TOLERANCE, Face
 from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
-from multiarm.scene.object import MassProperties, Moments, moments
+from multiarm.scene.solids import MassProperties, Moments, moments
 
 ORTHOGONAL = 1e-6
 """How far a rotation matrix may be from one: it may have been typed with seven digits."""

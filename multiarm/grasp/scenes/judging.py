@@ -34,6 +34,7 @@ from multiarm.grasp.seventh_contact.contact_region import ContactRegion, region_
 from multiarm.grasp.six_contacts.independent_contacts import independence
 from multiarm.grasp.stability.configuration_stability import configuration_stability
 from multiarm.scene import ObjectSpec
+from multiarm.scene.shapes import Box, Hull, Mesh
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import Progress, Report, displayed
@@ -183,16 +184,16 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
 
 def body_of(spec: ObjectSpec) -> Polyhedron | None:
     """The object as a polyhedron in its own frame; None where it is round or its mesh is open."""
-    shape = spec.shape
-    if shape.box is not None:
-        return Polyhedron.box(shape.box)
-    if shape.hull is not None:
-        return Polyhedron.hull(np.array(shape.hull))
-    if shape.mesh is not None and len(set(shape.mesh.scale)) == 1:
-        try:
-            return Polyhedron.mesh(shape.mesh.file, shape.mesh.scale[0])
-        except GraspError:
-            return None
+    match spec.shape.solid:
+        case Box(edges):
+            return Polyhedron.box(edges)
+        case Hull(points):
+            return Polyhedron.hull(np.array(points))
+        case Mesh(file=file, scale=(x, y, z)) if x == y == z:
+            try:
+                return Polyhedron.mesh(file, x)
+            except GraspError:
+                return None
     return None
 
 

@@ -146,16 +146,13 @@ class FloorSpec(EffectKind):
     @classmethod
     def typical(cls, body: ObjectSpec) -> Mapping[str, Any] | None:
         """A floor that a box, a hull or a sphere just touches at its start."""
-        shape, pose = body.shape, body.pose.matrix()
-        if shape.sphere is not None:
-            reach = shape.sphere
-        elif shape.box is not None:
-            reach = float(np.abs(pose[2, :3]) @ (0.5 * np.array(shape.box)))
-        elif shape.hull is not None:
-            reach = -float(np.min(np.array(shape.hull) @ pose[2, :3]))
-        else:
+        solid, pose = body.shape.solid, body.pose.matrix()
+        if solid is None or body.shape.cylinder is not None or body.shape.mesh is not None:
             return None
-        return {"at": {"xyz": [0.0, 0.0, float(pose[2, 3]) - reach]}}
+        points, radius = solid.corners()
+        return {
+            "at": {"xyz": [0.0, 0.0, float(pose[2, 3] + np.min(points @ pose[2, :3])) - radius]}
+        }
 
 
 _FromUrdf = Literal["urdf"]

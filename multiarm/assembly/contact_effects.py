@@ -1,0 +1,222 @@
+"""Unilateral constraints of a scene, from its contacts and effects; faults of what these name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from multiarm.contacts.table import JointRow
+from multiarm.contacts.unilateral import ContactParameters, RowBuilder, UnilateralConstraints
+from multiarm.errors import SceneError
+from multiarm.geometry.records import Contact, Patch, plane, sphere, tangent_rows
+from multiarm.scene import Scene, Shape
+from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
+from multiarm.scene.faults import place, unknown
+from multiarm.scene.shapes import NoCornersError
+from multiarm.scene.values import SURROUNDINGS
+
+
+def unilateral_constraints(
+    scene: Scene,
+    contacts: Mapping[str, list[Contact]],
+    limits: Mapping[str, Mapping[str, tuple[float, float]]],
+    dry: Mapping[str, np.ndarray] | None,
+) -> UnilateralConstraints | None:
+    """The unilateral constraints and all rows of a scene; None where all rows are bilateral.
+
+    Parameters
+    ----------
+    scene : Scene
+    contacts : mapping arm -> list of Contact
+        Of the arms' joints with the object.
+    limits : mapping arm -> joint -> (lower, upper)
+        Of the robots, in chain order [rad, m].
+    dry : mapping arm -> (n,), optional
+        Dry friction of the joints [N m, N].
+
+    Raises
+    ------
+    SceneError
+        Naming contacts that do not exist, or to which an effect does not apply; or when the points
+        of the object that can touch the floor are unknown.
+    """
+    parameters = _contact_parameters(scene, contacts)
+    rows, first = RowBuilder(), 0
+    for arm, of_arm in contacts.items():
+        rows.start(arm)
+        for k, contact in enumerate(of_arm):
+            rows.add_contact(contact, parameters[arm].get(k))
+        for number, (name, limit) in enumerate(limits[arm].items()):
+            record, joint = JointRow(name, number), first + number
+            rows.add_stops(record, joint, *_range(scene, arm, name, limit))
+            if dry is not None and dry[arm][number] > 0.0:
+                rows.add_dry_friction(record, joint, float(dry[arm][number]))
+        first += len(limits[arm])
+    rows.start(SURROUNDINGS)
+    if (floor := scene.effects.floor) is not None:
+        for contact in floor_contacts(floor, scene.object.shape):
+            rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
+    if not (rows.constraints or rows.compliant):
+        return None
+    spec = scene.effects.unilateral_contacts
+    as_written = spec is not None and spec.start == "as_written"
+    unable_to_open = [constraint.row for constraint in rows.constraints if constraint.bilateral]
+    return UnilateralConstraints(
+        records=rows.records,
+        constraints=tuple(rows.constraints),
+        model=tuple(rows.model),
+        assembled=tuple(sorted([*rows.bilateral, *unable_to_open]) if as_written else rows.model),
+        bilateral=tuple(rows.bilateral),
+        compliant=rows.compliant_contacts(),
+    )
+
+
+def floor_contacts(spec: FloorSpec, shape: Shape) -> list[Contact]:
+    """Contacts of an object of this shape with the floor.
+
+    Raises
+    ------
+    SceneError
+        When the points that can touch it are unknown.
+    """
+    pose = spec.at.matrix()
+    ground = plane(pose[:3, 3], pose[:3, 2])
+    if spec.size is not None:
+        half = 0.5 * np.array([*spec.size, np.inf])
+        ground = replace(ground, patch=Patch(-half, half, pose))
+    return [
+        Contact(name, ground, sphere(point, radius), pushes_only=True)
+        for name, point, radius in _touching_points(spec, shape)
+    ]
+
+
+def _range(
+    scene: Scene, arm: str, joint: str, limit: tuple[float, float]
+) -> tuple[tuple[float, float], float]:
+    """The ends of a joint's range at which it stops, infinite for none, and its restitution."""
+    spec, none = scene.effects.joint_limits, (-np.inf, np.inf)
+    if spec is None:
+        return none, 0.0
+    ends = limit if spec.range == "urdf" else spec.range.get(arm, {}).get(joint, none)
+    return ends, spec.restitution
+
+
+def _contact_parameters(
+    scene: Scene, contacts: Mapping[str, list[Contact]]
+) -> dict[str, dict[int, ContactParameters]]:
+    """Parameters of contacts that can open, slide or give way: arm -> number of the contact."""
+    effects = scene.effects
+    faults: list[str] = []
+    unilateral, friction = effects.unilateral_contacts, effects.contact_friction
+    compliance = effects.contact_compliance
+    for name, spec, pushing in (
+        ("unilateral_contacts", unilateral, True),
+        ("contact_friction", friction, False),
+        ("contact_compliance", compliance, False),
+    ):
+        if spec is not None:
+            faults += _name_faults(name, spec, contacts, pushing)
+    parameters: dict[str, dict[int, ContactParameters]] = {arm: {} for arm in contacts}
+    for arm, of_arm in contacts.items():
+        rolling = tangent_rows(of_arm)
+        for k, contact in enumerate(of_arm):
+            if contact.tangent:
+                continue
+            contact_parameters = None
+            if unilateral is not None and contact.pushes_only and _named(unilateral, arm, contact):
+                contact_parameters = ContactParameters(restitution=unilateral.restitution)
+            mu = _friction(friction, arm, contact)
+            if mu is not None:
+                contact_parameters = (contact_parameters or ContactParameters())._replace(mu=mu)
+                if contact.is_combined:
+                    faults.append(
+                        f"$.joints: contact '{arm}/{contact.name}' is a multiple or a difference "
+                        f"of contacts, which has no friction; give 'mu' to contacts of surfaces"
+                    )
+            if compliance is not None and _named(compliance, arm, contact):
+                if mu is not None:
+                    faults.append(
+                        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' has "
+                        f"friction ('mu' or contact_friction), which needs a rigid contact; name "
+                        f"the contacts of each with 'contacts'"
+                    )
+                contact_parameters = ContactParameters(
+                    stiffness=compliance.stiffness, damping=compliance.damping
+                )
+            if contact_parameters is None:
+                continue
+            parameters[arm][k] = contact_parameters
+            if k in rolling:
+                faults.append(
+                    f"$.effects: contact '{arm}/{contact.name}' rolls ('rolling: true'): it cannot "
+                    f"let go, slide or give way; leave it out of 'contacts' of the effect, or give "
+                    f"it friction and no 'rolling'"
+                )
+    if faults:
+        raise SceneError(list(dict.fromkeys(faults)))
+    return parameters
+
+
+def _friction(spec: ContactFrictionSpec | None, arm: str, contact: Contact) -> float | None:
+    """A contact's coefficient of friction; None: it has no tangents.
+
+    The nearest one counts: that of the contact, of its joint, of the scene.  The scene's is of
+    contacts that only push, unless it names others.
+    """
+    mu = contact.mu
+    if mu is None and spec is not None and _named(spec, arm, contact):
+        mu = spec.mu if contact.pushes_only or spec.contacts is not None else None
+    # without friction, one that holds both ways is bilateral and nothing else
+    return mu if mu or contact.pushes_only else None
+
+
+def _named(spec: SomeContacts, arm: str, contact: Contact) -> bool:
+    names = spec.contacts
+    return names is None or arm in names or f"{arm}/{contact.name}" in names
+
+
+def _name_faults(
+    effect: str, spec: SomeContacts, contacts: Mapping[str, list[Contact]], pushing: bool
+) -> Iterator[str]:
+    """Names that are no contact, or none that can only push (``pushing``)."""
+    known = {
+        f"{arm}/{contact.name}": contact.pushes_only or not pushing
+        for arm, of_arm in contacts.items()
+        for contact in of_arm
+        if contact.tangent == 0
+    }
+    usable = [name for name, fits in known.items() if fits]
+    for k, name in enumerate(spec.contacts or ()):
+        where = place(("effects", effect, "contacts", k))
+        if name in contacts:
+            if not any(contact.startswith(f"{name}/") for contact in usable):
+                yield f"{where}: arm {name!r} has no contact that only pushes; name others"
+        elif name not in known:
+            yield f"{where}: {unknown('contact', name, usable)}"
+        elif not known[name]:
+            yield (
+                f"{where}: contact {name!r} also pulls, and cannot let go or slide; contacts that "
+                f"only push are {', '.join(map(repr, usable)) or '(none)'}"
+            )
+
+
+def _touching_points(spec: FloorSpec, shape: Shape) -> list[tuple[str, np.ndarray, float]]:
+    """Name, position in the object frame and radius of all points that can touch the floor."""
+    if spec.points is not None:
+        return [(f"point {k + 1}", np.array(point), 0.0) for k, point in enumerate(spec.points)]
+    try:
+        if shape.solid is None:
+            raise NoCornersError("the object has no 'shape'", "such as its corners")
+        corners, radius = shape.solid.corners()
+    except NoCornersError as unknown_corners:
+        raise SceneError(
+            [
+                f"$.effects.floor: {unknown_corners.reason}; name the points of the object that "
+                f"can touch the floor with 'points: [[x, y, z], ...]' in the object frame, "
+                f"{unknown_corners.remedy}"
+            ]
+        ) from None
+    names = [f"corner {k + 1}" for k in range(len(corners))] if radius == 0.0 else ["ball"]
+    return [(name, corner, radius) for name, corner in zip(names, corners, strict=True)]
