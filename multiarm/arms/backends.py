@@ -164,17 +164,10 @@ class ArmBackends:
         group = next(group for group in reversed(self._groups) if group.place <= arm)
         return group.pose_address(arm - group.place, joint)
 
-    def potential_energy(self) -> float:
-        """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
-        compiled = 0.0 if self._compiled is None else self._compiled.potential_energy()
-        return compiled + self._energy_of_groups()
-
-    def _energy_of_groups(self) -> float:
-        return sum(group.potential_energy(self._state) for group in self._groups)
-
     def _energy_update(self, status: Any) -> Callable[[], None]:
         def update() -> None:
-            status.potential_energy = self._energy_of_groups()
+            energies = [group.potential_energy(self._state) for group in self._groups]
+            status.potential_energy = sum(energies)
 
         return update
 

@@ -43,6 +43,7 @@ import numpy as np
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import KIND, TANGENT
+from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retracted
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -265,15 +266,13 @@ class Linkage:
 
     def posture(self) -> Posture:
         """The posture in the data, whose kinematics are current."""
-        b, work = self._data.arrays, self._data.work
-        J = np.zeros((self.rows.size, self.unit.size))
+        b = self._data.arrays
+        J = force_directions(self._data)[np.ix_(self._moving, self.rows)].T.copy()
         L = np.zeros((self.unit.size, self.unit.size))
         if self.with_object:
             frames = self._layout.of_frames
-            J[:, frames] = b.rows.Wo[self.rows]
             L[frames, frames] = np.linalg.cholesky(b.bodies.object_inertia)
-        for i, held, (r, c) in zip(self._arms, self._held_rows, self.blocks, strict=True):
-            J[r, c] = work.W[i, : c.stop - c.start, held]
+        for i, (_, c) in zip(self._arms, self.blocks, strict=True):
             L[c, c] = self._factor(i, c.stop - c.start)
         gaps = b.rows.kinematics[self.rows, GAP].copy()
         return Posture(b.state.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)

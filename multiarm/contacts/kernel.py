@@ -62,18 +62,23 @@ from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distanc
 from multiarm.contacts.table import (
     AXIS,
     COMBINED,
-    COUNT,
     CURVED,
+    FIRST_DIRECTION,
+    FIRST_PART,
+    FIRST_SHAPE,
+    GUIDE_RADIUS,
     JOINT,
     KIND,
-    LINK,
+    NORMAL_PART,
     ORIGIN,
     PAIR,
+    PARTS,
     POINT,
-    RADIUS,
+    SECOND_DIRECTION,
     SIDE,
     SURFACE_BODY,
     TANGENT,
+    TANGENT_NUMBER,
     TIP_RADIUS,
     WEIGHT,
 )
@@ -163,7 +168,7 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
         n = scale(inverse, f)
         # n turns with the part of V across the surface's curved directions
         n_rate = scale(inverse, across(n, turning))
-        gap = side * (distance - geometry[RADIUS])
+        gap = side * (distance - geometry[GUIDE_RADIUS])
     point = add(open_body(a).origin, d)
     put_contact(out, into_object, point, V, n, n_rate, gap - geometry[TIP_RADIUS], V, A)
 
@@ -214,9 +219,11 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
     """
     kind = codes[k, KIND]
     if kind == TANGENT:
-        normal, base = k - codes[k, LINK], rows[k - codes[k, LINK]]
-        if codes[k, COUNT] > 0:  # it has its normal row among the parts
-            normal, base = codes[k, COUNT], parts[codes[k, COUNT] - rows.shape[0]]
+        normal = k - codes[k, TANGENT_NUMBER]
+        base = rows[normal]
+        if codes[k, NORMAL_PART] > 0:  # it has its normal row among the parts
+            normal = codes[k, NORMAL_PART]
+            base = parts[normal - rows.shape[0]]
             write_contact(
                 codes[normal], geometry[normal], arm, body, shapes, calls, base, scratch, places,
                 located,
@@ -237,7 +244,7 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
             codes[k], geometry[k], arm, body, shapes, calls, rows[k], scratch, places, located
         )
         return
-    first, count = codes[k, LINK], codes[k, COUNT]
+    first, count = codes[k, FIRST_PART], codes[k, PARTS]
     at = first - rows.shape[0]
     for j in range(count):
         write_contact(
@@ -257,7 +264,7 @@ def write_contact(code, geometry, arm, body, shapes, calls, row, scratch, places
     relative = scratch[0:15]
     query = scratch[15:29]
     relative_motion(a, b, relative)
-    kind, first = code[KIND], code[LINK]
+    kind, first = code[KIND], code[FIRST_SHAPE]
     if kind == CURVED:
         _curved(sign, geometry, a, b, shapes[first], relative, query, calls, row)
     elif kind == PAIR:
@@ -361,15 +368,15 @@ def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
     c_rate = add_scaled(add_scaled(vec(base, POINT_RATE), -rate, n), -away, n_rate)
     V, A = motion_at(relative, sub(c, open_body(a).origin))
     # a direction of B across which the first tangent lies; near its pole, another one
-    f = rotate(open_body(b).rotation, vec(geometry[k], AXIS))
+    f = rotate(open_body(b).rotation, vec(geometry[k], FIRST_DIRECTION))
     t = cross(f, n)
     if not norm(t) > 0.2:  # sine of the angle between normal and direction
-        f = rotate(open_body(b).rotation, vec(geometry[k], ORIGIN))
+        f = rotate(open_body(b).rotation, vec(geometry[k], SECOND_DIRECTION))
         t = cross(f, n)
     inverse = 1.0 / norm(t)
     t = scale(inverse, t)
     t_rate = across(t, scale(inverse, cross(f, n_rate)))
-    if codes[k, LINK] == 2:  # n x t and its rate
+    if codes[k, TANGENT_NUMBER] == 2:  # n x t and its rate
         t, t_rate = cross(n, t), add_cross(cross(n_rate, t), n, t_rate)
     A = add_cross(A, open_relative(relative).spin, sub(c_rate, V))
     put_contact(row, sign, c, c_rate, t, t_rate, 0.0, V, A)
@@ -391,6 +398,24 @@ def _combine(weight, parts, at, count, row):
     put(row, COUPLE, cross(sub(vec(other, AT), vec(first, AT)), e))
     for i in (GAP, GAP_RATE, GAP_BIAS):
         row[i] -= weight * other[i]
+
+
+@inlined
+def contact_point(row, kind, surface_body, geometry):
+    """Contact point of a row of contact kinematics, world axes: of a tip on its surface."""
+    if kind > CURVED:  # there is no tip
+        return vec(row, AT)
+    # from the tip's centre, along the normal if the arm has the tip
+    radius = geometry[TIP_RADIUS] if surface_body == SURFACE_ON_OBJECT else -geometry[TIP_RADIUS]
+    return add_scaled(vec(row, AT), radius, vec(row, NORMAL))
+
+
+@kernel
+def write_contact_points(rows, codes, geometry, points):
+    """Write the contact points of rows of contact kinematics, (k, 3)."""
+    for k in range(points.shape[0]):
+        code = codes[k]
+        put(points[k], 0, contact_point(rows[k], code[KIND], code[SURFACE_BODY], geometry[k]))
 
 
 @plain

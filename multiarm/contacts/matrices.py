@@ -37,9 +37,9 @@ from multiarm.contacts.kernel import (
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import (
     COMBINED,
-    COUNT,
+    FIRST_PART,
     KIND,
-    LINK,
+    PARTS,
     SURFACE_BODY,
     WEIGHT,
 )
@@ -115,7 +115,7 @@ def contact_matrices(
     result = wrenches[wanted]
     for place, row in enumerate(wanted):
         if codes[row, KIND] == COMBINED:
-            first, count = codes[row, LINK], codes[row, COUNT]
+            first, count = codes[row, FIRST_PART], codes[row, PARTS]
             signs = np.array([1.0, -1.0])[:count, None, None]
             parts = signs * wrenches[first : first + count]
             result[place] = geometry[row, WEIGHT] * parts.sum(axis=0)

@@ -19,9 +19,20 @@ from multiarm.jit.structs import Ints1
 
 # Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
 CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
-# Columns of ContactTable.codes, .geometry and .shapes.
-KIND, SURFACE_BODY, LINK, COUNT, CODE_WIDTH = range(5)
-POINT, ORIGIN, AXIS, RADIUS, SIDE, TIP_RADIUS, WEIGHT, GEOMETRY_WIDTH = 0, 3, 6, 9, 10, 11, 12, 13
+# Columns of ContactTable.codes: of all rows; of curved surfaces and pairs; of tangents; of combined
+# rows; of joints.
+KIND, SURFACE_BODY, CODE_WIDTH = 0, 1, 4
+FIRST_SHAPE = 2
+TANGENT_NUMBER, NORMAL_PART = 2, 3
+FIRST_PART, PARTS = 2, 3
+JOINT_NUMBER = 2
+# Columns of .geometry: of contacts; of tangents, in place of origin and axis; of joints.
+POINT, ORIGIN, AXIS, GUIDE_RADIUS, SIDE, TIP_RADIUS, WEIGHT, GEOMETRY_WIDTH = (
+    0, 3, 6, 9, 10, 11, 12, 13,
+)  # fmt: skip
+SECOND_DIRECTION, FIRST_DIRECTION = ORIGIN, AXIS
+BOUND, HAS_BOUND = GUIDE_RADIUS, WEIGHT
+# Columns of .shapes.
 SHAPE_KIND, SHAPE_AXES, SHAPE_ORIGIN, SHAPE_SIZES = 0, 1, 10, 13
 SHAPE_SIDE, SHAPE_FUNCTION, SHAPE_WIDTH = 16, 17, 18
 
@@ -59,10 +70,9 @@ class ContactTable(NamedTuple):
 
     codes : int64 (N + P, 4)
         The N rows of W, arm after arm, then the P parts of the combined rows.  Columns: kind; the
-        body that carries the guiding surface; ``LINK``: first row in ``shapes`` (curved, pair),
-        number of the tangent, first part (combined), or number of the joint; number of parts.  A
-        tangent that does not follow its normal row has a copy of it among the parts, whose number
-        is in the last column.
+        body that carries the guiding surface; then by kind the first row in ``shapes``; the number
+        of the tangent and, where it does not follow its normal row, of a copy of that among the
+        parts; the first part and how many there are; the number of the joint in its arm.
     geometry : float64 (N + P, 13)
         Tip's centre (3); the guide's origin (3), axis (3), radius, side (+1 outer, -1 hollow); tip
         radius; weight.  Of a tangent, axis and origin are two directions of the guide's body: the
@@ -92,15 +102,15 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
         elif contact.is_combined:
             pieces = [replace(contact, minus=None, weight=1.0)]
             pieces += [] if contact.minus is None else [contact.minus]
-            link = len(contacts) + len(parts)
-            codes.append([COMBINED, contact.surface_body, link, len(pieces)])
+            first = len(contacts) + len(parts)
+            codes.append([COMBINED, contact.surface_body, first, len(pieces)])
             parts += pieces
         elif contact.tangent:
-            place = 0
+            normal_part = 0
             if not _follows_its_normal(contact, contacts, k):
-                place = len(contacts) + len(parts)
+                normal_part = len(contacts) + len(parts)
                 parts.append(replace(contact, tangent=0))
-            codes.append([TANGENT, contact.surface_body, contact.tangent, place])
+            codes.append([TANGENT, contact.surface_body, contact.tangent, normal_part])
         else:
             codes.append(_contact_codes(contact, shapes, functions))
         geometry.append(_geometry_row(contact))
@@ -120,7 +130,7 @@ def count_parts(codes: np.ndarray, count: int) -> int:
 
     A tangent without its normal row has a copy of it among the parts.
     """
-    alone = (codes[:count, KIND] == TANGENT) & (codes[:count, COUNT] == 0)
+    alone = (codes[:count, KIND] == TANGENT) & (codes[:count, NORMAL_PART] == 0)
     return len(codes) - count + np.count_nonzero(alone)
 
 
@@ -134,19 +144,20 @@ def select_rows(codes, geometry, rows, selected_codes, selected_geometry):
     for k in range(count):
         row = rows[k]
         copy_record(codes, geometry, row, k, selected_codes, selected_geometry)
-        kind, link = codes[row, KIND], codes[row, LINK]
+        kind = codes[row, KIND]
         if kind == COMBINED:
-            selected_codes[k, LINK] = count + parts
-            for piece in range(link, link + codes[row, COUNT]):
+            first = codes[row, FIRST_PART]
+            selected_codes[k, FIRST_PART] = count + parts
+            for piece in range(first, first + codes[row, PARTS]):
                 copy_record(
                     codes, geometry, piece, count + parts, selected_codes, selected_geometry
                 )
                 parts += 1
         elif kind == TANGENT:
-            part, at = codes[row, COUNT], k - link
-            normal = part if part > 0 else row - link
+            number, part = codes[row, TANGENT_NUMBER], codes[row, NORMAL_PART]
+            at, normal = k - number, part if part > 0 else row - number
             if part > 0 or at < 0 or rows[at] != normal:
-                selected_codes[k, COUNT] = count + parts
+                selected_codes[k, NORMAL_PART] = count + parts
                 copy_record(
                     codes, geometry, normal, count + parts, selected_codes, selected_geometry
                 )
@@ -187,7 +198,7 @@ def select_joint_rows(codes, rows, dofs, joint_rows):
         for row in range(rows[i], rows[i + 1]):
             if codes[row, KIND] == JOINT:
                 joint_rows.arm[count], joint_rows.row[count] = i, row
-                joint_rows.joint[count] = dofs[i] + codes[row, LINK]
+                joint_rows.joint[count] = dofs[i] + codes[row, JOINT_NUMBER]
                 count += 1
 
 
@@ -224,8 +235,8 @@ def _contact_codes(contact: Contact, shapes: list, functions: list) -> list[int]
 def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
     row = np.zeros(GEOMETRY_WIDTH)
     if isinstance(contact, JointRow):
-        row[SIDE], row[WEIGHT] = contact.side, float(contact.bound is not None)
-        row[RADIUS] = contact.bound or 0.0
+        row[SIDE], row[HAS_BOUND] = contact.side, float(contact.bound is not None)
+        row[BOUND] = contact.bound or 0.0
         return row
     guide, follower = contact.guide, contact.follower
     row[POINT : POINT + 3] = follower.origin
@@ -233,9 +244,10 @@ def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
     row[AXIS : AXIS + 3] = guide.axes[:, 2]
     if contact.tangent:
         # two directions orthogonal to the first tangent; a plane's normal cannot be one
-        first, other = (0, 1) if guide.kind == PLANE else (2, 0)
-        row[AXIS : AXIS + 3], row[ORIGIN : ORIGIN + 3] = guide.axes[:, first], guide.axes[:, other]
-    row[RADIUS] = guide.sizes[0]
+        first, second = (0, 1) if guide.kind == PLANE else (2, 0)
+        row[FIRST_DIRECTION : FIRST_DIRECTION + 3] = guide.axes[:, first]
+        row[SECOND_DIRECTION : SECOND_DIRECTION + 3] = guide.axes[:, second]
+    row[GUIDE_RADIUS] = guide.sizes[0]
     row[SIDE] = -1.0 if guide.inside else 1.0
     row[TIP_RADIUS] = follower.sizes[0] if follower.is_tip else 0.0
     row[WEIGHT] = contact.weight

@@ -35,11 +35,12 @@ from multiarm.control.command_derivatives import (
 )
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, open_system
+from multiarm.dynamics.contact_forces import add_joint_forces
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.forces.compiled import static_forces, subtract_contact_forces
+from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
@@ -80,7 +81,7 @@ def add_holding_torques(model, data, work):
     static_forces(data.rows.Wo, weight, data.rows.static_force)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
-    subtract_contact_forces(data, work)
+    add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
 
 
 @cfunc

@@ -20,6 +20,7 @@ from multiarm.control.program import ControlContext, ControlProgram, JointPath
 from multiarm.dynamics.arrays import CARRYING, LOCAL, open_data
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
 from multiarm.dynamics.coordinates import force_columns
+from multiarm.dynamics.piecewise import segment_at
 from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.structs import Floats1, Floats3, struct_at
 from multiarm.scene.control import JointPDControl
@@ -75,10 +76,7 @@ def differentiate_springs(gains, data):
 @kernel
 def path_point(t, bounds, coefficients, joint):
     """Reference of one joint and its rate at time ``t``."""
-    segments, width = coefficients.shape[0], coefficients.shape[2]
-    s = 0
-    while s < segments - 1 and t >= bounds[s + 1]:
-        s += 1
+    s, width = segment_at(bounds, t), coefficients.shape[2]
     begin, end = bounds[s], bounds[s + 1]
     moving = begin <= t <= end
     x = 2.0 * (min(max(t, begin), end) - begin) / (end - begin) - 1.0

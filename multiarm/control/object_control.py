@@ -48,10 +48,11 @@ from multiarm.control.object_path import pose_of, pose_path, reference_pose, rou
 from multiarm.control.program import ControlContext, ControlProgram
 from multiarm.control.squeeze import desired_forces
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.contact_forces import add_joint_forces
 from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.forces.compiled import share_load, static_forces, subtract_contact_forces
+from multiarm.dynamics.forces.compiled import share_load, static_forces
 from multiarm.dynamics.momenta import times_arm_inertia
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ControlError
@@ -86,7 +87,7 @@ def computed_torque(address, size, at, t):
         for a in range(6):
             target[k] -= data.rows.Wo[k, a] * desired[a]
     add_motion_forces(law, command, True, model, data, work)
-    subtract_contact_forces(data, work)
+    add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
     return 0
 
 
@@ -104,7 +105,7 @@ def object_impedance(address, size, at, t):
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
     add_motion_forces(law, command, False, model, data, work)
-    subtract_contact_forces(data, work)
+    add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
     return 0
 
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.dynamics.piecewise import segment_at
 from multiarm.dynamics.state import State
 from multiarm.jit.kernels import kernel, plain
 from multiarm.jit.structs import Floats1, Floats2
@@ -78,10 +79,7 @@ def reference_pose(t, path):
     segment; ``rate`` [1/s] and ``second`` [1/s^2] are the derivatives of the part that is covered.
     ``path`` has the fields of :class:`PosePath`.
     """
-    segments = path.times.size - 1
-    s = 0
-    while s < segments - 1 and t >= path.times[s + 1]:
-        s += 1
+    s = segment_at(path.times, t)
     begin, length = path.times[s], path.times[s + 1] - path.times[s]
     x = min(max((t - begin) / length, 0.0), 1.0)
     part, rate, second = quintic(x)

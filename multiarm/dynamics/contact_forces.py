@@ -12,13 +12,20 @@ def add_contact_forces(work, Wo, W, force, on_object, on_joints):
     ``Wo`` (N, 6) and ``W`` (arms, d, m) are the directions of the forces, which need not be those
     of the constraints; ``work`` has the joints and the contacts of each arm.
     """
+    for k in range(force.size):
+        for l in range(6):
+            on_object[l] += Wo[k, l] * force[k]
+    add_joint_forces(work, W, force, 1.0, on_joints)
+
+
+@kernel
+def add_joint_forces(work, W, force, sign, on_joints):
+    """Add ``sign W force`` to the joints' forces."""
     for i in range(work.dofs.size - 1):
         d0, first = work.dofs[i], work.rows[i]
         for k in range(first, work.rows[i + 1]):
-            for l in range(6):
-                on_object[l] += Wo[k, l] * force[k]
             for j in range(work.dofs[i + 1] - d0):
-                on_joints[d0 + j] += W[i, j, k - first] * force[k]
+                on_joints[d0 + j] += sign * W[i, j, k - first] * force[k]
 
 
 @kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import AT, GAP, GAP_BIAS, GAP_RATE, LINE_CONTACT, NORMAL, locate_pair
+from multiarm.contacts.kernel import AT, GAP, GAP_BIAS, GAP_RATE, LINE_CONTACT, NORMAL, locate_pair, tip_offset
 from multiarm.contacts.matrices import (
     ContactTerms,
     RelativeMotion,
@@ -17,14 +17,7 @@ from multiarm.contacts.matrices import (
 )
 from multiarm.contacts.motion import RELATIVE_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
-from multiarm.contacts.table import (
-    CURVED,
-    KIND,
-    LINK,
-    PAIR,
-    SURFACE_BODY,
-    TIP_RADIUS,
-)
+from multiarm.contacts.table import FIRST_SHAPE, KIND, PAIR, SURFACE_BODY
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
@@ -36,9 +29,6 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SceneError
 from multiarm.geometry.records import (
-    CYLINDER,
-    PLANE,
-    SPHERE,
     SURFACE_ON_ARM,
     SURFACE_ON_OBJECT,
     Contact,
@@ -97,7 +87,7 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
                 f"contacts with spherical tips"
             )
         else:
-            places[data.model.constants.codes[row, LINK]] = found
+            places[data.model.constants.codes[row, FIRST_SHAPE]] = found
     if faults:
         raise SceneError(faults)
     return places
@@ -124,13 +114,10 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
     At the kinematics in the data.
     """
     constants, contacts = data.model.constants, data.arrays.rows.kinematics[rows]
-    normals = contacts[:, NORMAL : NORMAL + 3].copy()
-    codes, geometry = constants.codes[: data.model.layout.contacts], constants.geometry
-    tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
-    radius = geometry[: data.model.layout.contacts][rows, TIP_RADIUS] * tips
-    # from the tip's centre to its contact point: along the normal if the arm has the tip
-    way = np.where(codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
-    return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
+    points, count = np.empty((len(contacts), 3)), data.model.layout.contacts
+    codes, geometry = constants.codes[:count][rows], constants.geometry[:count][rows]
+    write_contact_points(contacts, codes, geometry, points)
+    return points, contacts[:, NORMAL : NORMAL + 3].copy()
 
 
 def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
@@ -163,7 +150,7 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
     It is scaled so that its singular values can be compared: joint and object coordinates by the
     square root of their inertia, contacts to unit length.
     """
-    return of_unit_length(wrench_matrix(data))
+    return of_unit_length(scaled_force_directions(data))
 
 
 def of_unit_length(columns: np.ndarray) -> np.ndarray:
@@ -171,22 +158,25 @@ def of_unit_length(columns: np.ndarray) -> np.ndarray:
     return columns / np.linalg.norm(columns, axis=0)
 
 
-def wrench_matrix(data: Evaluated) -> np.ndarray:
-    """What unit contact forces do to object and joints, ``[W_o; W]``, shape (6 + n, N).
+def scaled_force_directions(data: Evaluated) -> np.ndarray:
+    """:func:`force_directions`, coordinates scaled by the square root of their inertia."""
+    layout, scale = data.model.layout, np.empty(data.model.layout.nv)
+    scale[layout.of_frames] = np.sqrt(np.diag(data.arrays.bodies.object_inertia))
+    for i in range(len(layout.names)):
+        joints = layout.of_arm(i)
+        scale[joints] = np.sqrt(np.diag(data.work.M[i])[: joints.stop - joints.start])
+    return force_directions(data) / scale[:, None]
 
-    Joint and object coordinates are scaled by the square root of their inertia.
-    """
-    b, work = data.arrays, data.work
-    layout = data.model.layout
-    matrix, scale = np.zeros((layout.nv, layout.contacts)), np.empty(layout.nv)
-    matrix[layout.of_frames] = b.rows.Wo.T
-    scale[layout.of_frames] = np.sqrt(np.diag(b.bodies.object_inertia))
-    for i in range(len(data.model.arm_names)):
-        d, r = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
-        n = d.stop - d.start
-        matrix[d, r] = work.W[i, :n, : r.stop - r.start]
-        scale[d] = np.sqrt(np.diag(work.M[i])[:n])
-    return matrix / scale[:, None]
+
+def force_directions(data: Evaluated) -> np.ndarray:
+    """What unit contact forces do to object and joints, ``[W_o; W]``, shape (6 + n, N)."""
+    layout, work = data.model.layout, data.work
+    directions = np.zeros((layout.nv, layout.contacts))
+    directions[layout.of_frames] = data.arrays.rows.Wo.T
+    for i in range(len(layout.names)):
+        joints, rows = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
+        directions[joints, rows] = work.W[i, : joints.stop - joints.start, : rows.stop - rows.start]
+    return directions
 
 
 def relative_motion(model: Model, state: State, arm: str) -> RelativeMotion:
@@ -291,7 +281,7 @@ def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
     link, body = arrays.bodies.links[data.model.arm_names.index(arm)], arrays.bodies.object
     on_object = constants.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT
     a, b = (link, body) if on_object else (body, link)
-    first, calls = int(constants.codes[row, LINK]), arrays.functions.surface
+    first, calls = int(constants.codes[row, FIRST_SHAPE]), arrays.functions.surface
     query = arrays.pairs.scratch[RELATIVE_WIDTH:]
     seen_from = fields_of(BodyMotion, b)
     r = fields_of(BodyMotion, a).origin - seen_from.origin

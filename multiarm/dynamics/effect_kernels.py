@@ -66,7 +66,7 @@ from multiarm.dynamics.arrays import EFFECTS, open_data
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
-from multiarm.jit.structs import ints1, make_struct, struct_of, view_at
+from multiarm.jit.structs import Numbers, ints1, make_struct, struct_of, view_at
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 
@@ -200,7 +200,7 @@ class EffectData(NamedTuple):
 
 
 def _copied(arrays: Any) -> Any:
-    parts = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
+    parts = [part.copy() if isinstance(part, (np.ndarray, Numbers)) else part for part in arrays]
     return type(arrays)._make(parts)
 
 

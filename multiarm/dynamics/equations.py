@@ -323,8 +323,9 @@ def write_general_row(address, size, row, arm):
 
 
 @kernel
-def potential_energy(model, data):
+def potential_energy(struct: INTS):
     """Potential energy of arms and object [J] at the last evaluated state, zero at the origin."""
+    model, data, _ = open_system(struct)
     functions, energy = data.functions, 0.0
     for k in range(3):
         energy -= model.object_mass * model.gravity[k] * data.state.object_pose[k]
@@ -335,18 +336,6 @@ def potential_energy(model, data):
         call_python(functions.pinocchio_energy)
         energy += data.status.potential_energy
     return energy
-
-
-@kernel
-def largest(contacts, column):
-    """Largest magnitude in one column of the contact kinematics (NaN stays NaN)."""
-    worst = 0.0
-    for k in range(contacts.shape[0]):
-        size = abs(contacts[k, column])
-        if size != size:
-            return size
-        worst = max(worst, size)
-    return worst
 
 
 @kernel

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.joint import unwrapped, write_relative
-from multiarm.contacts.kernel import AT, GAP, GAP_RATE, NORMAL, depth_in_patch
+from multiarm.contacts.kernel import AT, GAP, GAP_RATE, NORMAL, depth_in_patch, tip_offset
 from multiarm.contacts.motion import open_body
-from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
-from multiarm.geometry.records import SURFACE_ON_OBJECT, Patch
+from multiarm.contacts.table import KIND, SURFACE_BODY, TIP_RADIUS
+from multiarm.geometry.records import Patch
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, floats1, view_at
 from multiarm.jit.vectors import add_scaled, rotate_back, sub, vec
@@ -131,12 +131,9 @@ def spring_length(gap, rate, lag):
 @kernel
 def depth_on_body(patch, body, row, model, data):
     """How far inside its patch (18,) on a body the contact of a row is [m]."""
-    contact = data.rows.kinematics[row]
-    # the contact point lies a tip's radius from its centre, against the guide's outward normal
-    away = model.geometry[row, TIP_RADIUS]
-    if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
-        away = -away
-    touching = add_scaled(vec(contact, AT), -away, vec(contact, NORMAL))
+    contact, code = data.rows.kinematics[row], model.codes[row]
+    offset = tip_offset(code[KIND], code[SURFACE_BODY], model.geometry[row, TIP_RADIUS])
+    touching = add_scaled(vec(contact, AT), offset, vec(contact, NORMAL))
     carrier = open_body(data.bodies.object if body == ON_OBJECT else data.bodies.links[body])
     return depth_in_patch(patch, rotate_back(carrier.rotation, sub(touching, carrier.origin)))
 

@@ -26,11 +26,17 @@ from multiarm.dynamics.guard_functions import (
     guard_function,
     is_force_function,
 )
-from multiarm.jit.kernels import kernel
+from multiarm.dynamics.solver.bounds import AT_REST
+from multiarm.jit.kernels import greatest, inlined, kernel, larger
 from multiarm.jit.structs import WIDTH, Floats1, Ints1, struct_of, view
 
 # Result of a guard for a step: no event, a sign change, perhaps two sign changes.
 QUIET, FIRED, DIPPED = range(3)
+
+# What a threshold is a part of, by its place in ``Guards.scales``: 1 in the unit of the value; the
+# largest force of a contact and on the object since the run began [N]; that in a joint, too [N m].
+# At one instant all forces may vanish.
+UNIT, FORCES, JOINT_FORCES, SCALES = range(4)
 
 
 class Guard(NamedTuple):
@@ -47,8 +53,8 @@ class Guard(NamedTuple):
         1 where the function falls through zero at the next event, -1 where it rises.
     stops : bool
         It ends a mode, and with it the step; or it only reports.
-    relative : bool
-        The threshold is a part of the largest force (of at least 1 N).
+    scale : int
+        What the threshold is a part of: ``UNIT``, ``FORCES`` or ``JOINT_FORCES``.
     constraint : int
         Of the scene's unilateral constraints; -1: one that reports.
     """
@@ -57,7 +63,7 @@ class Guard(NamedTuple):
     threshold: float = 0.0
     sign: int = 1
     stops: bool = True
-    relative: bool = False
+    scale: int = UNIT
     constraint: int = -1
 
 
@@ -67,12 +73,13 @@ class Guards(NamedTuple):
     records: Ints1  # struct of what the functions depend on, one record after the other
     held: Ints1  # number of every row among the held ones; -1: not held
     slides: Ints1  # number of every constraint among those that slide
+    scales: Floats1  # (SCALES,) what thresholds are parts of
     kind: Ints1  # number of the function among all kinds
     place: Ints1  # of the guard's record among all
     sign: Ints1
     stops: Ints1
     threshold: Floats1
-    relative: Ints1
+    scale: Ints1
     # value, course and rate (see multiarm.dynamics.guard_functions) at the state evaluated last;
     # value and rate at the end of the last step; the least value at the stages of this step
     value: Floats1
@@ -86,7 +93,7 @@ class Guards(NamedTuple):
     result: Ints1  # for the last step
 
 
-SHARED = ("records", "held", "slides")
+SHARED = ("records", "held", "slides", "scales")
 """Those of a table's arrays that have no entry for every guard."""
 open_guards = view(Guards)
 
@@ -98,12 +105,13 @@ def make_guards(
     g = len(guards)
     records = [struct_of(guard.function) for guard in guards]
     first = np.cumsum([0, *(len(record) // WIDTH for record in records)])[:g]
-    integers = ("sign", "stops", "relative")
+    integers = ("sign", "stops", "scale")
     numbers = ("value", "course", "rate", "before", "rate_before", "level")
     return Guards(
         records=np.concatenate([np.zeros(0, dtype=np.int64), *records]),
         held=np.array(held, dtype=np.int64),
         slides=np.array(slides, dtype=np.int64),
+        scales=np.eye(SCALES)[UNIT],
         kind=np.array([KINDS.index(type(guard.function)) for guard in guards], dtype=np.int64),
         place=first.astype(np.int64),
         **{n: np.array([getattr(guard, n) for guard in guards], dtype=np.int64) for n in integers},
@@ -119,6 +127,12 @@ def reset_guards(guards: Guards) -> None:
     """Begin a run inside of all ranges."""
     guards.sign[:], guards.armed[:] = 1, 0
     guards.before[:] = guards.rate_before[:] = np.nan
+    forget_forces(guards)
+
+
+def forget_forces(guards: Guards) -> None:
+    """Let thresholds be parts of the forces from now on."""
+    guards.scales[:] = np.eye(SCALES)[UNIT]
 
 
 def turn_round(guards: Guards, g: int) -> None:
@@ -129,21 +143,32 @@ def turn_round(guards: Guards, g: int) -> None:
     guards.armed[g] = guards.before[g] > guards.level[g]
 
 
+@inlined
+def follow_scales(scales, data):
+    """Let the scales grow with the forces at the state evaluated last.
+
+    They are at least what gives the object the acceleration ``AT_REST``.  Forces that are not
+    finite, of a state that cannot be evaluated, have no part in them.
+    """
+    least = AT_REST * data.bodies.object_inertia[0, 0]
+    forces = larger(larger(least, greatest(data.forces.f_o[:3])), greatest(data.rows.force))
+    if forces < math.inf:
+        scales[FORCES] = max(scales[FORCES], forces)
+        scales[JOINT_FORCES] = max(scales[JOINT_FORCES], forces, greatest(data.forces.f_j))
+
+
 @kernel
 def write_values(guards, struct, data, model, full):
     """Values of all guards at the state that the system ``struct`` has evaluated last in ``data``.
 
     ``model`` and ``full`` are those of the system with all rows, with their kinematics.
     """
-    largest = 1.0
-    for k in range(data.rows.force.size):
-        largest = max(largest, abs(data.rows.force[k]))
+    follow_scales(guards.scales, data)
     for g in range(guards.kind.size):
         sign = guards.sign[g]
         value, course, rate = guard_function(guards, g, struct, data, model, full)
         guards.value[g], guards.course[g], guards.rate[g] = sign * value, sign * course, sign * rate
-        threshold = guards.threshold[g]
-        guards.level[g] = threshold * largest if guards.relative[g] != 0 else threshold
+        guards.level[g] = guards.threshold[g] * guards.scales[guards.scale[g]]
 
 
 # --- steps ----------------------------------------------------------------------------------------

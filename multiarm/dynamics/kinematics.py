@@ -21,11 +21,11 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import (
+    BOUND,
     COMBINED,
+    HAS_BOUND,
     KIND,
-    RADIUS,
     SIDE,
-    WEIGHT,
 )
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -184,9 +184,8 @@ def write_joint_rows(model, data, work):
     for k in range(joint_rows.row.size):
         i, row, joint = joint_rows.arm[k], joint_rows.row[k], joint_rows.joint[k]
         side, geometry = model.geometry[row, SIDE], model.geometry[row]
-        data.rows.kinematics[row, GAP] = (
-            geometry[WEIGHT] * side * (data.state.joint_positions[joint] - geometry[RADIUS])
-        )
+        beyond = data.state.joint_positions[joint] - geometry[BOUND]
+        data.rows.kinematics[row, GAP] = geometry[HAS_BOUND] * side * beyond
         data.rows.kinematics[row, GAP_RATE] = side * data.state.joint_rates[joint]
         work.W[i, joint - work.dofs[i], row - work.rows[i]] = side
 

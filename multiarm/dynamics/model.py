@@ -548,13 +548,7 @@ class Data:
                 parts.append(np.zeros(kernel.states))
         return np.concatenate(parts)
 
-    # --- energy, Coriolis -----------------------------------------------------------------------
-
-    def potential_energy(self) -> float:
-        """Potential energy of arms and object [J] at the state, zero at the origin."""
-        constants = self.model.constants
-        height = float(constants.gravity @ self.arrays.state.object_pose[:3])
-        return -constants.object_mass * height + self._backends.potential_energy()
+    # --- Coriolis -------------------------------------------------------------------------------
 
     def coriolis(self) -> Coriolis:
         """The arms' Coriolis matrices, and the functions that update them."""

@@ -23,6 +23,12 @@ def row_at(times, t):
 
 
 @inlined
+def segment_at(bounds, t):
+    """The segment of a path at ``t``, or the nearest; ``bounds`` (S + 1,) are where they meet."""
+    return min(max(row_at(bounds, t), 0), bounds.size - 2)
+
+
+@inlined
 def polynomial(coefficients, x):
     """Value and rate of a polynomial, highest power first."""
     value = rate = 0.0

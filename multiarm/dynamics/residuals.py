@@ -20,7 +20,7 @@ from multiarm.dynamics.momenta import times_arm_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
 from multiarm.dynamics.solver.factors import norm
-from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel, larger
 from multiarm.jit.simd import broadcast, load_pack, store_pack
 
 
@@ -72,12 +72,6 @@ def rate_by_arm(i, row, work, a):
     for j in range(work.dofs[i + 1] - work.dofs[i]):
         rate += work.W[i, j, row - work.rows[i]] * a[work.dofs[i] + j]
     return rate
-
-
-@inlined
-def larger(worst, residual):
-    """The larger magnitude; NaN if either is."""
-    return abs(residual) if abs(residual) > worst or residual != residual else worst
 
 
 # --- relative residuals of the last solution ------------------------------------------------------

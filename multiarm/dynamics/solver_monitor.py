@@ -18,7 +18,7 @@ import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import open_coupled, open_data, open_system
-from multiarm.dynamics.equations import evaluate_state, largest
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.residuals import residual_of_all, write_residuals
 from multiarm.dynamics.solver.bounds import (
     COUPLED_BELOW,
@@ -29,7 +29,7 @@ from multiarm.dynamics.solver.bounds import (
 )
 from multiarm.dynamics.solver.solution import DENSE, SPLIT, WHOLE
 from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import INTS, cfunc, kernel
+from multiarm.jit.kernels import INTS, cfunc, greatest, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -49,8 +49,8 @@ def evaluate_and_check(struct: INTS):
     check.solved = 1 if believable(data.solution, data.solution.residual) else 0
     write_residuals(struct, data.accelerations.a, data.forces.f, data.rows.force, data.rows.c)
     check.gap, check.gap_rate = (
-        largest(data.rows.kinematics, GAP),
-        largest(data.rows.kinematics, GAP_RATE),
+        greatest(data.rows.kinematics[:, GAP]),
+        greatest(data.rows.kinematics[:, GAP_RATE]),
     )
     return status
 

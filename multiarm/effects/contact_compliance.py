@@ -36,15 +36,20 @@ from multiarm.dynamics.equation_derivatives import (
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import cfunc, copy, inlined, kernel
-from multiarm.jit.structs import Floats1, Ints1, struct_at
+from multiarm.jit.structs import Floats1, Int, Ints1, Numbers, struct_at
+
+
+class SpringStructs(Numbers):
+    """Addresses of further structs."""
+
+    rows: Int  # of the system with the rows of the springs
+    derivatives: Int  # of the derivatives of these rows
 
 
 class Springs(NamedTuple):
     """Compliant contacts, s of them."""
 
-    # (2,) address and size of the struct with their rows, and of that of these rows' derivatives
-    rows: Ints1
-    derivatives: Ints1
+    structs: SpringStructs
     stiffness: Floats1  # [N/m]
     damping: Floats1  # [N s/m]
     active: Ints1  # which act now; the mode of the contacts writes them
@@ -71,8 +76,9 @@ def add_contact_compliance(address, size, at, _t):
 @inlined
 def update_springs(springs):
     """Update rows and forces of all springs; the views of the system with these rows."""
-    system = open_system(struct_at(springs.rows[0], springs.rows[1]))
-    update_rows(struct_at(springs.rows[0], springs.rows[1]))
+    struct = struct_at(springs.structs.rows, 0)
+    system = open_system(struct)
+    update_rows(struct)
     write_spring_forces(springs, system[1].rows.kinematics)
     return system
 
@@ -92,10 +98,10 @@ def differentiate_contact_compliance(address, size, at, _t):
     """Add the derivatives of the forces: of their directions, and of their sizes."""
     struct = struct_at(address, size)
     data, springs = open_data(struct), open_springs(struct, at)
-    derivatives = struct_at(springs.derivatives[0], springs.derivatives[1])
+    derivatives = struct_at(springs.structs.derivatives, 0)
     _, of_springs, work = update_springs(springs)
     copy(springs.force, of_springs.rows.static_force)
-    status = write_load_derivatives(struct_at(springs.rows[0], springs.rows[1]), derivatives)
+    status = write_load_derivatives(struct_at(springs.structs.rows, 0), derivatives)
     equations, by = open_equations(derivatives), force_columns(data)
     first = chart_places(data).joints
     for l in range(first):
@@ -143,15 +149,14 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
     def connect(data: Data, arrays: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
         _, derivatives = equation_work(rows, state_columns(data.arrays).torques, masses=False)
-        arrays.rows[:] = rows.struct.ctypes.data, rows.struct.size
-        arrays.derivatives[:] = derivatives.ctypes.data, derivatives.size
+        arrays.structs.rows = rows.struct.ctypes.data
+        arrays.structs.derivatives = derivatives.ctypes.data
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
         # surfaces of the user may fail in these rows
         return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}
 
     arrays = Springs(
-        rows=np.zeros(2, dtype=np.int64),
-        derivatives=np.zeros(2, dtype=np.int64),
+        structs=SpringStructs(),
         stiffness=springs.stiffness,
         damping=springs.damping,
         active=springs.always,

@@ -14,7 +14,11 @@ import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.contact_geometry import contact_places, of_unit_length, wrench_matrix
+from multiarm.dynamics.contact_geometry import (
+    contact_places,
+    of_unit_length,
+    scaled_force_directions,
+)
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.evaluation import (
     Evaluation,
@@ -24,6 +28,7 @@ from multiarm.dynamics.evaluation import (
     rows_by_owner,
 )
 from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.guards import forget_forces
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -84,6 +89,7 @@ def enter_mode_at(data: Data, t: float, state: State) -> Modes:
     if decision.trouble:
         raise SolverError(decision.trouble)
     modes.enter(decision.mode)
+    forget_forces(modes.guards)
     require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
     require_ok(modes.data, start_guards(modes.data.struct))
     if modes.contradicted:
@@ -132,7 +138,7 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     held, slides, of_held = modes.data.rows, modes.slides, modes.data.arrays.rows.force
     forces[held] = of_held
     require_ok(modes.full, update_kinematics(modes.full.struct))
-    columns = wrench_matrix(modes.full)
+    columns = scaled_force_directions(modes.full)
     reactions = columns[:, held]  # of unit forces, with the friction that goes with them
     for s, (row, first) in enumerate(zip(slides.row, slides.tangent_of_all, strict=True)):
         drag = -slides.mu[s] * slides.turning[s]

@@ -132,7 +132,7 @@ def write_guards(struct: INTS, table: INTS, numbers: INTS):
         k = numbers[g]
         guards.kind[g], guards.place[g] = of_all.kind[k], of_all.place[k]
         guards.sign[g], guards.stops[g] = of_all.sign[k], of_all.stops[k]
-        guards.threshold[g], guards.relative[g] = of_all.threshold[k], of_all.relative[k]
+        guards.threshold[g], guards.scale[g] = of_all.threshold[k], of_all.scale[k]
         guards.value[g] = guards.course[g] = guards.rate[g] = 0.0
         guards.before[g] = guards.rate_before[g] = 0.0
         guards.least[g], guards.level[g] = math.inf, 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.unilateral import DRY_JOINT, Constraint
+from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import patch_of
 from multiarm.dynamics.guard_functions import (
     FrictionCone,
@@ -23,14 +23,14 @@ from multiarm.dynamics.guard_functions import (
     StaticFriction,
     Touch,
 )
-from multiarm.dynamics.guards import SHARED, Guard, Guards, make_guards
+from multiarm.dynamics.guards import FORCES, JOINT_FORCES, SHARED, Guard, Guards, make_guards
 from multiarm.dynamics.model import Model
 from multiarm.events.mode import Mode
 from multiarm.jit.structs import struct_of
 from multiarm.results.channels import ContactState
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
-# speeds [m/s, rad/s] and forces [N], that of dry friction as a part of its bound.
+# speeds [m/s, rad/s], and parts of the largest forces, those of dry friction of its bound.
 GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
 # Largest gap or penetration of contacts that touch without force [m].
 REST = 1e-9
@@ -119,18 +119,19 @@ def _guards(
             (StaticFriction, 1): Guard(friction, FORCE_THRESHOLD * constraint.bound),
             **{(JointSpeed, sign): Guard(speed, still, sign) for sign in (1, -1)},
         }
+    scale = JOINT_FORCES if constraint.kind == LIMIT else FORCES
     guards = {
         (OpenGap, 1): Guard(OpenGap(row), GAP_THRESHOLD),
         (Touch, 1): Guard(Touch(row, REST)),
-        (PushingForce, 1): Guard(PushingForce(row), FORCE_THRESHOLD),
+        (PushingForce, 1): Guard(PushingForce(row), FORCE_THRESHOLD, scale=scale),
     }
     if tangents:
         guards[SlipOnset, 1] = Guard(SlipOnset(tangents[0], still))
         guards[Slip, 1] = Guard(Slip(tangents[0], u, directions), still)
         for side in (1, -1) if constraint.bilateral else (1,):
             cone = FrictionCone(row, side * constraint.mu, *tangents)
-            guards[PushingForce, side] = Guard(PushingForce(row), FORCE_THRESHOLD, side)
-            guards[FrictionCone, side] = Guard(cone, FORCE_THRESHOLD)
+            guards[PushingForce, side] = Guard(PushingForce(row), FORCE_THRESHOLD, side, scale=scale)
+            guards[FrictionCone, side] = Guard(cone, FORCE_THRESHOLD, scale=scale)
     return guards
 
 

@@ -122,7 +122,7 @@ class Modes:
     @property
     def contradicted(self) -> bool:
         """Whether a guard is violated at the state at which the guards were started."""
-        return not np.all(self.guards.value >= -self.guards.threshold)
+        return not np.all(self.guards.value >= -self.guards.level)
 
     def set_prestress(self, forces: Mapping[int, float]) -> None:
         """Set the forces, by row, to which those of the mode are nearest."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
+from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import retracted
 from multiarm.dynamics.equations import (
     evaluate_state,
@@ -51,14 +52,7 @@ class RowDynamics:
 
     def jacobian(self, rows: list[int]) -> np.ndarray:
         """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
-        full = self.full
-        layout, matrix = full.model.layout, np.zeros((len(rows), full.model.layout.nv))
-        for k, row in enumerate(rows):
-            i = int(np.searchsorted(layout.rows, row, side="right")) - 1
-            matrix[k, :6] = full.arrays.rows.Wo[row]
-            joints = layout.of_arm(i)
-            matrix[k, joints] = full.work.W[i, : joints.stop - joints.start, row - layout.rows[i]]
-        return matrix
+        return force_directions(self.full)[:, rows].T.copy()
 
     def response(self, jacobian: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
         """``D`` with the rows of ``data`` held, and the motion due to each unit force, by columns.

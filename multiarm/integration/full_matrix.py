@@ -61,9 +61,8 @@ from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.integration.arm_stages import turn_frames
 from multiarm.integration.near_singular import ZONE
-from multiarm.integration.projection import greatest
 from multiarm.integration.step import Step, slope_at
-from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.kernels import clear, copy, greatest, inlined, kernel, larger
 from multiarm.jit.structs import Floats1, Floats2, Ints1
 
 
@@ -253,8 +252,8 @@ def differentiate_by_differences(step, full, slope, time_slope, t, h):
     places = chart_places(open_data(step.system))
     z, ahead, behind = full.displaced, full.ahead, full.behind
     nv, m, rows = places.velocity, full.matrix.shape[0], full.by_position.shape[0]
-    fast = max(1.0, greatest(step.z[places.velocity : places.states]))
-    strong = max(1.0, greatest(step.z[places.states : places.works]))
+    fast = larger(1.0, greatest(step.z[places.velocity : places.states]))
+    strong = larger(1.0, greatest(step.z[places.states : places.works]))
     copy(step.z, z)
     for j in range(nv):
         z[j] = step.z[j] - position_change

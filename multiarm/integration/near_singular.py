@@ -26,8 +26,8 @@ from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.residuals import constraint_residual
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.dynamics.status import OK
-from multiarm.integration.projection import greatest, project
-from multiarm.jit.kernels import cfunc, clear, copy, kernel
+from multiarm.integration.projection import project
+from multiarm.jit.kernels import cfunc, clear, copy, greatest, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 

@@ -25,10 +25,10 @@ import math
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
-from multiarm.dynamics.equations import largest, solve_constrained, update_kinematics
+from multiarm.dynamics.equations import solve_constrained, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
-from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, kernel
+from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, greatest, kernel, larger
 
 # alpha = beta = FEEDBACK_RATIO / step
 FEEDBACK_RATIO = 0.1
@@ -78,7 +78,7 @@ def project_positions(
         status = update_kinematics(struct)
         if status != OK:
             return status
-        worst = largest(data.rows.kinematics, GAP)
+        worst = greatest(data.rows.kinematics[:, GAP])
         if worst <= tolerance:
             if further == 0 or worst > 0.5 * before or not near_loss(struct):
                 return OK
@@ -97,7 +97,7 @@ def project_positions(
         reach = greatest(data.accelerations.a_j)
         scale = 1.0 if reach <= longest else longest / reach
         if not hold_object:
-            reach = max(reach, greatest(data.accelerations.a_o))
+            reach = larger(reach, greatest(data.accelerations.a_o))
         data.status.position_change += scale * reach
         if hold_object:
             for j in range(data.accelerations.a_j.size):
@@ -118,15 +118,6 @@ def near_loss(struct):
 def lacks_rank(struct):
     """Whether some constraints of the last solution depended on others."""
     return open_data(struct).solution.dependent > 0
-
-
-@kernel
-def greatest(vector):
-    """Largest magnitude of a vector's entries."""
-    size = 0.0
-    for k in range(vector.size):
-        size = max(size, abs(vector[k]))
-    return size
 
 
 @kernel

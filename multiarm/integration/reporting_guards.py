@@ -20,7 +20,7 @@ from multiarm.dynamics.guard_functions import (
     RangeDepth,
     packed_patch,
 )
-from multiarm.dynamics.guards import Guard, accept_guards, judge_guards, write_values
+from multiarm.dynamics.guards import FORCES, Guard, accept_guards, judge_guards, write_values
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.geometry.records import Contact
@@ -63,7 +63,7 @@ def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
         return []
     guards = []
     if contact.pushes_only:
-        guards.append(Guard(PushingForce(row), SMALL_PULL, relative=True, stops=False))
+        guards.append(Guard(PushingForce(row), SMALL_PULL, scale=FORCES, stops=False))
     for body, surface in ((arm, contact.arm), (ON_OBJECT, contact.object)):
         if surface.patch is not None:
             depth = PatchDepth(row, body, packed_patch(surface.patch))

@@ -13,10 +13,10 @@ from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import write_wrenches
-from multiarm.dynamics.equations import largest, potential_energy
+from multiarm.dynamics.equations import potential_energy
 from multiarm.dynamics.momenta import kinetic_energy
 from multiarm.dynamics.variables import TIP_WIDTH
-from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.kernels import copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec
 from multiarm.results.channels import Channel, Columns, in_sequence
@@ -54,12 +54,12 @@ def write_sample(struct, t, works, row):
         copy(data.sample.tips[i], row[at : at + TIP_WIDTH])
         at += TIP_WIDTH
     row[at] = kinetic_energy(data, work)
-    row[at + 1] = potential_energy(model, data)
+    row[at + 1] = potential_energy(struct)
     at += 2
     copy(works, row[at : at + works.size])
     at += works.size
-    row[at] = largest(data.rows.kinematics, GAP)
-    row[at + 1] = largest(data.rows.kinematics, GAP_RATE)
+    row[at] = greatest(data.rows.kinematics[:, GAP])
+    row[at + 1] = greatest(data.rows.kinematics[:, GAP_RATE])
     row[at + 2] = data.solution.rank
     row[at + 3] = data.solution.coupled_arms
     row[at + 4] = data.solution.residual

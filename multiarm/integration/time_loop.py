@@ -23,7 +23,7 @@ from multiarm.dynamics.coordinates import (
     store_chart,
     write_chart_slope,
 )
-from multiarm.dynamics.equations import finite, largest
+from multiarm.dynamics.equations import finite
 from multiarm.dynamics.guards import begin_stages, open_guards
 from multiarm.dynamics.status import (
     BLOCK_FULL,
@@ -64,7 +64,7 @@ from multiarm.integration.step_control import (
     view_clock,
     view_settings,
 )
-from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, inlined, kernel, unlocked
+from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, greatest, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -304,7 +304,7 @@ def complete_step(method, step, clock, settings, h, end):
     status = check_solution(struct, clock, settings)
     if status != OK:
         return status
-    gap = largest(data.rows.kinematics, GAP)
+    gap = greatest(data.rows.kinematics[:, GAP])
     if not gap <= settings.divergence_bound:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope at the end, in this chart for the dense output and below in the next step's chart

@@ -52,9 +52,8 @@ from multiarm.dynamics.equations import finite, solve_constrained, update_kinema
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_CONVERGED, OK
-from multiarm.integration.projection import greatest
 from multiarm.integration.step import METHOD_WORK, Step, open_step
-from multiarm.jit.kernels import cfunc, clear, copy, kernel
+from multiarm.jit.kernels import cfunc, clear, copy, greatest, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints2, floats_at, struct_at, view
 from multiarm.spatial import write_chart_rate

@@ -235,3 +235,18 @@ def clear(out):
     """Write zeros into a vector (slice assignment takes long to compile)."""
     for i in range(out.size):
         out[i] = 0.0
+
+
+@inlined
+def larger(size, x):
+    """The larger of a magnitude and ``|x|``; NaN where either is (``max`` would drop it)."""
+    return abs(x) if abs(x) > size or x != x else size
+
+
+@kernel
+def greatest(vector):
+    """Largest magnitude of a vector's entries; NaN where any is."""
+    size = 0.0
+    for k in range(vector.size):
+        size = larger(size, vector[k])
+    return size

@@ -45,7 +45,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.dynamics.contact_geometry import place_state
-from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.equations import potential_energy, update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
@@ -349,7 +349,7 @@ def _energy_gradient(data: Data, state: State) -> np.ndarray:
 
     def energy(displacement: np.ndarray) -> float:
         momenta = _momenta(data, state.displaced(displacement))
-        return 0.5 * float(momenta @ state.velocity) + data.potential_energy()
+        return 0.5 * float(momenta @ state.velocity) + potential_energy(data.struct)
 
     steps = change * np.eye(state.velocity.size)
     differences = [energy(step) - energy(-step) for step in steps]

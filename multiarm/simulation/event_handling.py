@@ -142,7 +142,7 @@ class EventHandler:
         probe = GuardValues(
             run.data.struct, run.stepping.struct, write_mode_guards, guards, begin, end
         )
-        theta, changed = first_event(probe, guards.result.copy(), guards.threshold)
+        theta, changed = first_event(probe, guards.result.copy(), guards.level.copy())
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted
             return ""

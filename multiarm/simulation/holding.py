@@ -24,13 +24,12 @@ from typing import Literal
 
 import numpy as np
 
+from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.distribution import ForceFamily, forces_for, smallest_load
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.bounds import RANK_TOLERANCE
-from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
@@ -85,9 +84,12 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
     gravity = np.array(scene.gravity)
     weight = np.append(-scene.object.mass * gravity, np.zeros(3))
     with system.borrow() as data:
-        W_o, W = _contact_matrices(data, state)
+        data.set_state(0.0, state)
+        require_ok(data, update_kinematics(data.struct))
+        directions = force_directions(data)  # of all rows, open ones too
     columns = _force_rows(system)
-    W_o, W, bounds = W_o[:, columns], W[:, columns], _force_bounds(system)[:, columns]
+    W_o, W = np.split(directions[:, columns], [6])
+    bounds = _force_bounds(system)[:, columns]
     unloaded = np.concatenate(
         [system.arms[n].gravity_torque(state.joint_positions[n], gravity) for n in system.arm_names]
     )
@@ -119,19 +121,6 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
         control=_effort_shares(system, np.concatenate(list(evaluation.joint_torques.values()))),
         least=least,
     )
-
-
-def _contact_matrices(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """``W_o`` (6, N) and ``W`` (n, N) of all rows, open ones too."""
-    data.set_state(0.0, state)
-    require_ok(data, update_kinematics(data.struct))
-    layout = data.model.layout
-    W = np.zeros((layout.joints, layout.contacts))
-    for i in range(len(layout.names)):
-        joints, rows = slice(*layout.dofs[i : i + 2]), slice(*layout.rows[i : i + 2])
-        shape = joints.stop - joints.start, rows.stop - rows.start
-        W[joints, rows] = data.work.W[i, : shape[0], : shape[1]]
-    return data.arrays.rows.Wo.T.copy(), W
 
 
 def _force_rows(system: System) -> np.ndarray:

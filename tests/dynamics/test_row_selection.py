@@ -7,7 +7,7 @@ import pytest
 from event_scenes import arm, scene
 
 import multiarm as ma
-from multiarm.contacts.table import COUNT, JOINT, KIND, PAIR, TANGENT
+from multiarm.contacts.table import JOINT, KIND, NORMAL_PART, PAIR, TANGENT
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection
@@ -70,7 +70,7 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
         selection.select(rows)
         assert update_kinematics(selection.struct) == OK
         codes = selection.model.constants.codes[: len(rows)]
-        alone += np.count_nonzero((codes[:, KIND] == TANGENT) & (codes[:, COUNT] > 0))
+        alone += np.count_nonzero((codes[:, KIND] == TANGENT) & (codes[:, NORMAL_PART] > 0))
         np.testing.assert_array_equal(selection.arrays.rows.Wo, full.arrays.rows.Wo[rows])
         np.testing.assert_array_equal(
             selection.arrays.rows.kinematics, full.arrays.rows.kinematics[rows]

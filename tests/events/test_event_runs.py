@@ -24,12 +24,13 @@ import multiarm as ma
 PLATE, BALL, PUSH, FREQUENCY = 2.0, 0.5, 50.0, 2.0  # [kg], [kg], [N], [Hz]
 
 
-def shaken_plate(restitution: float = 0.0):
-    """A ball on a plate that shakes so much that the ball leaves it."""
-    control = {"kind": "harmonic", "amplitude": {"plate": [PUSH]}, "frequency": FREQUENCY}
+def shaken_plate(restitution: float = 0.0, unit: float = 1.0):
+    """A ball on a plate that shakes so much that the ball leaves it; ``unit`` of mass [kg]."""
+    control = {"kind": "harmonic", "amplitude": {"plate": [PUSH * unit]}, "frequency": FREQUENCY}
     return ball_on_plate(
-        arm("z", mass=PLATE), ball(mass=BALL), restitution, control=control, name="shaken"
-    )
+        arm("z", mass=PLATE * unit), ball(mass=BALL * unit), restitution, control=control,
+        name="shaken",
+    )  # fmt: skip
 
 
 def shaken_events(end: float):
@@ -81,6 +82,13 @@ def test_a_ball_leaves_a_shaken_plate_and_lands_as_scipy_says(accuracy):
     assert np.max(force * np.abs(gap)) <= 1e-8
     apart = trajectory.contact_states["plate"][:, 0] == 0.0
     np.testing.assert_array_equal(apart, gap > 1e-7)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e12])
+def test_the_unit_of_mass_decides_no_event(unit):
+    usual, scaled = (run(shaken_plate(unit=kilogram), 1.0) for kilogram in (1.0, unit))
+    assert [event["kind"] for event in scaled.events] == [event["kind"] for event in usual.events]
+    np.testing.assert_allclose(times(scaled), times(usual), atol=1e-8)
 
 
 METHODS = [

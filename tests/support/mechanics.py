@@ -22,7 +22,7 @@ from multiarm.contacts.kernel import CONTACT_WIDTH, write_row
 from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import user_surface_callback
-from multiarm.contacts.table import KIND, LINK, PAIR, pack
+from multiarm.contacts.table import FIRST_SHAPE, KIND, PAIR, pack
 from multiarm.dynamics.variables import Status
 from multiarm.geometry.records import (
     CONE,
@@ -325,7 +325,7 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     answer = PythonCallback(user_surface_callback(table.functions, scratch[15:]), Status())
     for k in range(n):
         if table.codes[k, KIND] == PAIR:
-            places[table.codes[k, LINK]] = near[k]
+            places[table.codes[k, FIRST_SHAPE]] = near[k]
         write_row(
             k, arm, body, table.codes, table.geometry, table.shapes, answer.address, rows, parts,
             scratch, places, located,

@@ -168,10 +168,6 @@ class CompiledBackend:
         self.tables.wanted.poses = True
         return self._terms.ctypes.data + 8 * self._lanes[self.places.index(place)].pose(joint - 1)
 
-    def potential_energy(self) -> float:
-        """Potential energy of all links [J] at the last state, zero at the world's origin."""
-        return float(np.sum(self._terms[self.tables.energies]))
-
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the positions and velocities bound, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):

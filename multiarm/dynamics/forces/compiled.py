@@ -133,14 +133,3 @@ def share_load(wrench, Wo, rows, rotation, of_contacts, of_arms, force):
     static_forces(Wo, remaining, force)
     for k in range(desired.size):
         force[k] += desired[k]
-
-
-@kernel
-def subtract_contact_forces(data, work):
-    """Subtract ``W lambda`` of the static contact forces from the control's torques."""
-    force, torque = data.rows.static_force, data.control.torque
-    for i in range(work.rows.size - 1):
-        d0, r0 = work.dofs[i], work.rows[i]
-        for j in range(work.dofs[i + 1] - d0):
-            for a in range(work.rows[i + 1] - r0):
-                torque[d0 + j] -= work.W[i, j, a] * force[r0 + a]
