@@ -174,17 +174,17 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
 
 
 @inlined
-def write_rows(first, count, arm, body, relative, codes, geometry, rows, struct, i, other):
+def write_rows(first, count, arm, body, relative, codes, geometry, rows, struct, i, general):
     """Write ``count`` rows of arm ``i`` from ``first`` on; for the arguments see ``write_row``.
 
     Tips on planes, spheres and cylinders, which nearly all rows are, share the relative motion
-    (``relative``, 15).  The function at address ``other`` calls ``write_row`` for the rest.
+    (``relative``, 15).  The function at address ``general`` calls ``write_row`` for the rest.
     """
     seen_from = -1
     for k in range(first, first + count):
         kind, surface_body = codes[k, KIND], codes[k, SURFACE_BODY]
         if kind > CYLINDER:
-            call_cfunc(other, struct, float(k), float(i))
+            call_cfunc(general, struct, float(k), float(i))
         elif surface_body == SURFACE_ON_OBJECT:
             if seen_from != surface_body:
                 relative_motion(arm, body, relative)
@@ -392,12 +392,12 @@ def _combine(weight, parts, at, count, row):
     put(row, COUPLE, ZERO)
     if count == 1:
         return
-    other = parts[at + 1]
-    e = scale(-weight, vec(other, NORMAL))
+    second = parts[at + 1]
+    e = scale(-weight, vec(second, NORMAL))
     put(row, NORMAL, add(vec(row, NORMAL), e))
-    put(row, COUPLE, cross(sub(vec(other, AT), vec(first, AT)), e))
+    put(row, COUPLE, cross(sub(vec(second, AT), vec(first, AT)), e))
     for i in (GAP, GAP_RATE, GAP_BIAS):
-        row[i] -= weight * other[i]
+        row[i] -= weight * second[i]
 
 
 @inlined

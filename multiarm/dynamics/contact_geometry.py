@@ -79,15 +79,15 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
     faults = []
     for row in map(int, pairs):
         arm, contact = data.model.owner(row)
-        found = _locate(data, row, arm)
-        if found is None:
+        place = _locate(data, row, arm)
+        if place is None:
             faults.append(
                 f"arm '{arm}': the two surfaces of '{contact.name}' have no common normal line, or "
                 f"touch along a line and not in a point; correct their placement, or use several "
                 f"contacts with spherical tips"
             )
         else:
-            places[data.model.constants.codes[row, FIRST_SHAPE]] = found
+            places[data.model.constants.codes[row, FIRST_SHAPE]] = place
     if faults:
         raise SceneError(faults)
     return places

@@ -177,13 +177,13 @@ class Differences:
         """
         n, ways = x.size, np.diag(self.lengths)
         centre = None if self.takes_complex else self.function(x)
-        own = [self._along(x, way, centre) for way in ways]
-        scaled = np.empty((n, n, *np.shape(own[0])))
+        second = [self._along(x, way, centre) for way in ways]
+        scaled = np.empty((n, n, *np.shape(second[0])))
         for i in range(n):
-            scaled[i, i] = own[i]
+            scaled[i, i] = second[i]
             for j in range(i):
                 diagonal = self._along(x, np.sqrt(0.5) * (ways[i] + ways[j]), centre)
-                scaled[i, j] = scaled[j, i] = diagonal - 0.5 * (own[i] + own[j])
+                scaled[i, j] = scaled[j, i] = diagonal - 0.5 * (second[i] + second[j])
         lengths = np.multiply.outer(self.lengths, self.lengths)
         return scaled / lengths.reshape(n, n, *(1,) * (scaled.ndim - 2))
 

@@ -67,29 +67,29 @@ class SignedDistanceSurface:
     ) -> None:
         self.name = name or _name_of(distance)
         self._distance = checked(distance, self.name, "distance", ())
-        self._given_gradient = self._given_hessian = None
+        self._exact_gradient = self._exact_hessian = None
         if gradient is not None:
-            self._given_gradient = checked(gradient, self.name, "gradient", (3,))
+            self._exact_gradient = checked(gradient, self.name, "gradient", (3,))
         if hessian is not None:
-            self._given_hessian = checked(hessian, self.name, "hessian", (3, 3))
+            self._exact_hessian = checked(hessian, self.name, "hessian", (3, 3))
         self._length = length
         self._of_distance = Differences(self._distance, np.full(3, length))
         self._of_gradient = None
-        if self._given_gradient is not None:
-            self._of_gradient = Differences(self._given_gradient, np.full(3, length))
+        if self._exact_gradient is not None:
+            self._of_gradient = Differences(self._exact_gradient, np.full(3, length))
         self._is_checked = False
 
     @property
     def _used(self) -> list[Differences]:
         if self._of_gradient is None:
             return [self._of_distance]
-        return [] if self._given_hessian is not None else [self._of_gradient]
+        return [] if self._exact_hessian is not None else [self._of_gradient]
 
     def __copy__(self) -> SignedDistanceSurface:
         """The same surface with its own last contact point."""
-        other = _shallow(self)
-        other._of_distance, other._of_gradient = copy(self._of_distance), copy(self._of_gradient)
-        return other
+        twin = _shallow(self)
+        twin._of_distance, twin._of_gradient = copy(self._of_distance), copy(self._of_gradient)
+        return twin
 
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Signed distance [m], its gradient (3,) and its second derivatives (3, 3) at a point.
@@ -121,16 +121,16 @@ class SignedDistanceSurface:
             differences.forget()
 
     def _gradient(self, point: np.ndarray) -> np.ndarray:
-        return (self._given_gradient or self._of_distance.first)(point)
+        return (self._exact_gradient or self._of_distance.first)(point)
 
     def _hessian(self, point: np.ndarray) -> np.ndarray:
-        return (self._given_hessian or self._hessian_by_differences)(point)
+        return (self._exact_hessian or self._hessian_by_differences)(point)
 
     def _hessian_by_differences(self, point: np.ndarray) -> np.ndarray:
         if self._of_gradient is None:
             return self._of_distance.second(point)
-        found = self._of_gradient.first(point)
-        return 0.5 * (found + found.T)
+        hessian = self._of_gradient.first(point)
+        return 0.5 * (hessian + hessian.T)
 
     def _check(self, point: np.ndarray) -> None:
         self._of_distance.probe(point)
@@ -140,7 +140,7 @@ class SignedDistanceSurface:
             check_agreement(self.name, "gradient", "distance", point, error)
         hessian = self._hessian(point)
         scale = 1.0 / self._length + np.max(np.abs(hessian))
-        if self._given_hessian is not None:
+        if self._exact_hessian is not None:
             error = np.max(np.abs(hessian - self._hessian_by_differences(point))) / scale
             check_agreement(self.name, "hessian", "distance", point, error)
         else:
@@ -190,9 +190,9 @@ class ParametricSurface:
         self._side = -1.0 if flip else 1.0
         self._length = length
         self._x = checked(parametrisation, self.name, "parametrisation", (3,), spread=True)
-        self._given = None
+        self._exact = None
         if derivatives is not None:
-            self._given = checked(derivatives, self.name, "derivatives", (5, 3), spread=True)
+            self._exact = checked(derivatives, self.name, "derivatives", (5, 3), spread=True)
         self._foot: np.ndarray | None = None
         self._second: np.ndarray | None = None  # derivatives x_uu, x_uv, x_vv at the foot
         self._cells, self._points = self._grid()
@@ -207,9 +207,9 @@ class ParametricSurface:
 
     def __copy__(self) -> ParametricSurface:
         """The same surface with its own last contact point."""
-        other = _shallow(self)
-        other._differences = copy(self._differences)
-        return other
+        twin = _shallow(self)
+        twin._differences = copy(self._differences)
+        return twin
 
     def grid(self, cells: int) -> np.ndarray:
         """Points of the surface on an even grid of its parameters, (cells + 1, cells + 1, 3).
@@ -255,12 +255,12 @@ class ParametricSurface:
         self._differences.forget()
 
     def _find_foot(self, point: np.ndarray) -> np.ndarray:
-        found = None
+        foot = None
         for start, second in self._starts(point):
-            found = self._newton(point, start, second)
-            if found is not None and self._is_in_range(found):
-                return found
-        where = "" if found is None else f" (beyond: u = {found[0]:.6g}, v = {found[1]:.6g})"
+            foot = self._newton(point, start, second)
+            if foot is not None and self._is_in_range(foot):
+                return foot
+        where = "" if foot is None else f" (beyond: u = {foot[0]:.6g}, v = {foot[1]:.6g})"
         raise ModelError(
             f"{self.name} has no nearest point to {shown(point)} with u in [{self._low[0]:g}, "
             f"{self._high[0]:g}] and v in [{self._low[1]:g}, {self._high[1]:g}]{where}; the "
@@ -285,7 +285,7 @@ class ParametricSurface:
         """
         r = point - self._x(w)
         for _ in range(40):
-            if second is None or self._given is not None:
+            if second is None or self._exact is not None:
                 rows = self._derivatives(w)
             else:
                 rows = np.concatenate([self._differences.first(w), second])
@@ -325,7 +325,7 @@ class ParametricSurface:
         return bool(np.all(beyond <= 1e-9 * self._width))
 
     def _derivatives(self, w: np.ndarray) -> np.ndarray:
-        return self._by_differences(w) if self._given is None else self._given(w)
+        return self._by_differences(w) if self._exact is None else self._exact(w)
 
     def _by_differences(self, w: np.ndarray) -> np.ndarray:
         first, second = self._differences.first(w), self._differences.second(w)
@@ -355,14 +355,14 @@ class ParametricSurface:
         scales = np.array([a, b, *(np.array([a * a, a * b, b * b]) / self._length)])[:, None]
         for fractions in ((0.31, 0.42), (0.57, 0.73), (0.83, 0.19)):
             w = self._low + fractions * self._width
-            found = self._derivatives(w) / scales
-            size = 1.0 + float(np.max(np.abs(found)))
-            if self._given is None:
+            derivatives = self._derivatives(w) / scales
+            size = 1.0 + float(np.max(np.abs(derivatives)))
+            if self._exact is None:
                 check_certainty(
                     self.name, self._differences, lambda w: self._derivatives(w) / scales, w, size
                 )
             else:
-                error = float(np.max(np.abs(found - self._by_differences(w) / scales))) / size
+                error = float(np.max(np.abs(derivatives - self._by_differences(w) / scales))) / size
                 check_agreement(self.name, "derivatives", "parametrisation", w, error)
 
     def _periodic_parameters(self) -> np.ndarray:
@@ -387,6 +387,6 @@ def _name_of(function: Callable) -> str:
 
 
 def _shallow(surface: Smooth) -> Smooth:
-    other = object.__new__(type(surface))
-    vars(other).update(vars(surface))
-    return other
+    twin = object.__new__(type(surface))
+    vars(twin).update(vars(surface))
+    return twin

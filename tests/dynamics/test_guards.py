@@ -6,6 +6,7 @@ import operator
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
@@ -24,7 +25,16 @@ from multiarm.dynamics.guard_functions import (
     spring_extension,
     touch,
 )
-from multiarm.dynamics.guards import DIPPED, FIRED, QUIET, Guard, dips, judge_guards, make_guards
+from multiarm.dynamics.guards import (
+    DIPPED,
+    FIRED,
+    QUIET,
+    Guard,
+    dips,
+    follow_scales,
+    judge_guards,
+    make_guards,
+)
 
 NEAR = 0.05  # part of the smaller gap at the ends that counts as touching, as in `dips`
 ROUNDING = 1e-12  # of the cubic's terms
@@ -104,3 +114,20 @@ def test_a_friction_cone_has_the_tangents_that_are_held_and_the_sign_of_a_pull()
         held = np.array([-1, -1, -1, -1, 0, first, second])
         assert friction_cone.py_func(cone, held, force) == margin
         assert friction_cone.py_func(cone._replace(mu=pull), held, -force) == margin
+
+
+@pytest.mark.parametrize("mass", [1e-9, 1.0, 1e9])
+def test_scales_of_thresholds_grow_with_the_forces_and_do_not_know_the_unit_of_mass(mass):
+    data = SimpleNamespace(
+        bodies=SimpleNamespace(object_inertia=mass * np.eye(6)),
+        forces=SimpleNamespace(f_o=np.zeros(6), f_j=np.array([-70.0 * mass])),
+        rows=SimpleNamespace(force=np.array([3.0, -50.0]) * mass),
+    )
+    scales = make_guards([]).scales
+    follow_scales.py_func(scales, data)
+    np.testing.assert_allclose(scales, [1.0, 50.0 * mass, 70.0 * mass])
+    data.rows.force[:], data.forces.f_j[:] = 0.0, 0.0  # all forces may vanish for an instant
+    follow_scales.py_func(scales, data)
+    data.rows.force[0] = np.nan
+    follow_scales.py_func(scales, data)
+    np.testing.assert_allclose(scales, [1.0, 50.0 * mass, 70.0 * mass])
