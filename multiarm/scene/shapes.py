@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
@@ -56,28 +56,24 @@ class NoCornersError(ValueError):
 Bounds = tuple[np.ndarray, np.ndarray]
 
 
-class Solid(Protocol):
+class Solid:
     """A shape: its measures in the object's frame [m]."""
 
     @property
     def words(self) -> str:
         """A few words on it."""
-        ...
+        raise NotImplementedError
 
     def inertia(self, mass: float) -> np.ndarray:
         """Inertia about the centre of mass at uniform density, shape (3, 3) [kg m^2]."""
-        ...
+        raise NotImplementedError
 
     def nearest(self, point: np.ndarray) -> np.ndarray | None:
         """The point of the solid nearest to a point (3,); one inside is the nearest to itself.
 
         None of a mesh that cannot be read.
         """
-        ...
-
-    def bounds(self) -> Bounds | None:
-        """Least and largest coordinates; None of a mesh that cannot be read."""
-        ...
+        raise NotImplementedError
 
     def corners(self) -> tuple[np.ndarray, float]:
         """Points (N, 3) and radius of the balls whose convex hull it is.
@@ -87,7 +83,12 @@ class Solid(Protocol):
         NoCornersError
             When there are none, or they are unknown.
         """
-        ...
+        raise NotImplementedError
+
+    def bounds(self) -> Bounds | None:
+        """Least and largest coordinates; None of a mesh that cannot be read."""
+        points, radius = self.corners()
+        return points.min(axis=0) - radius, points.max(axis=0) + radius
 
 
 def _scale(value: Any) -> tuple[float, ...]:
@@ -143,10 +144,6 @@ class Box(Solid):
         return np.clip(point, -self.half, self.half)
 
     @override
-    def bounds(self) -> Bounds:
-        return -self.half, self.half
-
-    @override
     def corners(self) -> tuple[np.ndarray, float]:
         return np.array(list(product((-1.0, 1.0), repeat=3))) * self.half, 0.0
 
@@ -169,10 +166,6 @@ class Sphere(Solid):
     @override
     def nearest(self, point: np.ndarray) -> np.ndarray:
         return point * min(1.0, self.radius / max(float(np.linalg.norm(point)), 1e-300))
-
-    @override
-    def bounds(self) -> Bounds:
-        return np.full(3, -self.radius), np.full(3, self.radius)
 
     @override
     def corners(self) -> tuple[np.ndarray, float]:
@@ -200,15 +193,11 @@ class Hull(Solid):
         return nearest_in(points, hull_triangles(points), point)
 
     @override
-    def bounds(self) -> Bounds:
-        return np.min(self.points, axis=0), np.max(self.points, axis=0)
-
-    @override
     def corners(self) -> tuple[np.ndarray, float]:
         return hull_corners(np.array(self.points)), 0.0
 
 
-class Cylinder(Spec):
+class Cylinder(Spec, Solid):
     """A cylinder about the z axis."""
 
     radius: Positive
@@ -217,32 +206,32 @@ class Cylinder(Spec):
     """Along z [m]."""
 
     @property
+    @override
     def words(self) -> str:
-        """A few words on it."""
         return f"cylinder of radius {self.radius:g} m, height {self.height:g} m"
 
+    @override
     def inertia(self, mass: float) -> np.ndarray:
-        """See :class:`Solid`."""
         across = mass * (3.0 * self.radius**2 + self.height**2) / 12.0
         return np.diag([across, across, mass * self.radius**2 / 2.0])
 
+    @override
     def nearest(self, point: np.ndarray) -> np.ndarray:
-        """See :class:`Solid`."""
         across = min(1.0, self.radius / max(float(np.hypot(*point[:2])), 1e-300))
         end = 0.5 * self.height
         return np.array([*(across * point[:2]), np.clip(point[2], -end, end)])
 
+    @override
     def bounds(self) -> Bounds:
-        """See :class:`Solid`."""
         half = np.array([self.radius, self.radius, 0.5 * self.height])
         return -half, half
 
+    @override
     def corners(self) -> tuple[np.ndarray, float]:
-        """See :class:`Solid`."""
         raise NoCornersError("a cylinder has no corners", "such as eight or more around each rim")
 
 
-class Mesh(Spec):
+class Mesh(Spec, Solid):
     """A mesh, its origin at the centre of mass."""
 
     file: FilePath
@@ -262,26 +251,22 @@ class Mesh(Spec):
             return None
 
     @property
+    @override
     def words(self) -> str:
-        """A few words on it."""
         return f"mesh {self.file.name}"
 
-    def inertia(self, mass: float) -> np.ndarray:
-        """See :class:`Solid`."""
-        raise AssertionError("a mesh comes with an inertia")
-
+    @override
     def nearest(self, point: np.ndarray) -> np.ndarray | None:
-        """See :class:`Solid`."""
         triangles = self.triangles()
         return None if triangles is None else nearest_in(*triangles, point)
 
+    @override
     def bounds(self) -> Bounds | None:
-        """See :class:`Solid`."""
         triangles = self.triangles()
         return None if triangles is None else (triangles[0].min(axis=0), triangles[0].max(axis=0))
 
+    @override
     def corners(self) -> tuple[np.ndarray, float]:
-        """See :class:`Solid`: the corners of its convex hull."""
         if not self.file.is_file():
             raise NoCornersError(f"there is no mesh at {self.file}", "or correct the path")
         try:
