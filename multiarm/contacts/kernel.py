@@ -400,22 +400,12 @@ def _combine(weight, parts, at, count, row):
         row[i] -= weight * second[i]
 
 
-@inlined
-def contact_point(row, kind, surface_body, geometry):
-    """Contact point of a row of contact kinematics, world axes: of a tip on its surface."""
+@plain
+def tip_offset(kind, surface_body, tip_radius):
+    """From a tip's centre to its contact point, along the normal into the object [m]."""
     if kind > CURVED:  # there is no tip
-        return vec(row, AT)
-    # from the tip's centre, along the normal if the arm has the tip
-    radius = geometry[TIP_RADIUS] if surface_body == SURFACE_ON_OBJECT else -geometry[TIP_RADIUS]
-    return add_scaled(vec(row, AT), radius, vec(row, NORMAL))
-
-
-@kernel
-def write_contact_points(rows, codes, geometry, points):
-    """Write the contact points of rows of contact kinematics, (k, 3)."""
-    for k in range(points.shape[0]):
-        code = codes[k]
-        put(points[k], 0, contact_point(rows[k], code[KIND], code[SURFACE_BODY], geometry[k]))
+        return 0.0
+    return tip_radius if surface_body == SURFACE_ON_OBJECT else -tip_radius
 
 
 @plain

@@ -17,7 +17,7 @@ from multiarm.contacts.matrices import (
 )
 from multiarm.contacts.motion import RELATIVE_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
-from multiarm.contacts.table import FIRST_SHAPE, KIND, PAIR, SURFACE_BODY
+from multiarm.contacts.table import FIRST_SHAPE, KIND, PAIR, SURFACE_BODY, TIP_RADIUS
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
@@ -114,10 +114,11 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
     At the kinematics in the data.
     """
     constants, contacts = data.model.constants, data.arrays.rows.kinematics[rows]
-    points, count = np.empty((len(contacts), 3)), data.model.layout.contacts
+    normals, count = contacts[:, NORMAL : NORMAL + 3].copy(), data.model.layout.contacts
     codes, geometry = constants.codes[:count][rows], constants.geometry[:count][rows]
-    write_contact_points(contacts, codes, geometry, points)
-    return points, contacts[:, NORMAL : NORMAL + 3].copy()
+    tips = zip(codes[:, KIND], codes[:, SURFACE_BODY], geometry[:, TIP_RADIUS], strict=True)
+    offsets = np.array([tip_offset(*tip) for tip in tips]).reshape(-1, 1)
+    return contacts[:, AT : AT + 3] + offsets * normals, normals
 
 
 def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
