@@ -130,7 +130,9 @@ def _guards(
         guards[Slip, 1] = Guard(Slip(tangents[0], u, directions), still)
         for side in (1, -1) if constraint.bilateral else (1,):
             cone = FrictionCone(row, side * constraint.mu, *tangents)
-            guards[PushingForce, side] = Guard(PushingForce(row), FORCE_THRESHOLD, side, scale=scale)
+            guards[PushingForce, side] = Guard(
+                PushingForce(row), FORCE_THRESHOLD, side, scale=scale
+            )
             guards[FrictionCone, side] = Guard(cone, FORCE_THRESHOLD, scale=scale)
     return guards
 
