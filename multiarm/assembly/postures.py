@@ -270,7 +270,7 @@ def clear_of(
     """
     pose = body.pose.matrix()
     solid = body.shape.solid if meshes or body.shape.mesh is None else None
-    corners = None if solid is None else solid.bounds()
+    corners = None if solid is None else solid.bounding_box()
 
     def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
         outside = above = np.zeros(0)

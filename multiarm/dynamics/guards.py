@@ -26,7 +26,7 @@ from multiarm.dynamics.guard_functions import (
     guard_function,
     is_force_function,
 )
-from multiarm.dynamics.solver.bounds import AT_REST
+from multiarm.dynamics.solver.bounds import LEAST_ACCELERATION
 from multiarm.jit.kernels import greatest, inlined, kernel, larger
 from multiarm.jit.structs import WIDTH, Floats1, Ints1, struct_of, view
 
@@ -147,10 +147,10 @@ def turn_round(guards: Guards, g: int) -> None:
 def follow_scales(scales, data):
     """Let the scales grow with the forces at the state evaluated last.
 
-    They are at least what gives the object the acceleration ``AT_REST``.  Forces that are not
-    finite, of a state that cannot be evaluated, have no part in them.
+    They are at least what gives the object the acceleration ``LEAST_ACCELERATION``.  Forces that
+    are not finite, of a state that cannot be evaluated, have no part in them.
     """
-    least = AT_REST * data.bodies.object_inertia[0, 0]
+    least = LEAST_ACCELERATION * data.bodies.object_inertia[0, 0]
     forces = larger(larger(least, greatest(data.forces.f_o[:3])), greatest(data.rows.force))
     if forces < math.inf:
         scales[FORCES] = max(scales[FORCES], forces)

@@ -85,7 +85,7 @@ class Solid:
         """
         raise NotImplementedError
 
-    def bounds(self) -> Bounds | None:
+    def bounding_box(self) -> Bounds | None:
         """Least and largest coordinates; None of a mesh that cannot be read."""
         points, radius = self.corners()
         return points.min(axis=0) - radius, points.max(axis=0) + radius
@@ -222,7 +222,7 @@ class Cylinder(Spec, Solid):
         return np.array([*(across * point[:2]), np.clip(point[2], -end, end)])
 
     @override
-    def bounds(self) -> Bounds:
+    def bounding_box(self) -> Bounds:
         half = np.array([self.radius, self.radius, 0.5 * self.height])
         return -half, half
 
@@ -261,7 +261,7 @@ class Mesh(Spec, Solid):
         return None if triangles is None else nearest_in(*triangles, point)
 
     @override
-    def bounds(self) -> Bounds | None:
+    def bounding_box(self) -> Bounds | None:
         triangles = self.triangles()
         return None if triangles is None else (triangles[0].min(axis=0), triangles[0].max(axis=0))
 

@@ -90,10 +90,10 @@ class Drag(EffectKind):
     def typical(cls, body: ObjectSpec) -> Mapping[str, Any] | None:
         """Drag in air, of a blunt body with the faces of the box around the object."""
         solid = body.shape.solid
-        bounds = None if solid is None or body.shape.mesh is not None else solid.bounds()
-        if bounds is None:
+        box = None if solid is None or body.shape.mesh is not None else solid.bounding_box()
+        if box is None:
             return None
-        x, y, z = (2.0 * np.max(np.abs(bounds), axis=0)).tolist()
+        x, y, z = (2.0 * np.max(np.abs(box), axis=0)).tolist()
         return {"area": [y * z, z * x, x * y], "coefficient": 1.0}
 
 
