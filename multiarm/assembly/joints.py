@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.assembly.contact_effects import unilateral_constraints
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
-from multiarm.contacts.unilateral import UnilateralConstraints, unilateral_constraints
+from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data

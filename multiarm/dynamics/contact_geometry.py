@@ -8,7 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import AT, GAP, GAP_BIAS, GAP_RATE, LINE_CONTACT, NORMAL, locate_pair, tip_offset
+from multiarm.contacts.kernel import (
+    AT,
+    GAP,
+    GAP_BIAS,
+    GAP_RATE,
+    LINE_CONTACT,
+    NORMAL,
+    locate_pair,
+    tip_offset,
+)
 from multiarm.contacts.matrices import (
     ContactTerms,
     RelativeMotion,
