@@ -25,6 +25,10 @@ settings.load_profile("multiarm")
 # starts would ignore it as well; tests send it to themselves and to others.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+LONGEST_TEST = 1800
+"""[s] after which a test fails, so that one that waits for ever does not hold up the others; on a
+busy computer with empty caches some take minutes."""
+
 
 def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="one case of each test that is not slow")
@@ -60,6 +64,20 @@ def pytest_collection_modifyitems(config, items):
             chosen[test] = item
     config.hook.pytest_deselected(items=left)
     items[:] = chosen.values()
+
+
+@pytest.fixture(autouse=True)
+def limit():
+    """A test ends, with a traceback of where it waits."""
+
+    def end(number, frame):
+        raise TimeoutError(f"the test has not ended after {LONGEST_TEST} s")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(LONGEST_TEST)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture

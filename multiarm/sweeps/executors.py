@@ -34,6 +34,10 @@ Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
 IDLE = 10.0
 """[s] after which a process without work ends."""
+ENDED_EARLY = "A worker stopped while some jobs were given to the "
+"""How loky begins to warn of a process that ended for lack of work, or of memory, as work came; it
+starts another.  Where warnings are errors this would end the thread that serves the processes, and
+the sweep would wait for ever."""
 PATIENCE = 30.0
 """[s] to wait for the scheduler of a cluster, and for its first worker."""
 # two classes in Python 3.10
@@ -86,9 +90,11 @@ def _until_a_worker_dies(
     )
     rows: Generator[Row, None, None] = parallel(tasks())
     try:
-        for row in rows:
-            del under_way[row["run"]]
-            yield row
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ENDED_EARLY)
+            for row in rows:
+                del under_way[row["run"]]
+                yield row
     except TerminatedWorkerError:
         return [*under_way.values()]
     except Exception as error:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +17,7 @@ from types import ModuleType
 import numpy as np
 import pandas
 import pytest
+from joblib.externals.loky import process_executor
 from mechanics import ur5_pair
 from refusals import refused
 from repository import SCENES
@@ -37,7 +40,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import multiarm as ma
 from multiarm.errors import SweepError
 from multiarm.sweeps import run as runs
-from multiarm.sweeps.executors import run_here, run_in_processes
+from multiarm.sweeps.executors import ENDED_EARLY, run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context, simulate_run
 from multiarm.threads import one_thread
@@ -199,6 +202,18 @@ def test_processes_give_the_same_rows(plan, expected):
     workers = {row["worker"] for row in rows}
     assert len(workers) == 2
     assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
+
+
+@pytest.mark.slow
+def test_a_worker_that_ends_as_work_comes_is_no_error_where_warnings_are(plan):
+    """It would end the thread of the library that hands out the work; the sweep waited for ever."""
+    assert ENDED_EARLY in inspect.getsource(process_executor)
+    rows = run_in_processes(Context.of(plan), jobs_of(plan)[:4], 2)
+    next(rows)
+    warnings.warn(ENDED_EARLY, UserWarning, stacklevel=1)
+    assert len(list(rows)) == 3
+    with pytest.raises(UserWarning):
+        warnings.warn(ENDED_EARLY, UserWarning, stacklevel=1)
 
 
 @pytest.mark.slow
