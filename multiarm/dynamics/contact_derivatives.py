@@ -46,6 +46,7 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
 from multiarm.contacts.table import AXIS, COMBINED, JOINT, KIND, POINT, SURFACE_BODY
+from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import clear, inlined, kernel, plain
 from multiarm.jit.rows import offset_of
@@ -65,7 +66,6 @@ from multiarm.jit.vectors import (
 
 # Displacement of a difference [m, rad]: a hundredth of the smallest radius that a finger has.
 STEP = 1e-4
-OFFSETS = (-2.0, -1.0, 1.0, 2.0)
 # Columns of a row's derivatives: a displacement of the seen motion; the pose again, for gap rates.
 RATE_BY_POSE, SLOPES_WIDTH = DISPLACEMENT_WIDTH, DISPLACEMENT_WIDTH + 6
 SHIFT, VELOCITY, ACCELERATION = (
@@ -106,12 +106,6 @@ def column_of_state(at, columns, d0, c):
     if c < columns.velocities:
         return at.positions + d0 + c - columns.positions
     return at.rates + d0 + c - columns.velocities
-
-
-@plain
-def difference_weight(offset):
-    """Weight of the value at an offset in a difference of order four [1/m, 1/rad]."""
-    return (8.0 if abs(offset) < 1.5 else -2.0) / (12.0 * STEP * offset)
 
 
 @kernel
@@ -230,10 +224,10 @@ def differentiate_rows(model, data, first, last, work):
         by.acceleration, by.spin_rate = scale(-1.0, e), scale(-1.0, turn)
     add_wrench(model, rows, first, last, work.force, 1.0, wrench[6])
     for axis in range(6):
-        for offset in OFFSETS:
-            displace(motion, axis, offset * STEP, moved)
+        for point in range(len(CENTRAL_4.offsets)):
+            displace(motion, axis, CENTRAL_4.offsets[point] * STEP, moved)
             write_rows_at(model, data, first, last, moved, work)
-            weight = difference_weight(offset)
+            weight = CENTRAL_4.weights[point] / STEP
             for k in range(first, last):
                 slopes[k, SHIFT + axis] += weight * rows[k, GAP_BIAS]
                 slopes[k, RATE_BY_POSE + axis] += weight * rows[k, GAP_RATE]

@@ -172,6 +172,18 @@ def places_in_chart(velocities, joints, states):
 
 
 @plain
+def place_in_chart(columns, places, column):
+    """Place in a chart's vector of a column of the state, of :class:`StateColumns` or the like."""
+    if column < columns.twists:
+        return column
+    if column < columns.positions:
+        return places.velocity + column - columns.twists
+    if column < columns.rates:
+        return places.joints + column - columns.positions
+    return places.rates + column - columns.rates
+
+
+@plain
 def read_chart(frames, z, base, configuration):
     """Write the configuration of a chart's vector."""
     retract(frames, base, 1.0, z, configuration)
