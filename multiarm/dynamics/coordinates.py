@@ -120,7 +120,7 @@ class ForceColumns(NamedTuple):
     rates: int
     states: int  # of effects
     time: int
-    share: int  # six of s, see multiarm.integration.arm_blocks
+    share: int  # six of s, see multiarm.dynamics.control_laws
     end: int
 
 

@@ -5,7 +5,7 @@ They are what laws and effects state (:mod:`multiarm.dynamics.effect_kernels`,
 of the control come to the first actuator, and what this makes of them to the next one; so do their
 derivatives, ``data.slopes.torque``.  All other derivatives are those of one effect at a time,
 ``data.slopes.force``.  Columns are those of the state, then the effects' states, the time, and the
-wrench s that gravity compensation distributes (:mod:`multiarm.integration.arm_blocks`).
+numbers that arms share (:mod:`multiarm.dynamics.control_laws`).
 
 *Differences* (:mod:`multiarm.geometry.differences`) are of order four, or of order one where many
 evaluations cost more than an error is worth; those by the time look forward, with order two.  An
@@ -27,6 +27,7 @@ import numpy as np
 from multiarm.dynamics.arrays import (
     DERIVATIVE,
     OPEN_LOOP,
+    SHARE_DERIVATIVE,
     STATE_ALONE,
     call_derivative,
     call_listed,
@@ -141,7 +142,8 @@ def differentiate_forces(struct, differences, powers, gather, out):
     ``gather(out, data, work, power, of_drives)``, a kernel, as they stand in the data: in
     ``slopes.torque`` (``of_drives``) or ``slopes.force``.  ``power`` is the place of the power of
     these forces, -1 without; ``powers`` are those of the effects, the last one is that of all.
-    What is in ``slopes.torque`` before belongs to the control laws beyond ``differences.laws``.
+    Laws beyond ``differences.laws`` are differentiated at fixed numbers that arms share, and the
+    equations for these in ``slopes.share``.
     """
     model, data, work = open_system(struct)
     controlled, status, total = model.control.shape[0] > 0, OK, data.effects.power.size - 1
@@ -235,6 +237,9 @@ def differentiate_control(struct, differences):
     act(struct, differences, CONTROL, model, data, work)
     for k in range(differences.laws, model.control.shape[0]):
         call_listed(model.control, k, struct, data)
+        if status == OK:
+            clear_table(data.slopes.share)
+            status = call_derivative(model.control, k, SHARE_DERIVATIVE, struct, data)
     return status
 
 
@@ -245,7 +250,7 @@ def differentiate_laws(struct, differences, model, data):
     of_laws = struct_at(data.modes.closed, 0) if data.modes.active else struct
     for k in range(differences.laws):
         if status == OK:
-            status = call_derivative(model.control, k, of_laws, data)
+            status = call_derivative(model.control, k, DERIVATIVE, of_laws, data)
     return status
 
 
@@ -270,7 +275,7 @@ def differentiate_effect(struct, differences, k):
     stated = model.effects[k, DERIVATIVE] != 0
     clear_slopes(model, data, work, differences.local, data.slopes.force, first)
     if stated:
-        status = call_derivative(model.effects, k, struct, data)
+        status = call_derivative(model.effects, k, DERIVATIVE, struct, data)
     by_time = differences.time_change > 0.0 and not actuates(model, k)
     if status == OK and (not stated or by_time):
         status = add_differences(struct, differences, k, not stated)
