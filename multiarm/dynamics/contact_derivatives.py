@@ -124,18 +124,9 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
         differentiate_flat_rows(model, first, last, work)
     else:
         differentiate_rows(model, data, first, last, work)
-    of_body, of_link, by = scratch[OF_BODY], scratch[OF_LINK], scratch[OF_SEEN]
+    of_body, by = scratch[OF_BODY], scratch[OF_SEEN]
     for c in range(columns.end):
-        clear(of_body)
-        clear(of_link)
-        if c < columns.positions:
-            of_body[c] = 1.0
-        elif c < columns.placement:
-            for j in range(DISPLACEMENT_WIDTH):
-                of_link[j] = work.moved[c - columns.positions, j]
-        else:
-            displace_contacts(link, c - columns.placement, of_link)
-        write_seen_displacement(body, link, seen, of_body, of_link, by)
+        write_column_displacement(columns, c, seen, work)
         for k in range(first, last):
             total = rate = 0.0
             for j in range(DISPLACEMENT_WIDTH):
@@ -152,6 +143,22 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
     write_wrench_on_bodies(
         body, scratch[SEEN], wrench[6], work.on_object[columns.end], work.on_link[columns.end]
     )
+
+
+@kernel
+def write_column_displacement(columns, c, seen, work):
+    """Write how object and link, and the link as the object sees it, are displaced in a column."""
+    of_body, of_link = work.scratch[OF_BODY], work.scratch[OF_LINK]
+    clear(of_body)
+    clear(of_link)
+    if c < columns.positions:
+        of_body[c] = 1.0
+    elif c < columns.placement:
+        for j in range(DISPLACEMENT_WIDTH):
+            of_link[j] = work.moved[c - columns.positions, j]
+    else:
+        displace_contacts(work.link, c - columns.placement, of_link)
+    write_seen_displacement(work.body, work.link, seen, of_body, of_link, work.scratch[OF_SEEN])
 
 
 @kernel
