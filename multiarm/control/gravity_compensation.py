@@ -15,11 +15,14 @@ with the contact forces of least norm that carry the weight of the object, :math
 inverse dynamics at rest under these forces, :math:`dW_o\,\lambda` that of their wrench on the
 object, and :math:`dW_o^T y` that of the rates of the gaps while the object moves with the twist y
 and the arms rest.
+
+The twist y is what all arms share (:mod:`multiarm.dynamics.control_laws`): at fixed y an arm's
+torques :math:`g_i - W_i W_{oi}^T y` depend on its own state and the object's, and so does
+:math:`r_i = W_{oi} W_{oi}^T y`.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +38,10 @@ from multiarm.control.command_derivatives import (
 )
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, open_system
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.contact_forces import add_joint_forces
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
+from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -44,7 +49,8 @@ from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
-from multiarm.jit.kernels import INTS, cfunc, clear, copy, kernel
+from multiarm.jit.kernels import INTS, cfunc, clear, copy, inlined, kernel
+from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import struct_at
 from multiarm.scene.control import GravityCompensationControl
 
@@ -53,11 +59,12 @@ class CarryingWork(NamedTuple):
     """What the law has besides its torques."""
 
     derivatives: PreparedDerivatives
+    share_derivatives: PreparedDerivatives
 
     @classmethod
     def of(cls, _data: Data) -> CarryingWork:
         """Allocate for some data."""
-        return cls(PreparedDerivatives())
+        return cls(PreparedDerivatives(), PreparedDerivatives())
 
 
 open_carrying = view_of_work(CarryingWork)
@@ -97,27 +104,94 @@ def write_gravity_compensation_derivatives(address, size, at, _t):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     by = open_derivatives(open_carrying(struct, at).derivatives)
+    status = differentiate_at_rest(struct, data, by)
+    if status == OK:
+        motion = open_equations(by.motion)
+        differentiate_shares(data, work, motion, motion, by)
+        add_inverse_dynamics(data, work, motion)
+    return status
+
+
+@kernel
+def differentiate_at_rest(struct, data, by):
+    """Write y, and the derivatives of the equations at rest under the forces that carry the weight.
+
+    Returns a status.
+    """
     motion = open_equations(by.motion)
     copy(data.control.object_wrench, by.twist)
     if not begin_command(data, by):
         return SINGULAR
     clear(motion.a_j)
     copy(data.rows.static_force, motion.force)
-    status = write_derivatives_at_rest(struct, by.motion, by.twist)
-    if status == OK:
-        differentiate_shares(data, work, motion, motion, by)
-        add_inverse_dynamics(data, work, motion)
+    return write_derivatives_at_rest(struct, by.motion, by.twist)
+
+
+@cfunc
+def differentiate_share(address, size, at, t):
+    """Call the derivative at fixed y that has been prepared."""
+    struct = struct_at(address, size)
+    return call_derivatives(open_carrying(struct, at).share_derivatives, struct, at, t)
+
+
+@cfunc
+def write_share_derivatives(address, size, at, _t):
+    """Add the derivatives of the torques at fixed y and by y, and those of the equations for y.
+
+    Returns a status.
+    """
+    struct = struct_at(address, size)
+    _, data, work = open_system(struct)
+    by = open_derivatives(open_carrying(struct, at).share_derivatives)
+    status = differentiate_at_rest(struct, data, by)
+    if status != OK:
+        return status
+    motion, columns, share = open_equations(by.motion), force_columns(data), data.slopes.share
+    for l in range(6):
+        for c in range(motion.dF_o.shape[1]):
+            share[l, c] -= motion.dF_o[l, c]
+    for i in range(work.dofs.size - 1):
+        d0, r0 = work.dofs[i], work.rows[i]
+        own = arm_columns(work.dofs[i + 1] - d0, False)
+        for k in range(r0, work.rows[i + 1]):
+            for c in range(own.velocities):
+                if c < own.twist or c >= own.positions:  # y is no velocity of the state
+                    column = column_of_state(columns, own, d0, c)
+                    add_share(data, work, i, k, motion.rates[k, c], column)
+            for l in range(6):
+                add_share(data, work, i, k, data.rows.Wo[k, l], columns.share + l)
+    add_inverse_dynamics(data, work, motion)
     return status
+
+
+@inlined
+def add_share(data, work, i, k, force, column):
+    """Add the derivative of contact force k, of arm i, to those of its torques and of ``r_i``."""
+    d0 = work.dofs[i]
+    for j in range(work.dofs[i + 1] - d0):
+        data.slopes.torque[d0 + j, column] -= work.W[i, j, k - work.rows[i]] * force
+    for l in range(6):
+        data.slopes.share[l, column] += data.rows.Wo[k, l] * force
+
+
+def prepare_carrying(data: Data, work: CarryingWork) -> None:
+    """Prepare both derivatives, with the same arrays."""
+    prepare_command_derivatives(write_gravity_compensation_derivatives, data, work)
+    whole, at_fixed_share = work.derivatives, work.share_derivatives
+    at_fixed_share.function = address_of(write_share_derivatives)
+    at_fixed_share.work, at_fixed_share.size = whole.work, whole.size
 
 
 def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
     """The law that carries the weight, where there is one and the control carries it."""
     if not needs_gravity_torque(context.scene):
         return ()
-    prepare = partial(prepare_command_derivatives, write_gravity_compensation_derivatives)
-    derivative = differentiate_gravity_compensation
     law = ControlLaw(
-        gravity_compensation, derivative=derivative, work=CarryingWork, prepare=prepare
+        gravity_compensation,
+        derivative=differentiate_gravity_compensation,
+        work=CarryingWork,
+        prepare=prepare_carrying,
+        share_derivative=differentiate_share,
     )
     return (law,)
 

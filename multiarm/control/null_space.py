@@ -97,8 +97,12 @@ def nearest_accelerations(inertia, W, preferred, target, result, multipliers):
 
 
 @allocating
-def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, preferred):
+def hold_pose(
+    i, stiffness, rate, feedforward, acceleration, model, data, work, preferred, multipliers
+):
     """Change the preferred accelerations (n,) of arm ``i`` to those that hold its pose.
+
+    Returns whether the arm can hold any pose.
 
     Parameters
     ----------
@@ -109,6 +113,8 @@ def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, 
         the springs and dampers alone.
     acceleration : (6,)
         Of the object.
+    multipliers : (6,), written
+        Of the nearest accelerations, in world axes.
     """
     n = work.dofs[i + 1] - work.dofs[i]
     bodies, frames = data.bodies, open_frames(model.joint_frames[i])
@@ -141,5 +147,6 @@ def hold_pose(i, stiffness, rate, feedforward, acceleration, model, data, work, 
         v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
         put(W[column], 0, add_cross(v, w, p))
         put(W[column], 3, w)
-    nearest_accelerations(work.M[i], W, preferred, target, result, np.empty(6))
+    holds = nearest_accelerations(work.M[i], W, preferred, target, result, multipliers)
     copy(result, preferred)
+    return holds

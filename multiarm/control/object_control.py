@@ -165,16 +165,15 @@ def add_motion_forces(law, command, feedforward, model, data, work):
     for i in range(work.rows.size - 1):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
-        if law.free_stiffness > 0.0:
-            hold_pose(
-                i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,
-                data, work, command.preferred[d0:d1],
-            )  # fmt: skip
+        holds = law.free_stiffness == 0.0 or hold_pose(
+            i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,
+            data, work, command.preferred[d0:d1], command.held[i],
+        )  # fmt: skip
         independent = nearest_accelerations(
             work.M[i], work.W[i], command.preferred[d0:d1], command.target[r0:r1],
             command.a_j[d0:d1], command.multipliers[r0:r1],
         )  # fmt: skip
-        if not independent:
+        if not (holds and independent):
             command.independent[0] = 0
         for j in range(d1 - d0):
             data.control.torque[d0 + j] += times_arm_inertia(i, j, work, command.a_j)

@@ -10,7 +10,7 @@ reference, :math:`\exp\theta = R_r R_o^T`, a turn :math:`\delta` of the object g
 moment :math:`d(J_l^{-1}(\theta) K\theta) - D\,d\omega_o`, with :math:`J_l^{-1}` of
 :func:`multiarm.spatial.write_chart_rate`.
 
-Arms that hold their poses on the object leave differences.
+The accelerations of arms that hold their poses: :mod:`multiarm.control.null_space_derivatives`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from multiarm.control.command_derivatives import (
     open_derivatives,
     subtract_passive_slopes,
 )
+from multiarm.control.null_space_derivatives import differentiate_hold
 from multiarm.control.object_law import open_command, open_object_law
 from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
@@ -59,7 +60,7 @@ def differentiate_command(address, size, at, t):
 def write_computed_torque_derivatives(address, size, at, t):
     """Add the derivatives of the torques of computed torque; returns a status."""
     struct = struct_at(address, size)
-    _, data, work = open_system(struct)
+    model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
     by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
@@ -79,7 +80,7 @@ def write_computed_torque_derivatives(address, size, at, t):
         data.bodies.object_inertia, data.state.object_twist, command.acceleration, motion
     )
     if status == OK:
-        status = differentiate_torques(law, command, struct, data, work, by)
+        status = differentiate_torques(law, command, True, struct, model, data, work, by)
         subtract_passive_slopes(data)
     return status
 
@@ -88,7 +89,7 @@ def write_computed_torque_derivatives(address, size, at, t):
 def write_object_impedance_derivatives(address, size, at, t):
     """Add the derivatives of the torques of the object impedance; returns a status."""
     struct = struct_at(address, size)
-    _, data, work = open_system(struct)
+    model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
     by = open_derivatives(command.derivatives)
     motion = open_equations(by.motion)
@@ -99,19 +100,16 @@ def write_object_impedance_derivatives(address, size, at, t):
     copy(data.rows.static_force, motion.force)
     status = write_derivatives_at_rest(struct, by.motion, AT_REST)
     if status == OK:
-        status = differentiate_torques(law, command, struct, data, work, by)
+        status = differentiate_torques(law, command, False, struct, model, data, work, by)
     return status
 
 
 @kernel
-def has_closed_form(law, command):
-    """Whether the derivatives are here: targets are independent, poses free."""
-    return command.independent[0] != 0 and law.free_stiffness == 0.0
+def differentiate_torques(law, command, feedforward, struct, model, data, work, by):
+    """Add the derivatives of the torques, after those of the commanded motion; returns a status.
 
-
-@kernel
-def differentiate_torques(law, command, struct, data, work, by):
-    """Add the derivatives of the torques, after those of the commanded motion; returns a status."""
+    ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
+    """
     motion, excess = open_equations(by.motion), open_equations(by.excess)
     for i in range(law.wrenches_of_arms.shape[0]):
         status = differentiate_press(i, law, struct, data, work, by)
@@ -129,6 +127,8 @@ def differentiate_torques(law, command, struct, data, work, by):
         for j in range(n):
             clear(by.preferred[j])
             by.preferred[j, rates + j] = -law.free_rate
+        if status == OK and law.free_stiffness > 0.0:
+            status = differentiate_hold(i, law, command, feedforward, model, data, work, by)
         if status == OK:
             status = add_motion_derivatives(data, work, i, motion, excess, by)
     return status
@@ -140,7 +140,7 @@ def begin(law, command, data, work, by):
 
     Returns whether there is a closed form.
     """
-    if not has_closed_form(law, command):
+    if command.independent[0] == 0:
         return False
     copy(data.control.object_wrench, by.twist)
     for k in range(data.rows.Wo.shape[0]):

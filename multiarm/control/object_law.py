@@ -43,6 +43,7 @@ class ObjectCommand(NamedTuple):
     a_j: Floats1  # (n,) the nearest ones that the joints allow
     target: Floats1  # (N,) of these: W^T q''
     multipliers: Floats1  # (N,) M (q'' - preferred) = W multipliers
+    held: Floats2  # (arms, 6) multipliers of the accelerations that hold poses, world axes
     independent: Ints1  # (1,) whether every arm's targets are
     derivatives: PreparedDerivatives
 
@@ -56,6 +57,7 @@ class ObjectCommand(NamedTuple):
             a_j=np.zeros(joints),
             target=np.zeros(contacts),
             multipliers=np.zeros(contacts),
+            held=np.zeros((len(data.model.layout.dofs) - 1, 6)),
             independent=np.zeros(1, dtype=np.int64),
             derivatives=PreparedDerivatives(),
         )

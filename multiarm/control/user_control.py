@@ -89,6 +89,7 @@ def user_program(control: Control, context: ControlContext) -> ControlProgram:
         It is no program, or laws cannot be called.
     """
     from multiarm.control.program import ControlProgram
+    from multiarm.dynamics.arrays import CARRYING
     from multiarm.dynamics.control_laws import ControlLaw
 
     who = f"control kind {control.kind!r}: build()"
@@ -104,6 +105,11 @@ def user_program(control: Control, context: ControlContext) -> ControlProgram:
                 f"multiarm.control.ControlLaw(kernel, numbers), with a NamedTuple of its numbers"
             )
         law.require_usable(who)
+    if program.reach == CARRYING and program.laws and program.laws[-1].share_derivative is None:
+        raise ModelError(
+            f"{who} returned a program with `reach=CARRYING` whose last law does not say what its "
+            f"arms share; give the law a `share_derivative`, or leave `reach` out"
+        )
     return program
 
 

@@ -36,11 +36,13 @@ from multiarm.jit.structs import (
 
 # Columns of ``Constants.control``, ``sampled`` and ``effects``: address of a function, index of its
 # first number or array in the system's struct, address of its derivative (0: none); of effects,
-# whether it is a user's that knows the state alone.
+# whether it is a user's that knows the state alone; of laws, address of the derivative in which
+# what the arms share is fixed (0: none).
 ADDRESS, NUMBERS_AT, DERIVATIVE, STATE_ALONE = range(4)
+SHARE_DERIVATIVE = STATE_ALONE
 
-# What the torques of an arm's drives depend on: the time, also the state of this arm, also its
-# share of the weight of the object where gravity compensation is the last law, anything.
+# What the torques of an arm's drives depend on: the time, also the state of this arm, also the
+# numbers that all arms share by the last law, anything.
 OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
 
 
@@ -70,9 +72,9 @@ class Constants(NamedTuple):
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
-    # (k, 3) the control laws by columns from ``ADDRESS`` on, see multiarm.dynamics.control_laws
+    # (k, 4) the control laws by columns from ``ADDRESS`` on, see multiarm.dynamics.control_laws
     control: Ints2
-    # (k, 3) the laws of a control that is sampled; whether its torques act one sample later, see
+    # (k, 4) the laws of a control that is sampled; whether its torques act one sample later, see
     # multiarm.dynamics.held_control
     sampled: Ints2
     sample_delay: Flag
@@ -162,7 +164,10 @@ def call_listed(table, k, struct, data):
 
 
 @inlined
-def call_derivative(table, k, struct, data):
-    """Call the derivative of function ``k``; returns a status.  One that cannot fail returns 0."""
+def call_derivative(table, k, column, struct, data):
+    """Call the derivative of function ``k`` in a column; returns a status.
+
+    One that cannot fail returns 0.
+    """
     at = float(table[k, NUMBERS_AT])
-    return min(call_cfunc(table[k, DERIVATIVE], struct, at, data.time.now), OK)
+    return min(call_cfunc(table[k, column], struct, at, data.time.now), OK)

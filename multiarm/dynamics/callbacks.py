@@ -161,7 +161,7 @@ class PythonControl:
     @property
     def laws(self) -> np.ndarray:
         """``Constants.control``."""
-        return np.array([[address_of(call_controller), 0, 0]], dtype=np.int64)
+        return np.array([[address_of(call_controller), 0, 0, 0]], dtype=np.int64)
 
     def connect(self, layout: Layout, variables: Variables) -> UserCallback:
         """The callback that writes the torques."""

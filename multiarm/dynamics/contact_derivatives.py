@@ -46,6 +46,7 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
 from multiarm.contacts.table import AXIS, COMBINED, JOINT, KIND, POINT, SURFACE_BODY
+from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import clear, inlined, kernel, plain
 from multiarm.jit.rows import offset_of
@@ -65,7 +66,6 @@ from multiarm.jit.vectors import (
 
 # Displacement of a difference [m, rad]: a hundredth of the smallest radius that a finger has.
 STEP = 1e-4
-OFFSETS = (-2.0, -1.0, 1.0, 2.0)
 # Columns of a row's derivatives: a displacement of the seen motion; the pose again, for gap rates.
 RATE_BY_POSE, SLOPES_WIDTH = DISPLACEMENT_WIDTH, DISPLACEMENT_WIDTH + 6
 SHIFT, VELOCITY, ACCELERATION = (
@@ -108,12 +108,6 @@ def column_of_state(at, columns, d0, c):
     return at.rates + d0 + c - columns.velocities
 
 
-@plain
-def difference_weight(offset):
-    """Weight of the value at an offset in a difference of order four [1/m, 1/rad]."""
-    return (8.0 if abs(offset) < 1.5 else -2.0) / (12.0 * STEP * offset)
-
-
 @kernel
 def differentiate_joint(model, data, first, last, columns, gaps, work):
     """Write what the equations of an arm take from its joint, rows ``first`` to ``last``.
@@ -130,18 +124,9 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
         differentiate_flat_rows(model, first, last, work)
     else:
         differentiate_rows(model, data, first, last, work)
-    of_body, of_link, by = scratch[OF_BODY], scratch[OF_LINK], scratch[OF_SEEN]
+    of_body, by = scratch[OF_BODY], scratch[OF_SEEN]
     for c in range(columns.end):
-        clear(of_body)
-        clear(of_link)
-        if c < columns.positions:
-            of_body[c] = 1.0
-        elif c < columns.placement:
-            for j in range(DISPLACEMENT_WIDTH):
-                of_link[j] = work.moved[c - columns.positions, j]
-        else:
-            displace_contacts(link, c - columns.placement, of_link)
-        write_seen_displacement(body, link, seen, of_body, of_link, by)
+        write_column_displacement(columns, c, seen, work)
         for k in range(first, last):
             total = rate = 0.0
             for j in range(DISPLACEMENT_WIDTH):
@@ -158,6 +143,22 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
     write_wrench_on_bodies(
         body, scratch[SEEN], wrench[6], work.on_object[columns.end], work.on_link[columns.end]
     )
+
+
+@kernel
+def write_column_displacement(columns, c, seen, work):
+    """Write how object and link, and the link as the object sees it, are displaced in a column."""
+    of_body, of_link = work.scratch[OF_BODY], work.scratch[OF_LINK]
+    clear(of_body)
+    clear(of_link)
+    if c < columns.positions:
+        of_body[c] = 1.0
+    elif c < columns.placement:
+        for j in range(DISPLACEMENT_WIDTH):
+            of_link[j] = work.moved[c - columns.positions, j]
+    else:
+        displace_contacts(work.link, c - columns.placement, of_link)
+    write_seen_displacement(work.body, work.link, seen, of_body, of_link, work.scratch[OF_SEEN])
 
 
 @kernel
@@ -230,10 +231,10 @@ def differentiate_rows(model, data, first, last, work):
         by.acceleration, by.spin_rate = scale(-1.0, e), scale(-1.0, turn)
     add_wrench(model, rows, first, last, work.force, 1.0, wrench[6])
     for axis in range(6):
-        for offset in OFFSETS:
-            displace(motion, axis, offset * STEP, moved)
+        for point in range(len(CENTRAL_4.offsets)):
+            displace(motion, axis, CENTRAL_4.offsets[point] * STEP, moved)
             write_rows_at(model, data, first, last, moved, work)
-            weight = difference_weight(offset)
+            weight = CENTRAL_4.weights[point] / STEP
             for k in range(first, last):
                 slopes[k, SHIFT + axis] += weight * rows[k, GAP_BIAS]
                 slopes[k, RATE_BY_POSE + axis] += weight * rows[k, GAP_RATE]

@@ -39,6 +39,14 @@ of the law's torques to ``data.slopes.torque`` (n, columns), by the columns of
 
     ControlLaw(pull, Spring(stiffness), differentiate_pull)
 
+*What arms share.*  Where a law distributes a wrench over the arms, the torques of each are a
+function of its own state and the object's, and of six numbers s that all arms share, determined by
+six equations :math:`F_s = \sum_i r_i - w = 0`, in which :math:`r_i` is a function of the state of
+one arm and the object's, and of s.  The last law of a control that is ``CARRYING``
+(:class:`multiarm.control.program.ControlProgram`) states a *share derivative*: it adds the
+derivatives of its torques at fixed s, and those by s, to ``data.slopes.torque``, and the
+derivatives of :math:`F_s` to ``data.slopes.share`` (6, columns).
+
 *Its work*, where it has any, is a ``NamedTuple`` of arrays that it writes.  Each
 :class:`multiarm.dynamics.model.Data` has its own, made by the classmethod ``of(data)``; they follow
 the numbers in the struct, and the law opens them by :func:`view_of_work`.
@@ -61,7 +69,7 @@ from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import make_struct, misfit, struct_of, view_at
 
 # ``Constants.control`` without a law.
-NO_CONTROL = np.zeros((0, 3), dtype=np.int64)
+NO_CONTROL = np.zeros((0, 4), dtype=np.int64)
 
 
 def view_of_law(holder: type) -> Callable[[Any, Any], Any]:
@@ -108,6 +116,8 @@ class ControlLaw:
         What it writes, see above.
     prepare : callable, optional
         ``prepare(data, work)``, called before derivatives are taken: makes what these need.
+    share_derivative : Kernel, optional
+        Like ``derivative``, at fixed shared numbers, see above.
     """
 
     kernel: Kernel
@@ -115,6 +125,7 @@ class ControlLaw:
     derivative: Kernel | None = None
     work: Any = None
     prepare: Callable[[Any, Any], None] | None = None
+    share_derivative: Kernel | None = None
 
     @cached_property
     def struct(self) -> np.ndarray:
@@ -123,7 +134,7 @@ class ControlLaw:
 
     def require_usable(self, who: str) -> None:
         """Raise a ``ModelError`` where kernels could not be called, or read what is not there."""
-        for kernel in (self.kernel, self.derivative or self.kernel):
+        for kernel in filter(None, (self.kernel, self.derivative, self.share_derivative)):
             if not isinstance(kernel, Kernel) or not kernel.is_called_by_address:
                 raise ModelError(f"{who} returned a law that is no `multiarm.jit.kernels.cfunc`")
         if isinstance(self.numbers, tuple) and not self.numbers:
@@ -146,7 +157,8 @@ def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:
     """``Constants.control``; ``first`` is the place of the first law's numbers in the struct."""
     rows, at = [], first
     for law in laws:
-        derivative = 0 if law.derivative is None else address_of(law.derivative)
-        rows.append((address_of(law.kernel), at, derivative))
+        derivatives = (law.derivative, law.share_derivative)
+        addresses = (0 if kernel is None else address_of(kernel) for kernel in derivatives)
+        rows.append((address_of(law.kernel), at, *addresses))
         at += len(law.numbers) + (0 if law.work is None else len(law.work._fields))
-    return np.array(rows, dtype=np.int64).reshape(-1, 3)
+    return np.array(rows, dtype=np.int64).reshape(-1, 4)

@@ -120,7 +120,7 @@ class ForceColumns(NamedTuple):
     rates: int
     states: int  # of effects
     time: int
-    share: int  # six of s, see multiarm.integration.arm_blocks
+    share: int  # six of s, see multiarm.dynamics.control_laws
     end: int
 
 
@@ -169,6 +169,18 @@ def places_in_chart(velocities, joints, states):
     """The places for numbers of velocities, joints among them, and states of effects."""
     end = 2 * velocities  # of the velocity
     return Places(velocities - joints, velocities, end - joints, end, end + states)
+
+
+@plain
+def place_in_chart(columns, places, column):
+    """Place in a chart's vector of a column of the state, of :class:`StateColumns` or the like."""
+    if column < columns.twists:
+        return column
+    if column < columns.positions:
+        return places.velocity + column - columns.twists
+    if column < columns.rates:
+        return places.joints + column - columns.positions
+    return places.rates + column - columns.rates
 
 
 @plain

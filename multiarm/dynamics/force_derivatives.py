@@ -5,15 +5,11 @@ They are what laws and effects state (:mod:`multiarm.dynamics.effect_kernels`,
 of the control come to the first actuator, and what this makes of them to the next one; so do their
 derivatives, ``data.slopes.torque``.  All other derivatives are those of one effect at a time,
 ``data.slopes.force``.  Columns are those of the state, then the effects' states, the time, and the
-wrench s that gravity compensation distributes (:mod:`multiarm.integration.arm_blocks`).
+numbers that arms share (:mod:`multiarm.dynamics.control_laws`).
 
-*Differences* are of order four, or of order one where many evaluations cost more than an error is
-worth,
-
-.. math::
-    f' = \frac{8 (f_1 - f_{-1}) - f_2 + f_{-2}}{12 h} \quad\text{or}\quad \frac{f_1 - f_0}{h} .
-
-An actuator is displaced along the derivatives of the torques that come to it.  Where forces are
+*Differences* (:mod:`multiarm.geometry.differences`) are of order four, or of order one where many
+evaluations cost more than an error is worth; those by the time look forward, with order two.  An
+actuator is displaced along the derivatives of the torques that come to it.  Where forces are
 *local*, those on an arm by its own state and those on the object by the object's, joint number j of
 all arms is displaced at once.  Functions of users know the state alone: for them no kinematics are
 computed.
@@ -24,19 +20,22 @@ rule.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from multiarm.dynamics.arrays import (
     DERIVATIVE,
     OPEN_LOOP,
+    SHARE_DERIVATIVE,
     STATE_ALONE,
     call_derivative,
     call_listed,
     open_data,
     open_system,
 )
-from multiarm.dynamics.contact_derivatives import OFFSETS, STEP, difference_weight
-from multiarm.dynamics.coordinates import chart_places, force_columns, retract
+from multiarm.dynamics.contact_derivatives import STEP
+from multiarm.dynamics.coordinates import chart_places, force_columns, place_in_chart, retract
 from multiarm.dynamics.equations import (
     command_torques,
     control_torques,
@@ -49,7 +48,8 @@ from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import HELD
-from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, inlined, kernel
+from multiarm.geometry.differences import CENTRAL_4, FORWARD_1, FORWARD_2
+from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Flag, Float, Int, Numbers, struct_at
 
@@ -142,7 +142,8 @@ def differentiate_forces(struct, differences, powers, gather, out):
     ``gather(out, data, work, power, of_drives)``, a kernel, as they stand in the data: in
     ``slopes.torque`` (``of_drives``) or ``slopes.force``.  ``power`` is the place of the power of
     these forces, -1 without; ``powers`` are those of the effects, the last one is that of all.
-    What is in ``slopes.torque`` before belongs to the control laws beyond ``differences.laws``.
+    Laws beyond ``differences.laws`` are differentiated at fixed numbers that arms share, and the
+    equations for these in ``slopes.share``.
     """
     model, data, work = open_system(struct)
     controlled, status, total = model.control.shape[0] > 0, OK, data.effects.power.size - 1
@@ -236,6 +237,9 @@ def differentiate_control(struct, differences):
     act(struct, differences, CONTROL, model, data, work)
     for k in range(differences.laws, model.control.shape[0]):
         call_listed(model.control, k, struct, data)
+        if status == OK:
+            clear_table(data.slopes.share)
+            status = call_derivative(model.control, k, SHARE_DERIVATIVE, struct, data)
     return status
 
 
@@ -246,7 +250,7 @@ def differentiate_laws(struct, differences, model, data):
     of_laws = struct_at(data.modes.closed, 0) if data.modes.active else struct
     for k in range(differences.laws):
         if status == OK:
-            status = call_derivative(model.control, k, of_laws, data)
+            status = call_derivative(model.control, k, DERIVATIVE, of_laws, data)
     return status
 
 
@@ -271,7 +275,7 @@ def differentiate_effect(struct, differences, k):
     stated = model.effects[k, DERIVATIVE] != 0
     clear_slopes(model, data, work, differences.local, data.slopes.force, first)
     if stated:
-        status = call_derivative(model.effects, k, struct, data)
+        status = call_derivative(model.effects, k, DERIVATIVE, struct, data)
     by_time = differences.time_change > 0.0 and not actuates(model, k)
     if status == OK and (not stated or by_time):
         status = add_differences(struct, differences, k, not stated)
@@ -340,6 +344,16 @@ def act(struct, differences, k, model, data, work):
 # --- differences ---------------------------------------------------------------------------------
 
 
+class Undisplaced(NamedTuple):
+    """The values of what differences displace."""
+
+    configuration: np.ndarray
+    velocity: np.ndarray
+    states: np.ndarray
+    torque: np.ndarray
+    time: float
+
+
 @allocating
 def add_differences(struct, differences, k, by_state):
     """Add derivatives of one effect, or of the control, by the time, and ``by_state`` by all else.
@@ -347,89 +361,104 @@ def add_differences(struct, differences, k, by_state):
     They are written to ``data.slopes.force``, also those of torques.  Returns a status.
     """
     model, data, work = open_system(struct)
-    at, places = force_columns(data), chart_places(data)
-    configuration, velocity = data.state.configuration.copy(), data.state.velocity.copy()
-    inner, torque, now = data.effects.states.copy(), data.control.torque.copy(), data.time.now
-    of_torques = k != CONTROL and actuates(model, k)
-    needs_kinematics = not knows_state_alone(model, data, k)
-    direction, displacement = np.zeros(at.end), np.zeros(velocity.size)
-    columns = np.zeros(velocity.size + inner.size, dtype=np.int64)
-    base = np.zeros(columns.size)
+    at, first, state = force_columns(data), chart_places(data).joints, data.state
+    start = Undisplaced(
+        state.configuration.copy(), state.velocity.copy(), data.effects.states.copy(),
+        data.control.torque.copy(), data.time.now,
+    )  # fmt: skip
+    of_drives = k != CONTROL and actuates(model, k)
+    of_torques, moves = of_drives or k == CONTROL, not knows_state_alone(model, data, k)
+    columns = np.zeros(start.velocity.size + start.states.size, dtype=np.int64)
+    direction, offsets, weights = np.zeros(2 * start.velocity.size), np.empty(4), np.empty(4)
+    base, value, status = np.zeros(columns.size), np.zeros(columns.size), OK
     act(struct, differences, k, model, data, work)
-    read_forces(data, of_torques or k == CONTROL, places.joints, base)
-    value, status, moved = np.zeros(columns.size), OK, False
+    read_forces(data, of_torques, first, base)
     for column in range(at.end):
-        of_time, of_state = column == at.time, column < at.time
-        if of_time and differences.time_change == 0.0:
+        wanted = by_state and (column < at.time or of_drives)
+        if column == at.time:
+            wanted = differences.time_change > 0.0
+        if wanted:
+            wanted = choose_columns(differences, column, model, data, work, columns, direction)
+        if not wanted:
             continue
-        if not of_time and not (by_state and (of_state or of_torques)):
-            continue
-        if not choose_columns(model, work, differences, at, column, columns, direction):
-            continue
-        for l in range(places.joints):
-            displacement[l] = direction[l]
-        for j in range(data.state.joint_positions.size):
-            displacement[places.joints + j] = direction[at.positions + j]
-        change, points = CHANGE, 1
-        if of_time:
-            change, points = differences.time_change, 2
-        elif differences.order == 4:
-            change, points = STEP, 4
-        elif at.twists <= column < at.positions or at.rates <= column < at.states:
-            change *= max(1.0, np.max(np.abs(velocity)))
-        elif at.states <= column < at.time:
-            change *= max(1.0, np.max(np.abs(inner)))
-        for point in range(points):
-            offset, weight = change, 1.0 / change
-            if of_time:
-                offset, weight = (point + 1.0) * change, (2.0 if point == 0 else -0.5) / change
-            elif points == 4:
-                offset = OFFSETS[point] * change
-                weight = difference_weight(OFFSETS[point])
-            if column < at.states:
-                moved = needs_kinematics
-                retract(
-                    data.state.poses.shape[0],
-                    configuration,
-                    offset,
-                    displacement,
-                    data.state.configuration,
-                )
-                for l in range(velocity.size):
-                    rate = at.twists + l if l < places.joints else at.rates + l - places.joints
-                    data.state.velocity[l] = velocity[l] + offset * direction[rate]
-                if needs_kinematics and differences.local and column < at.positions:
-                    object_terms(model, data)
-                elif needs_kinematics:
-                    differences.evaluations += 1
-                    status = update_kinematics(struct)
-            elif column < at.time:
-                data.effects.states[column - at.states] = inner[column - at.states] + offset
-            elif of_time:
-                data.time.now = now + offset
-            for j in range(torque.size):
-                row = columns[places.joints + j]
-                data.control.torque[j] = torque[j]
-                if of_torques and row >= 0:
-                    data.control.torque[j] += offset * data.slopes.torque[j, row]
+        for point in range(write_points(differences, at, column, start, offsets, weights)):
+            status = displace(
+                struct, differences, column, offsets[point], direction, moves, start, data
+            )
+            for j in range(start.torque.size if of_drives else 0):
+                row = columns[first + j]
+                data.control.torque[j] = start.torque[j]
+                if row >= 0:
+                    data.control.torque[j] += offsets[point] * data.slopes.torque[j, row]
             if status == OK:
                 act(struct, differences, k, model, data, work)
             if data.status.failed:
                 status = CALLBACK_FAILED
-            read_forces(data, of_torques or k == CONTROL, places.joints, value)
+            read_forces(data, of_torques, first, value)
             for i in range(columns.size):
                 if columns[i] >= 0:
-                    data.slopes.force[i, columns[i]] += weight * (value[i] - base[i])
+                    change = weights[point] * (value[i] - base[i])
+                    data.slopes.force[i, columns[i]] += change
             if status != OK:
                 break
-        copy(configuration, data.state.configuration)
-        copy(velocity, data.state.velocity)
-        copy(inner, data.effects.states)
-        data.time.now = now
+        copy(start.configuration, data.state.configuration)
+        copy(start.velocity, data.state.velocity)
+        copy(start.states, data.effects.states)
+        data.time.now = start.time
         if status != OK:
             break
-    copy(torque, data.control.torque)
-    if moved and status == OK:
+    copy(start.torque, data.control.torque)
+    if by_state and moves and status == OK:
+        differences.evaluations += 1
+        status = update_kinematics(struct)
+    return status
+
+
+@kernel
+def write_points(differences, at, column, start, offsets, weights):
+    """Write the displacements of a column and the weights of their values; returns their number."""
+    if column == at.time:
+        return scale_stencil(FORWARD_2, differences.time_change, offsets, weights)
+    if differences.order == 4:
+        return scale_stencil(CENTRAL_4, STEP, offsets, weights)
+    change = CHANGE
+    if at.twists <= column < at.positions or at.rates <= column < at.states:
+        change *= max(1.0, greatest(start.velocity))
+    elif at.states <= column < at.time:
+        change *= max(1.0, greatest(start.states))
+    return scale_stencil(FORWARD_1, change, offsets, weights)
+
+
+@inlined
+def scale_stencil(stencil, step, offsets, weights):
+    """Write the points of a stencil for a step; returns their number."""
+    for point in range(len(stencil.offsets)):
+        offsets[point] = stencil.offsets[point] * step
+        weights[point] = stencil.weights[point] / step
+    return len(stencil.offsets)
+
+
+@kernel
+def displace(struct, differences, column, offset, direction, moves, start, data):
+    """Displace the state, an effect's state or the time by an offset; returns a status.
+
+    ``moves``: with the kinematics, of the object alone where forces are local.
+    """
+    at, places, status = force_columns(data), chart_places(data), OK
+    if column == at.time:
+        data.time.now = start.time + offset
+    elif at.states <= column < at.time:
+        entry = column - at.states
+        data.effects.states[entry] = start.states[entry] + offset
+    if column >= at.states:
+        return status
+    frames = data.state.poses.shape[0]
+    retract(frames, start.configuration, offset, direction, data.state.configuration)
+    for l in range(start.velocity.size):
+        data.state.velocity[l] = start.velocity[l] + offset * direction[places.velocity + l]
+    if moves and differences.local and column < at.positions:
+        object_terms(open_system(struct)[0], data)
+    elif moves:
         differences.evaluations += 1
         status = update_kinematics(struct)
     return status
@@ -454,19 +483,20 @@ def read_forces(data, torques, joints, out):
 
 
 @inlined
-def choose_columns(model, work, differences, at, column, columns, direction):
-    """Write which entries of the state are displaced, and the column of each row, -1 without.
+def choose_columns(differences, column, model, data, work, columns, direction):
+    """Write which positions and velocities are displaced, and the column of each row, -1 without.
 
     It is one column, or, where forces are local, a joint's of the longest arm and those of the
     joints of this number of all others.  Returns False for columns that come with others.
     """
+    at, places = force_columns(data), chart_places(data)
     clear(direction)
-    joints = columns.size - (at.time - at.states) - at.twists
     of_joint = at.positions <= column < at.states
     if not (differences.local and of_joint):
-        direction[column] = 1.0
         for i in range(columns.size):
             columns[i] = column
+        if column < at.states:
+            direction[place_in_chart(at, places, column)] = 1.0
         return True
     first, longest = at.positions if column < at.rates else at.rates, 0
     for i in range(work.dofs.size - 1):
@@ -481,10 +511,10 @@ def choose_columns(model, work, differences, at, column, columns, direction):
         if number >= work.dofs[i + 1] - work.dofs[i]:
             continue
         moved = first + work.dofs[i] + number
-        direction[moved] = 1.0
+        direction[place_in_chart(at, places, moved)] = 1.0
         for j in range(work.dofs[i], work.dofs[i + 1]):
-            columns[at.twists + j] = moved
+            columns[places.joints + j] = moved
         for s in range(model.state_joints.size):
             if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
-                columns[at.twists + joints + s] = moved
+                columns[places.velocity + s] = moved
     return True

@@ -25,6 +25,7 @@ import numpy as np
 from multiarm.dynamics.arrays import (
     CARRYING,
     COUPLED,
+    DERIVATIVE,
     OPEN_LOOP,
     Constants,
     call_derivative,
@@ -71,8 +72,8 @@ class Sampling:
 
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
-    derivative = address_of(differentiate_held_torques) if laws[:, 2].all() else 0
-    row, reach = [address_of(hold_torques), 0, derivative], constants.control_reach
+    derivative = address_of(differentiate_held_torques) if laws[:, DERIVATIVE].all() else 0
+    row, reach = [address_of(hold_torques), 0, derivative, 0], constants.control_reach
     if not len(laws):
         reach = OPEN_LOOP
     elif reach == CARRYING:  # the last law is another one now
@@ -113,5 +114,5 @@ def differentiate_held_torques(address, size, _at, _t):
     status = OK
     for k in range(model.sampled.shape[0] if data.control.sampling.due != HELD else 0):
         if status == OK:
-            status = call_derivative(model.sampled, k, struct, data)
+            status = call_derivative(model.sampled, k, DERIVATIVE, struct, data)
     return status

@@ -14,6 +14,10 @@ a second one is a mean over 8 points around x, conjugate in pairs,
 
 Central differences combine values at :math:`x \pm k h, k = 1..4`, with an error of order
 :math:`h^8` too.
+
+Kernels take differences by stencils,
+
+.. math:: f'(x) \approx \frac1h \sum_k w_k\, (f(x + o_k h) - f(x)) .
 """
 
 from __future__ import annotations
@@ -22,12 +26,26 @@ import threading
 import warnings
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.errors import USER_FAULTS, ModelError
 
 UserFunction = Callable[[np.ndarray], np.ndarray]
+
+
+class Stencil(NamedTuple):
+    """Where a difference takes values, and their weights."""
+
+    offsets: tuple[float, ...]  # in steps h
+    weights: tuple[float, ...]  # times h
+
+
+# With errors of order h, h^2 and h^4.
+FORWARD_1 = Stencil((1.0,), (1.0,))
+FORWARD_2 = Stencil((1.0, 2.0), (2.0, -0.5))
+CENTRAL_4 = Stencil((-2.0, -1.0, 1.0, 2.0), (1.0 / 12.0, -2.0 / 3.0, 2.0 / 3.0, -1.0 / 12.0))
 
 # Central differences of order 8, and the mean over a circle; steps and radius are fractions of the
 # function's length scale.  Rounding errors weigh more in a second derivative.

@@ -44,6 +44,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
+from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.screws import skew
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
@@ -62,7 +63,6 @@ NEWTON_STEPS = 2
 # Changes by four displacements are those of a smooth function when they agree to this part, or to
 # what closing the joints leaves of the start [m, rad] and of its accelerations, relative to these.
 UNEVEN, START_ROUNDINGS, ACCELERATION_ROUNDINGS = 0.1, 1e-9, 1e-5
-OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
 
 
 class VariationalEquation(NamedTuple):
@@ -176,7 +176,7 @@ class Parameter:
         self._system, step = system, PART * self.size
         self._systems = {
             weight / step: _with_value(system, path, value + offset * step)
-            for offset, weight in OFFSETS.items()
+            for offset, weight in zip(*CENTRAL_4, strict=True)
         }
 
     def of_start(self, t: float, state: State | None) -> np.ndarray:

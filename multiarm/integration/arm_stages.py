@@ -3,7 +3,7 @@ r"""The linear systems of a Rosenbrock method's stages, arm by arm: linear in th
 With the blocks A, B, U of :mod:`multiarm.integration.arm_blocks`, a stage has the unknowns
 :math:`k_i`, the rates of an arm's velocities and effects' states, those of the object :math:`k_o`,
 and :math:`\alpha`, the derivatives along the stage of what all arms share: the object's
-acceleration, and s where the control carries the weight.  With R of
+acceleration, and the numbers that they share by a control law.  With R of
 :mod:`multiarm.integration.rosenbrock`, right-hand sides r (x: of the object's pose, q: of the
 joints' positions) and the first six of :math:`\alpha`, these rates are functions of the others,
 

@@ -44,15 +44,8 @@ from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.force_derivatives import prepare_derivatives
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import NOT_FINITE, OK, SINGULAR
-from multiarm.integration.arm_blocks import (
-    ArmBlocks,
-    acts_locally,
-    differentiate_arms,
-    is_regular,
-    make_arm_blocks,
-    share_weight,
-    write_time_slope,
-)
+from multiarm.integration.arm_blocks import ArmBlocks, acts_locally, is_regular, make_arm_blocks
+from multiarm.integration.arm_derivatives import differentiate_arms, write_time_slope
 from multiarm.integration.arm_stages import factor_stages, solve_arm_stage
 from multiarm.integration.full_matrix import (
     FullMatrix,
@@ -175,7 +168,7 @@ def differentiate_anew(step, work, blocks, full, t, h):
     if status != OK:
         return status
     by_arms = not projected and acts_locally(step) and is_regular(step.system)
-    if by_arms and share_weight(step.system, blocks):
+    if by_arms:
         status = differentiate_arms(step, blocks, t, h)
         if status != SINGULAR:
             blocks.used[0] = 1

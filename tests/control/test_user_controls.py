@@ -14,7 +14,14 @@ from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
 
 import multiarm as ma
-from multiarm.control import ControlLaw, ControlProgram, force_columns, open_data, view_of_law
+from multiarm.control import (
+    CARRYING,
+    ControlLaw,
+    ControlProgram,
+    force_columns,
+    open_data,
+    view_of_law,
+)
 from multiarm.control.laws import PROGRAMS
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import cfunc
@@ -354,6 +361,7 @@ def pushes_of(torque):
         {"build": lambda self, c: ControlProgram((ControlLaw(push, Pushes(1.0, np.eye(12))),))},
         {"build": lambda self, c: ControlProgram((ControlLaw(push, Pushes("1", np.ones(12))),))},
         {"torques": pull, "faults": lambda self, arms: 1 / 0},
+        {"build": lambda self, c: ControlProgram((ControlLaw(stretch),), reach=CARRYING)},
     ],
 )
 def test_what_a_class_does_wrong_is_one_clear_error(body):

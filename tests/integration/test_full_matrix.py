@@ -11,6 +11,7 @@ from mechanics import (
     chain_urdf,
     first_difference,
     over_floor,
+    panda_trio,
     random_state,
     scene_of,
     ur5_pair,
@@ -30,7 +31,7 @@ from user_classes import empty_registries
 import multiarm as ma
 from multiarm.problems import HARD_CASES
 
-WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
+WELD, BALL, PLANAR = {"kind": "weld"}, {"kind": "ball"}, {"kind": "planar"}
 SPRINGS = {"contact_compliance": {"stiffness": 2e5, "damping": 2e3}}
 END = {"arm": {"shoulder_lift_joint": [-3.0, UR5_POSTURE[1]]}}
 FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
@@ -88,6 +89,14 @@ SCENES = {
     "object impedance that squeezes": lambda tmp: ma.compile_system(
         ur5_pair(
             WELD, WELD, control={"kind": "object_impedance", **SPRING, "squeeze": 30.0}
+        ).replace(**WEIGHT)
+    ),
+    "computed torque that holds poses": lambda tmp: ma.compile_system(
+        ur5_pair(WELD, PLANAR, control={**MOVING, "relative_stiffness": 40.0}).replace(**WEIGHT)
+    ),
+    "object impedance that holds poses": lambda tmp: ma.compile_system(
+        panda_trio(
+            BALL, control={"kind": "object_impedance", **SPRING, "relative_stiffness": 40.0}
         ).replace(**WEIGHT)
     ),
     "gravity compensation beside drives that couple": lambda tmp: coupled(

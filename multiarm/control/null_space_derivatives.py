@@ -1,0 +1,197 @@
+r"""Derivatives of the accelerations that hold an arm's pose (:mod:`multiarm.control.null_space`).
+
+Seen from the object, and in its axes (:mod:`multiarm.dynamics.contact_derivatives`), the link has
+the pose, the velocity :math:`(V, \Omega)` and, with the joint accelerations p that hold the arm,
+the acceleration :math:`(A, \Omega')`.  The joint frame, m from the link's origin, obeys
+
+.. math::
+    e = \begin{bmatrix} A + \Omega'\times m + \Omega\times(\Omega\times m)
+    + \delta\,(V + \Omega\times m) + k x \\ \Omega' + \delta\,\Omega + k\,\theta
+    \end{bmatrix} = 0 ,
+
+without feedforward with A and :math:`\Omega'` of an arm at rest at an object at rest.  Of such
+accelerations p are the nearest to :math:`p_0 = -\delta\dot q`, so that with
+:math:`J = \partial e / \partial p`, and the multipliers :math:`\kappa` in axes of the object,
+
+.. math::
+    \begin{bmatrix} M & -J^T \\ J & 0 \end{bmatrix} \begin{bmatrix} dp \\ d\kappa \end{bmatrix}
+    = \begin{bmatrix} M\,dp_0 - \partial\big(M (p - p_0) - J^T\kappa\big) \\
+    -\partial e \end{bmatrix} .
+
+:math:`M (p - p_0) - J^T\kappa` are the torques of an arm at rest but for these accelerations, with
+the wrench :math:`\kappa` on its link at the joint frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.arms.derivatives import (
+    open_displacement,
+    subtract_torques,
+    write_inverse_dynamics,
+    write_motions,
+)
+from multiarm.contacts.joint import open_frames
+from multiarm.contacts.motion import motion_relative_to, open_body
+from multiarm.dynamics.contact_derivatives import (
+    OF_SEEN,
+    SEEN,
+    arm_columns,
+    write_column_displacement,
+    write_seen_motion,
+)
+from multiarm.dynamics.equation_derivatives import AT_REST, open_equations, open_links, write_body
+from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.dynamics.status import OK, SINGULAR
+from multiarm.jit.kernels import allocating, kernel
+from multiarm.jit.vectors import (
+    add,
+    add_cross,
+    add_scaled,
+    compose,
+    cross,
+    put,
+    rotate,
+    rotate_back,
+    rotation_vector,
+    scale,
+    sub,
+    vec,
+)
+from multiarm.spatial import write_chart_rate
+
+
+@allocating
+def differentiate_hold(i, law, command, feedforward, model, data, work, by):
+    """Write the derivatives of the accelerations that hold arm i into ``by.preferred``.
+
+    ``by`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
+    """
+    d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    own, frame, arm = arm_columns(n, False), model.joint_frames[i], open_equations(by.excess)
+    M, held = open_equations(by.motion).M[i], command.preferred
+    K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, own.end))
+    pivots, turn_rate = np.zeros(n + 6, dtype=np.int64), np.empty(3)
+    for j in range(n):
+        damped = -law.free_rate * data.state.joint_rates[d0 + j]
+        arm.v[d0 + j], arm.a_j[d0 + j] = 0.0, held[d0 + j] - damped
+        for k in range(n):
+            K[j, k] = M[j, k]
+            X[j, own.velocities + k] = -law.free_rate * M[j, k]
+    write_body(data, AT_REST, AT_REST, arm)
+    write_arm(i, data, by)
+    subtract_torque_slopes(i, own, frame, command.held[i], by, X)
+    for j in range(n):
+        arm.a_j[d0 + j] = held[d0 + j]
+    if not feedforward:
+        write_arm(i, data, by)
+        subtract_slopes(own, frame, 1.0, 0.0, 0.0, turn_rate, by, X[n:])
+    for j in range(n):
+        arm.v[d0 + j] = data.state.joint_rates[d0 + j]
+    write_body(data, data.state.object_twist, command.acceleration, arm)
+    write_arm(i, data, by)
+    of_acceleration = 1.0 if feedforward else 0.0
+    subtract_slopes(
+        own, frame, of_acceleration, law.free_rate, law.free_stiffness, turn_rate, by, X[n:]
+    )
+    write_jacobian(n, frame, arm, K)
+    if not factor_lu(K, n + 6, pivots) > 0.0:
+        return SINGULAR
+    solve_rows(K, n + 6, pivots, X)
+    for j in range(n):
+        for c in range(own.end):
+            by.preferred[j, c] = X[j, c]
+    return OK
+
+
+@kernel
+def write_arm(i, data, by):
+    """Write the motion of an arm's links, and the last one's as the object sees it."""
+    links, arm = open_links(by.excess), open_equations(by.excess)
+    write_motions(
+        links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links, arm.link, arm.moved
+    )
+    seen = motion_relative_to(open_body(arm.link), open_body(arm.body))
+    write_seen_motion(arm.body, arm.link, seen, arm.scratch[SEEN])
+
+
+@kernel
+def subtract_torque_slopes(i, own, frame, multipliers, by, X):
+    """Subtract the derivatives of ``M (p - p_0) - J^T kappa`` from the rows of the joints.
+
+    ``multipliers`` (6,) in world axes.
+    """
+    links, arm = open_links(by.excess), open_equations(by.excess)
+    n = own.velocities - own.positions
+    relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
+    R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
+    force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
+    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_link[own.end])
+    write_inverse_dynamics(links, i, arm.on_link[own.end], arm.links, arm.by_q, arm.by_v)
+    for j in range(n):
+        for k in range(n):
+            X[j, own.positions + k] -= arm.by_q[j, k]
+    for c in range(own.velocities):
+        write_column_displacement(own, c, relative, arm)
+        turn = open_displacement(arm.scratch[OF_SEEN]).turn
+        opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
+        put_wrench(frame, opposite[0], opposite[1], arm.on_link[c])
+        subtract_torques(n, arm.on_link[c], arm.links, X, c)
+
+
+@kernel
+def put_wrench(frame, force, moment, out):
+    """Write a wrench at the joint frame as one about the link's origin, both in the link's axes."""
+    put(out, 0, force)
+    put(out, 3, add_cross(moment, open_frames(frame).origin_on_link, force))
+
+
+@kernel
+def subtract_slopes(own, frame, of_acceleration, rate, stiffness, turn_rate, by, X):
+    """Subtract the derivatives of e, its accelerations times ``of_acceleration``, from its rows.
+
+    ``turn_rate`` (3,) is scratch.
+    """
+    arm, frames = open_equations(by.excess), open_frames(frame)
+    seen, displacement = open_body(arm.scratch[SEEN]), open_displacement(arm.scratch[OF_SEEN])
+    R_o, R, w, w_rate = open_body(arm.body).rotation, seen.rotation, seen.spin, seen.spin_rate
+    m, on_arm, G = rotate(R, frames.origin_on_link), compose(R, frames.on_link), frames.on_object
+    turned = rotate_back(G, on_arm[0]), rotate_back(G, on_arm[1]), rotate_back(G, on_arm[2])
+    theta = rotate(G, rotation_vector(turned))
+    relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
+    for c in range(own.end):
+        write_column_displacement(own, c, relative, arm)
+        dw, dm = displacement.spin, cross(displacement.turn, m)
+        velocity = add_cross(add_cross(displacement.velocity, dw, m), w, dm)
+        write_chart_rate(theta, displacement.turn, turn_rate)
+        slide = add_scaled(scale(rate, velocity), stiffness, add(displacement.shift, dm))
+        turn = add_scaled(scale(rate, dw), stiffness, vec(turn_rate, 0))
+        a, alpha = displacement.acceleration, displacement.spin_rate
+        if c < own.positions:  # the acceleration that is commanded to the object changes too
+            a_o = (by.acceleration[0, c], by.acceleration[1, c], by.acceleration[2, c])
+            alpha_o = (by.acceleration[3, c], by.acceleration[4, c], by.acceleration[5, c])
+            alpha_o = rotate_back(R_o, alpha_o)
+            a = sub(a, add_cross(rotate_back(R_o, a_o), alpha_o, seen.origin))
+            alpha = sub(alpha, alpha_o)
+        a = add_cross(add_cross(a, alpha, m), w_rate, dm)
+        a = add_cross(add_cross(a, dw, cross(w, m)), w, add_cross(cross(dw, m), w, dm))
+        slide = add_scaled(slide, of_acceleration, a)
+        turn = add_scaled(turn, of_acceleration, alpha)
+        for k in range(3):
+            X[k, c] -= slide[k]
+            X[3 + k, c] -= turn[k]
+
+
+@kernel
+def write_jacobian(n, frame, arm, K):
+    """Write J, and ``-J^T`` beside the inertia."""
+    R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
+    m = rotate(R, open_frames(frame).origin_on_link)
+    for j in range(n):
+        displacement = open_displacement(arm.moved[n + j])
+        turn = rotate_back(R_o, displacement.spin)
+        slide = add_cross(rotate_back(R_o, displacement.velocity), turn, m)
+        for k in range(3):
+            K[n + k, j], K[n + 3 + k, j] = slide[k], turn[k]
+            K[j, n + k], K[j, n + 3 + k] = -slide[k], -turn[k]

@@ -1,0 +1,276 @@
+r"""Derivatives of the accelerations arm by arm, at a cost linear in the arms.
+
+The accelerations and contact forces :math:`y = (\dot v_o, \ddot q_i, \lambda_i)` of a state ``x``
+solve :math:`F(x, y) = 0` (:mod:`multiarm.dynamics.derivatives`),
+
+.. math::
+    F_i &= M_i \ddot q_i - f_i - W_i \lambda_i, \qquad
+    F_{\varphi i} = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i, \\
+    F_o &= M_o \dot v_o - f_o + \sum_i g_i, \qquad g_i = -W_{oi} \lambda_i ,
+
+so that :math:`dy = -K^{-1}\, \partial F`.  The derivatives of these equations at fixed ``y`` are
+exact (:mod:`multiarm.dynamics.equation_derivatives`), up to those of the forces of control and
+effects, which are as these state them (:mod:`multiarm.dynamics.force_derivatives`).  Where control
+and effects are *local*, an arm's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this arm
+and of the object only, and :math:`f_o` on the object's.
+
+*What arms share by a control law*, six numbers s (:mod:`multiarm.dynamics.control_laws`), are six
+more unknowns: with them an arm's torques are local too, and there are six more equations
+:math:`F_s = \sum_i r_i - w = 0`.
+
+*Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
+:math:`\alpha = d\dot v_o`, and then the object by its mobility,
+
+.. math::
+    d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \alpha, \qquad
+    d\lambda_i = A^\lambda_i\, dx_i + A^\lambda_{oi}\, dx_o + U^\lambda_i\, \alpha, \\
+    \alpha &= \sum_i B_i\, dx_i + B_o\, dx_o, \qquad
+    S = M_o - \sum_i W_{oi} U^\lambda_i, \\
+    B_i &= S^{-1} (W_{oi} A^\lambda_i - \partial g_i), \qquad
+    B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
+          - \partial_o (M_o \dot v_o - f_o)\Big) .
+
+With s the *shared* unknowns are twelve: :math:`\alpha` has ds below it, U the columns of s beside
+its own, S the rows :math:`(0, \partial F_s / \partial s)`, and the right sides of B the rows
+:math:`-\partial r_i, -\sum_i \partial_o r_i`.
+
+*Powers* of local forces are those of the forces on each joint and on the object, so that each arm
+has its own share of them; their derivatives follow by the product rule.
+"""
+
+from __future__ import annotations
+
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.contact_derivatives import arm_columns
+from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
+from multiarm.dynamics.equation_derivatives import (
+    add_drift_feedback,
+    open_equations,
+    write_derivatives,
+)
+from multiarm.dynamics.force_derivatives import (
+    begin_differences,
+    clear_slopes,
+    clear_table,
+    differentiate_forces,
+)
+from multiarm.dynamics.solver.factors import factor_lu, solve_rows
+from multiarm.dynamics.status import NOT_FINITE, OK
+from multiarm.integration.arm_blocks import block_columns
+from multiarm.jit.kernels import clear, inlined, kernel
+
+
+@kernel
+def differentiate_arms(step, blocks, t, h):
+    """Write the derivatives at the beginning of a step, right after its evaluation.
+
+    Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular, ``SINGULAR`` where
+    a law has no derivative at this state.
+    """
+    model, data, work = open_system(step.system)
+    for i in range(blocks.counts.size):
+        clear_table(blocks.derivatives[i])
+        clear_table(blocks.on_object[i])
+    clear_table(blocks.by_object)
+    clear_slopes(model, data, work, 1, data.slopes.torque, 0)
+    status = write_derivatives(step.system, blocks.equations)
+    if status != OK:
+        return status
+    add_drift_feedback(step.system, blocks.equations, step.stage.alpha, step.stage.beta)
+    add_equations(step, blocks)
+    usable, differences = factor_arms(blocks, data, work), blocks.differences
+    begin_differences(model, data, differences, h)
+    status = differentiate_forces(step.system, differences, blocks.powers, gather, blocks)
+    step.stage.evaluations += differences.evaluations
+    if status != OK:
+        return status
+    gather_share(blocks, data, work)
+    return OK if usable and solve_arms(blocks, work) else NOT_FINITE
+
+
+@kernel
+def add_equations(step, blocks):
+    """Add the derivatives of the arms and their contacts."""
+    _, data, work = open_system(step.system)
+    equations, at = open_equations(blocks.equations), block_columns(blocks)
+    of_state = state_columns(data)
+    for l in range(blocks.frames):
+        for c in range(of_state.positions):
+            blocks.by_object[l, c] += equations.dF_o[l, c]
+    for i in range(blocks.counts.size):
+        d0, r0, A, dF = work.dofs[i], work.rows[i], blocks.derivatives[i], equations.dF[i]
+        n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
+        columns = arm_columns(n, False)
+        for c in range(columns.end):
+            column = column_of_block(at, columns, c)
+            for k in range(n + m):
+                A[k, column] += dF[k, c]
+        for l in range(blocks.frames):
+            for j in range(n):
+                blocks.on_object[i, l, j] += equations.dF_o[l, of_state.positions + d0 + j]
+            for k in range(m):
+                blocks.Wo[r0 + k, l] = A[n + k, at.accelerations + l] = data.rows.Wo[r0 + k, l]
+
+
+@inlined
+def column_of_block(at, columns, c):
+    """Place in an arm's block of a column of its equations."""
+    if c < columns.positions:
+        return at.pose + c
+    return c - columns.positions if c < columns.velocities else at.rates + c - columns.velocities
+
+
+# --- forces --------------------------------------------------------------------------------------
+
+
+@kernel
+def gather(blocks, data, work, power, of_drives):
+    """Add the derivatives in the data, of torques of the drives or of one effect, to the blocks.
+
+    ``power`` is the place of the power of these, whose derivatives follow; -1: it does not count.
+    See :func:`multiarm.dynamics.force_derivatives.differentiate_forces`.
+    """
+    total, frames = blocks.works - 1, blocks.frames
+    of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
+    rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
+    slopes = data.slopes.torque if of_drives else data.slopes.force
+    force, first = (data.control.torque, 0) if of_drives else (data.forces.f_j, places.joints)
+    for i in range(blocks.counts.size):
+        A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
+        joints, states = d1 - d0, blocks.counts[i]
+        for c in range(2 * joints + states + 2 * frames + 1 + blocks.shared - frames):
+            if c < joints:
+                source, column = of_forces.positions + d0 + c, c
+            elif c < 2 * joints:
+                k = c - joints
+                source, column = of_forces.rates + d0 + k, at.rates + k
+            elif c < 2 * joints + states:
+                k = c - 2 * joints
+                source, column = of_forces.states + blocks.states[i, k], at.states + k
+            elif c < 2 * joints + states + 2 * frames:
+                source = c - 2 * joints - states
+                column = at.pose + source
+            else:
+                k = c - 2 * joints - states - 2 * frames
+                source = of_forces.time + k
+                column = at.time if k == 0 else at.share + k - 1
+            power_slope = 0.0
+            for j in range(joints):
+                slope = slopes[first + d0 + j, source]
+                A[j, column] -= slope
+                power_slope += slope * data.state.joint_rates[d0 + j]
+            if joints <= c < 2 * joints:
+                power_slope += force[d0 + c - joints]
+            for k in range(0 if of_drives else states):
+                A[rates + k, column] += slopes[places.velocity + blocks.states[i, k], source]
+            if power >= 0:
+                A[powers + total, column] += power_slope
+            if 0 <= power < total:
+                A[powers + power, column] += power_slope
+    for c in range(0 if of_drives else 2 * frames + 1):
+        source = c if c < 2 * frames else of_forces.time
+        power_slope = data.forces.f_o[c - frames] if frames <= c < 2 * frames else 0.0
+        for l in range(frames):
+            slope = slopes[l, source]
+            blocks.by_object[l, c] -= slope
+            power_slope += slope * data.state.object_twist[l]
+        if power >= 0:
+            blocks.by_object[blocks.shared + total, c] += power_slope
+        if 0 <= power < total:
+            blocks.by_object[blocks.shared + power, c] += power_slope
+
+
+@kernel
+def gather_share(blocks, data, work):
+    """Add the derivatives of the equations of what arms share by a law."""
+    of_forces, at, o = force_columns(data), block_columns(blocks), blocks.frames
+    for l in range(blocks.shared - o):
+        slopes = data.slopes.share[l]
+        for c in range(2 * o):
+            blocks.by_object[o + l, c] += slopes[c]
+        for c in range(blocks.shared - o):
+            blocks.S[o + l, o + c] += slopes[of_forces.share + c]
+        for i in range(blocks.counts.size):
+            d0 = work.dofs[i]
+            for j in range(work.dofs[i + 1] - d0):
+                blocks.on_object[i, o + l, j] += slopes[of_forces.positions + d0 + j]
+                blocks.on_object[i, o + l, at.rates + j] += slopes[of_forces.rates + d0 + j]
+
+
+# --- solution for the derivatives ----------------------------------------------------------------
+
+
+@kernel
+def factor_arms(blocks, data, work):
+    """Factors of the arms' equations, and ``M_o`` in S; returns whether they can be used."""
+    usable, S, K = True, blocks.S, open_equations(blocks.equations).K
+    frames = blocks.frames
+    for l in range(blocks.shared):
+        clear(S[l])
+        for c in range(frames):
+            S[l, c] = data.bodies.object_inertia[l, c] if l < frames else 0.0
+    for i in range(blocks.counts.size):
+        size = work.dofs[i + 1] - work.dofs[i] + work.rows[i + 1] - work.rows[i]
+        usable = usable and factor_lu(K[i], size, blocks.K_pivots[i]) > 0.0
+    return usable
+
+
+@kernel
+def solve_arms(blocks, work):
+    """From the derivatives of F to those of the accelerations; returns whether it succeeded."""
+    S, u, K = blocks.S, blocks.shared, open_equations(blocks.equations).K
+    at, of_object = block_columns(blocks), blocks.by_object.shape[1]
+    for l in range(u):
+        for c in range(of_object):
+            blocks.by_object[l, c] = -blocks.by_object[l, c]
+    for i in range(blocks.counts.size):
+        r0, n, A = work.rows[i], work.dofs[i + 1] - work.dofs[i], blocks.derivatives[i]
+        m, B = work.rows[i + 1] - r0, blocks.on_object[i]
+        for k in range(n + m):
+            row = A[k]
+            for c in range(row.size):
+                row[c] = -row[c]
+        solve_rows(K[i], n + m, blocks.K_pivots[i], A)
+        for l in range(u):
+            row = B[l]
+            for c in range(at.pose):
+                row[c] = -row[c]
+            for k in range(m if l < blocks.frames else 0):
+                weight, forces = blocks.Wo[r0 + k, l], A[n + k]
+                for c in range(at.pose):
+                    row[c] += weight * forces[c]
+                for c in range(of_object):
+                    blocks.by_object[l, c] += weight * forces[at.pose + c]
+                for c in range(u):
+                    S[l, c] -= weight * forces[at.accelerations + c]
+    if not factor_lu(S, u, blocks.S_pivots) > 0.0:
+        return False
+    for i in range(blocks.counts.size):
+        solve_rows(S, u, blocks.S_pivots, blocks.on_object[i])
+    solve_rows(S, u, blocks.S_pivots, blocks.by_object)
+    return True
+
+
+@kernel
+def write_time_slope(blocks, struct, slope):
+    """Write the derivative of the whole slope with respect to time."""
+    _, data, work = open_system(struct)
+    places, at = chart_places(data), block_columns(blocks)
+    time = at.time - at.pose
+    rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
+    clear(slope)
+    for l in range(blocks.frames):
+        slope[places.velocity + l] = blocks.by_object[l, time]
+    for k in range(blocks.works):
+        slope[places.works + k] = blocks.by_object[blocks.shared + k, time]
+    for i in range(blocks.counts.size):
+        A, first = blocks.derivatives[i], places.rates + work.dofs[i]
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            s = A[j, at.time]
+            for l in range(blocks.shared):
+                s += A[j, at.accelerations + l] * blocks.by_object[l, time]
+            slope[first + j] = s
+        for k in range(blocks.counts[i]):
+            slope[places.states + blocks.states[i, k]] = A[rates + k, at.time]
+        for k in range(blocks.works):
+            slope[places.works + k] += A[powers + k, at.time]
