@@ -73,11 +73,18 @@ class CommandDerivatives(NamedTuple):
 
 
 class PreparedDerivatives(Numbers):
-    """What derivatives of a law need, once they are to be taken."""
+    """What derivatives of a law need, once they are to be taken; it owns what it has addresses of.
+
+    Each law has its own, also where several have the same kernel.
+    """
 
     function: Int  # address of the kernel that takes them; 0: they are not prepared
     work: Int  # address of the struct of :class:`CommandDerivatives`
     size: Int  # of this struct
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.owners: tuple[Any, ...] = ()  # of the memory at these addresses
 
 
 _open_work = view(CommandDerivatives)
@@ -103,7 +110,6 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
     """
     prepared: PreparedDerivatives = work.derivatives
     if prepared.function == 0:
-        key = ("command derivatives", derivative)
         layout, states = data.model.layout, 2 * data.model.layout.nv
         d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
         own = arm_columns(d, False).end
@@ -125,7 +131,7 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
             product_pivots=np.zeros(6, dtype=np.int64),
         )
         struct = struct_of(arrays)
-        data.cache[key] = arrays, struct
+        prepared.owners = arrays, struct, data  # the data own the work of the equations
         prepared.work, prepared.size = struct.ctypes.data, struct.size
         prepared.function = address_of(derivative)
 

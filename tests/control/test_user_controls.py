@@ -22,6 +22,7 @@ from multiarm.control import (
     open_data,
     view_of_law,
 )
+from multiarm.control.gravity_compensation import carrying_laws
 from multiarm.control.laws import PROGRAMS
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import cfunc
@@ -105,6 +106,25 @@ class Stretch(ma.Control):
         return ControlProgram((ControlLaw(stretch, derivative=differentiate_stretch),) * 2)
 
 
+class Twice(ma.Control):
+    """Gravity compensation twice, with the derivatives that it states or with differences."""
+
+    kind: Literal["twice"] = "twice"
+    stated: bool
+
+    @property
+    def compensates_gravity(self):
+        """So the laws have the gravity forces."""
+        return True
+
+    def build(self, context):
+        """Two laws of one kind."""
+        laws = carrying_laws(context) + carrying_laws(context)
+        if not self.stated:
+            laws = tuple(replace(law, derivative=None, prepare=None) for law in laws)
+        return ControlProgram(laws)
+
+
 class Pull(ma.Control):
     """Springs about the straight arm, in Python."""
 
@@ -158,6 +178,17 @@ def test_derivatives_of_laws_that_can_be_held_are_those_of_all_whatever_status_e
         for model in (free.model.with_held_control(), free.model)
     )
     np.testing.assert_array_equal(found, expected)
+
+
+def test_two_laws_of_one_kind_have_their_derivatives_each_in_its_own_memory():
+    ma.register_control(Twice)
+    stated, differences = (
+        ma.compile_system(scene_of({"kind": "twice", "stated": stated}, gravity=[0, 0, -9.81]))
+        for stated in (True, False)
+    )
+    state = stated.initial_state()
+    found, expected = (ma.derivatives(s, 0.0, state).matrix for s in (stated, differences))
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(
