@@ -407,11 +407,8 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         When a Python controller returns something unusable.
     """
     state = state.copy()
-    place_state(data, t, state)
+    place_start(data, t, state)
     b, layout = data.arrays, data.model.layout
-    if data.model.effects.states:
-        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
-        b.effects.states[:] = data.effect_states()
     require_ok(data, evaluate_and_check(data.struct))
     check = b.check
     a_j, torques, snapshot = b.accelerations.a_j.copy(), b.control.torque.copy(), Snapshot(data)
@@ -444,6 +441,14 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         _lost_motions=partial(_lost_motions, snapshot, coupled),
         _joint_forces=forces,
     )
+
+
+def place_start(data: Data, t: float, state: State) -> None:
+    """Place a state as the start of a run, with the states that effects have there."""
+    place_state(data, t, state)
+    if data.model.effects.states:
+        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+        data.arrays.effects.states[:] = data.effect_states()
 
 
 def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:

@@ -15,7 +15,6 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import (
-    contact_places,
     of_unit_length,
     scaled_force_directions,
 )
@@ -34,10 +33,10 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
+from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.event_detection import touching_constraints
-from multiarm.events.kernels import start_guards
 from multiarm.events.modes import Modes
-from multiarm.events.transition import Transition
+from multiarm.events.transition import Decision, Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
 SLOW = 1e-9
@@ -85,15 +84,17 @@ def enter_mode_at(data: Data, t: float, state: State) -> Modes:
     """The modes of a Data, with that of a state entered and evaluated there."""
     modes = modes_of(data, SLOW)
     touching, off_patch, _ = touching_constraints(modes, t, state)
-    decision = Transition(modes, touching, 0.0, off_patch=off_patch).decide(with_impacts=False)
+    forget_forces(modes.guards)
+
+    def decide(ahead: float) -> Decision:
+        transition = Transition(modes, touching, 0.0, off_patch=off_patch, ahead=ahead)
+        return transition.decide(with_impacts=False)
+
+    decision, holds = enter_consistent_mode(modes, decide)
     if decision.trouble:
         raise SolverError(decision.trouble)
-    modes.enter(decision.mode)
-    forget_forces(modes.guards)
-    require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
-    require_ok(modes.data, start_guards(modes.data.struct))
-    if modes.contradicted:
-        modes.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
+    if not holds:  # it is refused where it cannot be evaluated
+        require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
     return modes
 
 
@@ -106,11 +107,14 @@ def modes_of(data: Data, slow: float) -> Modes:
 
 def evaluate_mode(modes: Modes, t: float, state: State) -> Evaluation:
     """The evaluation of the mode that has been entered, in the rows of the whole system."""
+    return in_all_rows(modes, evaluation.evaluate(modes.data, t, state))
+
+
+def in_all_rows(modes: Modes, of_held_rows: Evaluation) -> Evaluation:
+    """The last evaluation of the mode's data, in the rows of the whole system."""
     full, closed = modes.full, modes.closed
-    of_held_rows = evaluation.evaluate(modes.data, t, state)
     forces, unique = _all_forces(modes)
     residuals = _residuals(modes, forces, of_held_rows.residuals.constraint)
-    contact_places(full, state)
     require_ok(closed, update_rows(closed.struct))
     unilateral, layout = modes.unilateral, full.model.layout
     words: dict[str, list[str]] = {}
@@ -120,7 +124,6 @@ def evaluate_mode(modes: Modes, t: float, state: State) -> Evaluation:
     of_joints = forces[list(unilateral.model)]
     return replace(
         of_held_rows,
-        state=state,
         contact_forces=rows_by_owner(layout, forces),
         residuals=residuals,
         contact_states={owner: tuple(states) for owner, states in words.items()},
@@ -155,12 +158,7 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
 def _residuals(modes: Modes, forces: np.ndarray, constraint: float) -> Residuals:
     """Residuals of the equations of motion with the forces of all rows."""
     full, b = modes.full, modes.data.arrays
-    require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
-    forces_without_contacts = b.forces.f.copy()
-    require_ok(full, update_kinematics(full.struct))
     pushing = forces.copy()
     pushing[modes.arrays.springs] = 0.0  # these are among the generalised forces already
-    residuals = residuals_of(
-        full, b.accelerations.a, forces_without_contacts, pushing, full.arrays.rows.c
-    )
+    residuals = residuals_of(full, b.accelerations.a, b.forces.f, pushing, full.arrays.rows.c)
     return replace(residuals, constraint=constraint)  # open contacts move as they like

@@ -14,8 +14,9 @@ from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
-from multiarm.dynamics.contact_geometry import patch_margin, place_state
+from multiarm.dynamics.contact_geometry import patch_margin
 from multiarm.dynamics.equations import update_kinematics, update_rows
+from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import spring_length
 from multiarm.dynamics.model import Data
@@ -29,12 +30,12 @@ from multiarm.results.channels import ContactState
 def touching_constraints(
     modes: Modes, t: float, state: State
 ) -> tuple[set[int], frozenset[int], float]:
-    """Move to a state; constraints that touch there, that are off their patches, and scene size.
+    """Move to the start of a run; constraints that touch there, are off their patches, and size.
 
-    Compliant contacts that push touch too.  The size is in metres.
+    Compliant contacts that push touch too.  The size is that of the scene [m].
     """
     full, bare = modes.full, modes.bare
-    place_state(bare, t, state)
+    place_start(bare, t, state)
     require_ok(bare, update_kinematics(bare.struct))
     require_ok(full, update_rows(full.struct))
     size, nothing = scene_size(modes.closed), Mode((), ())

@@ -8,7 +8,8 @@ continues with the same step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
-from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.failures import failure_text, require_ok
 from multiarm.dynamics.guard_functions import JointSpeed, PatchDepth, PushingForce, Slip
 from multiarm.dynamics.guards import Guard
@@ -25,6 +26,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
+from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.decision_events import decision_events
 from multiarm.events.event_detection import (
     closed_constraints,
@@ -110,12 +112,10 @@ class EventHandler:
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
-        before = Mode((), ())
-        decision = self._decide(time, _Participants(touching, beside=beside))
-        self._log_decision(time, decision, before)
+        decision = self._enter_mode(time, _Participants(touching, beside=beside))
+        self._log_decision(time, decision, Mode((), ()))
         if decision.trouble:
             raise SolverError(f"at the start: {decision.trouble}")
-        self.modes.enter(decision.mode)
         changed = decision.hits or given
         return self.modes.data, self.modes.data.get_state() if changed else None
 
@@ -168,7 +168,7 @@ class EventHandler:
             _constraints(fired, PushingForce),
             off_patch_constraints(self.modes, before, _constraints(fired, PatchDepth)),
         )
-        decision = self._decide_mode(t, participants)
+        decision = self._enter_mode(t, participants, ended=before)
         self._log_decision(t, decision, before)
         trouble = decision.trouble or self._limit_events(t)
         if not trouble:
@@ -188,42 +188,14 @@ class EventHandler:
                 speeds[u] = HIT_SHARE * speed
         return speeds
 
-    def _decide_mode(self, t: float, participants: _Participants) -> Decision:
-        """Decide, and enter a mode that its own guards do not contradict at once.
-
-        Where a bound has just been reached, the decision is made for slightly later times, up to
-        fractions of the longest step that led to an event.
-        """
-        before = self.modes.mode
-        decision = self._decide(t, participants)
-        if decision.trouble:
-            return decision
-        decisions = [decision]
-        for share in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-            self.modes.enter(decisions[-1].mode)
-            # the same mode as before would come to the same event with the same forces
-            if decisions[-1].mode != before and self._holds():
-                return decisions[-1]
-            later = self._decide(t, participants, share * self._usual_length)
-            if later.trouble:  # the contacts, displaced along their rates, contradict each other
-                break
-            decisions.append(
-                replace(later, hits=decision.hits, energy=decision.energy, rested=decision.rested)
-            )
-        for later in reversed(decisions):  # forces that are not the least may obey the laws
-            self.modes.enter(later.mode)
-            self.modes.set_prestress(later.forces)
-            if self._holds():
-                return later
-        return decisions[0]  # which has been entered last
-
-    def _holds(self) -> bool:
-        """Whether no guard of the mode is violated at the state in its data."""
-        struct = self.modes.data.struct
-        if evaluate_state(struct, 0.0, 0.0) != OK or start_guards(struct) != OK:
-            self.modes.data.reraise()
-            return False
-        return not self.modes.contradicted
+    def _enter_mode(
+        self, t: float, participants: _Participants, ended: Mode | None = None
+    ) -> Decision:
+        """Decide, and enter the next mode."""
+        decision, _ = enter_consistent_mode(
+            self.modes, partial(self._decide, t, participants), self._usual_length, ended
+        )
+        return decision
 
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
@@ -254,7 +226,7 @@ class EventHandler:
         near = closed_constraints(self.modes, max(TOUCHING * self._size, HIT_SHARE * depth))
         return near | closing | closed | pressed
 
-    def _decide(self, t: float, participants: _Participants, ahead: float = 0.0) -> Decision:
+    def _decide(self, t: float, participants: _Participants, ahead: float) -> Decision:
         self.modes.full.arrays.time.now = t
         decision = Transition(
             self.modes, participants.touching, self._rest_height, participants.at_rest,

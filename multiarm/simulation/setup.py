@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
-from multiarm.dynamics.contact_geometry import place_state
-from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
@@ -216,7 +215,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     settings = _settings(task, tolerance)
     first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
     step.stage.alpha, step.stage.beta = gains(settings, first_length)
-    _evaluate_start(task, stepping)
+    _first_slope(task, stepping)
     if settings.gap_tolerance >= 0.0 and data.arrays.solution.coupled_arms:
         # two motions may cross at the start
         step.stage.gap = settings.gap_tolerance
@@ -355,19 +354,10 @@ def _place_start(task: Task, step: Step) -> tuple[State, StartReport]:
         begin, report = task.state, StartReport()
         if task.spec.stabilization.kind == "projection":
             begin, report = project_start(data, system.scene, task.state)
-    place_state(data, task.begin, begin)
+    place_start(data, task.begin, begin)
     require_ok(data, update_kinematics(data.struct))
     begin_chart(data.struct, step.base, step.z)
     return begin, report
-
-
-def _evaluate_start(task: Task, stepping: Stepping) -> None:
-    """The slope at the start, with the effects' states there."""
-    _first_slope(task, stepping)
-    if task.data.model.effects.states:
-        places = chart_places(task.data.arrays)
-        stepping.step.z[places.states : places.works] = task.data.effect_states()
-        _first_slope(task, stepping)
 
 
 def _first_slope(task: Task, stepping: Stepping) -> None:

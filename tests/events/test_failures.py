@@ -127,11 +127,16 @@ def test_no_failure_of_a_surface_is_overlooked_by_an_evaluation():
 
 
 @pytest.mark.parametrize(
-    ("room", "start"),
-    [("events.evaluation", 1), ("simulation.event_handling", 1), ("simulation.event_handling", 2)],
-    ids=["evaluation", "begin of a run", "event"],
+    ("room", "call", "start"),
+    [
+        ("events.consistent_mode", ma.evaluate, 1),
+        ("events.consistent_mode", ma.simulate, 1),
+        ("simulation.event_handling", ma.simulate, 1),
+        ("events.consistent_mode", ma.simulate, 2),
+    ],
+    ids=["evaluation", "mode of a start", "begin of a run", "event"],
 )
-def test_a_surface_that_fails_where_guards_are_started_is_told(monkeypatch, room, start):
+def test_a_surface_that_fails_where_guards_are_started_is_told(monkeypatch, room, call, start):
     """At the first start of guards, and at the one that decides the mode after an event."""
     starts, fails = 0, False
 
@@ -165,7 +170,6 @@ def test_a_surface_that_fails_where_guards_are_started_is_told(monkeypatch, room
         scene(falling, {"below": arm("z")}, {"below": [contact]}, effects, [0, 0, 0])
     )
     if start == 1:
-        call = ma.evaluate if room == "events.evaluation" else ma.simulate
         with pytest.raises(ma.MultiarmError, match="worn out"):
             call(system)
     else:

@@ -132,6 +132,25 @@ def test_a_joint_slips_when_the_load_exceeds_its_friction_and_sticks_when_it_res
     assert np.max(np.abs(trajectory.energy_balance)) < 1e-8
 
 
+def test_a_lagging_drive_that_starts_at_its_command_overcomes_friction_at_once(tmp_path):
+    """10 N against 4 N move 5 kg: the mode of the start is that of the torque that acts there."""
+    system = ma.compile_system(
+        ma.Scene(
+            **cart_with_box(
+                tmp_path,
+                {**dry(4.0), "actuator_lag": {"time_constant": 0.1, "start": "command"}},
+                control={"kind": "constant", "torques": {"cart": 10.0}},
+            )
+        )
+    )
+    for evaluation in (ma.evaluate(system), ma.derivatives(system).evaluation):
+        assert evaluation.joint_accelerations["cart"][0] == pytest.approx(1.2, rel=1e-12)
+    trajectory = ma.simulate(system, duration=0.2, certificate=False)
+    assert not happened(trajectory)
+    speeds = trajectory.joint_velocities["cart"][:, 0]
+    np.testing.assert_allclose(speeds, 1.2 * trajectory.time, atol=1e-9)
+
+
 def test_a_joint_below_its_threshold_never_moves(tmp_path):
     trajectory = run(cart_with_box(tmp_path, dry(10.001), control=harmonic(10.0, 0.5)))
     assert happened(trajectory) == []
