@@ -30,7 +30,7 @@ from peer_solvers import Solver, memory_needed
 from scipy.integrate import cumulative_simpson
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.equations import potential_energy, update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
@@ -245,7 +245,7 @@ def total_energy(system: System, state: State) -> float:
         kinetic = twist @ b.bodies.object_inertia @ twist
         for i, v in enumerate(state.joint_velocities.values()):
             kinetic += v @ read_inertia(b.bodies.pointers[i], v.size) @ v
-        return 0.5 * float(kinetic) + data.potential_energy()
+        return 0.5 * float(kinetic) + potential_energy(data.struct)
 
 
 def all_answers(trial: Trial) -> tuple[Answer, ...]:

@@ -8,7 +8,7 @@ from multiarm.dynamics.contact_geometry import points_and_normals
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
 from multiarm.events.transition import Decision, Hit
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent, Side
 

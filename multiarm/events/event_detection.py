@@ -24,7 +24,7 @@ from multiarm.dynamics.state import State
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import Modes
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 
 
 def touching_constraints(

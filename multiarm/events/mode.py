@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from multiarm.contacts.unilateral import Constraint
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from multiarm.dynamics.guards import FORCES, JOINT_FORCES, SHARED, Guard, Guards
 from multiarm.dynamics.model import Model
 from multiarm.events.mode import Mode
 from multiarm.jit.structs import struct_of
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
 # speeds [m/s, rad/s], and parts of the largest forces, those of dry friction of its bound.

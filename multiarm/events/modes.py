@@ -34,7 +34,7 @@ from multiarm.events.kernels import (
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import ModeGuards
 from multiarm.jit.pointers import address_of
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 
 # Effects whose arrays a mode writes.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"

@@ -40,7 +40,7 @@ from multiarm.events.event_detection import below_patch_constraints
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes, set_constraint_forces
 from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 
 # Accelerations below this are rounding errors [m/s^2, rad/s^2].
 NO_ACCELERATION = 1e-10

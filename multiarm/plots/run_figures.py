@@ -28,8 +28,9 @@ from multiarm.plots.style import (
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import ContactState, channels_of
-from multiarm.results.event_log import STATE_STYLES, Event
+from multiarm.results.channels import channels_of
+from multiarm.results.contact_states import STATE_STYLES, ContactState
+from multiarm.results.event_log import Event
 from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
 FIGURE_POINTS = 60_000

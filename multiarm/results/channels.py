@@ -13,52 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
 
 from multiarm.errors import TrajectoryError
+from multiarm.results.contact_states import RECORDED_STATES
 
 Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
 FLOOR = "floor"
 """In place of an arm: contacts of the object with its surroundings."""
-
-
-class ContactState(IntEnum):
-    """What a contact does, by its code in a channel.
-
-    The last three are not recorded: two are of joints with dry friction.
-    """
-
-    OPEN = 0
-    TOUCHING = 1
-    SLIDING = 2
-    STICKING = 3
-    RESTING = 4  # it touches, but other contacts carry
-    FORWARD = 5  # a joint that moves against its dry friction
-    BACKWARD = 6
-    AT_BOUND = 7  # friction is at its bound, and others keep the contact from slipping
-
-    @property
-    def moves(self) -> bool:
-        """Whether a joint moves against its dry friction."""
-        return self in (ContactState.FORWARD, ContactState.BACKWARD)
-
-    @property
-    def recorded(self) -> ContactState:
-        """The state in channels and events."""
-        return ContactState.STICKING if self is ContactState.AT_BOUND else self
-
-    @property
-    def word(self) -> str:
-        """The state in words."""
-        return "moving" if self.moves else self.recorded.name.lower()
-
-
-RECORDED_STATES = tuple(state for state in ContactState if state <= ContactState.RESTING)
-"""The states of contacts in channels, by their codes."""
 
 
 @dataclass(frozen=True)

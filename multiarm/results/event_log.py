@@ -17,10 +17,10 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import shorten
-from typing import Any, NamedTuple
+from typing import Any
 
 from multiarm.notation import count_of, number, value_text
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import EventKind
 
 Event = dict[str, Any]
@@ -45,25 +45,6 @@ _UNITS = {
     "N_s": "N s", "N_m": "N m", "1_s": "1/s", "m": "m", "rad": "rad", "N": "N", "J": "J", "W": "W",
     "kg": "kg", "s": "s",
 }  # fmt: skip
-
-
-class StateStyle(NamedTuple):
-    """How figures and replays show a state of contacts."""
-
-    sign: str  # one character
-    colour: str  # #rrggbb
-    height: float  # of a bar in a row of height 1
-    hatch: str = ""  # of a bar, as in matplotlib; a bar without one is full
-
-
-STATE_STYLES = {
-    ContactState.OPEN: StateStyle("\N{DOTTED CIRCLE}", "#8a94a0", 0.06),
-    ContactState.TOUCHING: StateStyle("\N{BLACK CIRCLE}", "#3b7dd8", 0.35),
-    ContactState.SLIDING: StateStyle("\N{BULLSEYE}", "#d07c1e", 0.8, "////"),
-    ContactState.STICKING: StateStyle("\N{BLACK SQUARE}", "#8a5fc4", 0.8),
-    ContactState.RESTING: StateStyle("\N{WHITE CIRCLE}", "#2f9e67", 0.35, "...."),
-}
-"""Of the states that are recorded."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import gains, shortest_step
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import Family
 from multiarm.results.event_log import Event
 from multiarm.results.limit_use import ROUNDING

@@ -27,7 +27,8 @@ from multiarm.geometry.records import (
     Surface,
 )
 from multiarm.geometry.smooth_surfaces import ParametricSurface
-from multiarm.results.channels import ContactState, channels_of
+from multiarm.results.channels import channels_of
+from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import family_of
 from multiarm.results.event_log import Event, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace

@@ -30,9 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import STATE_STYLES, ContactState
 from multiarm.results.event_kinds import FAMILIES, LOST, MADE, Family
-from multiarm.results.event_log import STATE_STYLES
 from multiarm.viewer import commands
 from multiarm.viewer.animation import (
     Animation,

@@ -26,9 +26,9 @@ import numpy as np
 from multiarm.errors import ReplayError
 from multiarm.notation import count_of, number
 from multiarm.reports import pages
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import STATE_STYLES, ContactState
 from multiarm.results.event_kinds import FAMILIES, family_of
-from multiarm.results.event_log import STATE_STYLES, Event, Group, grouped, timed, who
+from multiarm.results.event_log import Event, Group, grouped, timed, who
 from multiarm.viewer.animation import Animation, ContactTracks, Dial, HingeTracks
 from multiarm.viewer.commands import Command, array_type, hexadecimal, lowered
 from multiarm.viewer.drawing import ASPECT

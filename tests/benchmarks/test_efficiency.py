@@ -244,11 +244,16 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
     assert np.max(np.abs(state.object_twist)) > 0.01, "terms in the velocities count"
     s = solver_forms.build(system, state)
     ma.evaluate(system, 0.0, state)
-    buffers = data_of(system).arrays
-    given = {"M_o": buffers.inertia, "f_o": buffers.f_o, "f_j": buffers.f_j, "c": buffers.c}
+    data = data_of(system).arrays
+    given = {
+        "M_o": data.bodies.object_inertia,
+        "f_o": data.forces.f_o,
+        "f_j": data.forces.f_j,
+        "c": data.rows.c,
+    }
     for name, kernels in given.items():
         np.testing.assert_allclose(np.ravel(getattr(s, name)), kernels.ravel(), atol=1e-11)
-    np.testing.assert_allclose(s.W_o[:, :, 0], buffers.Wo, atol=1e-12)
+    np.testing.assert_allclose(s.W_o[:, :, 0], data.rows.Wo, atol=1e-12)
     np.testing.assert_allclose(s.W_o, s.G.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
     np.testing.assert_allclose(s.W, -s.J.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
 

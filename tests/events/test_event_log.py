@@ -32,7 +32,8 @@ from multiarm.notation import number
 from multiarm.plots.panels import DISTINCT
 from multiarm.plots.run_figures import MOST_ROWS, spans
 from multiarm.reports.report import SHOWN_EVENTS, render
-from multiarm.results.channels import RECORDED_STATES, ContactState, trajectory_channels
+from multiarm.results.channels import trajectory_channels
+from multiarm.results.contact_states import RECORDED_STATES, ContactState
 from multiarm.results.event_kinds import FAMILIES, OTHER, family_of
 from multiarm.results.event_log import change, counts, grouped, timed, what, who
 from multiarm.results.sinks import Hdf5Sink, MemorySink

@@ -13,7 +13,7 @@ import multiarm as ma
 from multiarm.dynamics.row_selection import MOST_RECENT
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 from multiarm.simulation.event_handling import EventHandler
 
 

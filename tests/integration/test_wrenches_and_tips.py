@@ -21,7 +21,7 @@ from mechanics import state_at, two_arm_block, ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.results.channels import ContactState
+from multiarm.results.contact_states import ContactState
 
 STEP = 5e-4  # [s] between samples
 ACCURACY = 1e-10

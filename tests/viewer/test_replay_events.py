@@ -11,7 +11,8 @@ from replay_pages import SCENE, SEEK, opened
 from sample_run import rows_of
 
 import multiarm as ma
-from multiarm.results.channels import Channel, ContactState
+from multiarm.results.channels import Channel
+from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import LOST, MADE, SLIP, family_of
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
