@@ -71,7 +71,8 @@ def uncontrolled_model(
     outlines = {name: arm.joints for name, arm in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
     effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
-    bilateral = rows.on_links if unilateral is None else {name: [] for name in arms}
+    of_arms = {name: rows.on_links[name] for name in arms}
+    enforced = frozenset() if unilateral is None else unilateral.enforced
     limits = {name: joint.limits for name, joint in joints.items()}
     frames = {name: joint.frame for name, joint in joints.items()}
     levers = [arms[name].levers(frame.on_tip[:3, 3]) for name, frame in frames.items()]
@@ -95,7 +96,7 @@ def uncontrolled_model(
         breakpoints=effects.breakpoints,
         pair_places=np.zeros((len(rows.table.shapes), 3)),
         unilateral=unilateral,
-        guards=reporting_guards(bilateral, limits, layout, effects.watched),
+        guards=reporting_guards(of_arms, limits, layout, effects.watched, enforced),
     )
 
 

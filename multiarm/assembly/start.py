@@ -145,7 +145,7 @@ def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, St
     data.model = replace(data.model, pair_places=closed.model.pair_places)
     closed.set_state(0.0, written)
     start, report = assemble(closed, scene)
-    check_patches(closed, start)
+    check_patches(data, start)
     if unilateral is not None:
         check_unilateral(data, start)
     return start, report

@@ -122,6 +122,13 @@ class UnilateralConstraints:
         """The contacts among the constraints."""
         return tuple(constraint for constraint in self.constraints if constraint.kind == CONTACT)
 
+    @property
+    def enforced(self) -> frozenset[int]:
+        """Rows of the constraints, whose laws the modes enforce."""
+        return frozenset(
+            row for constraint in self.constraints for row in (constraint.row, *constraint.tangents)
+        )
+
     def contacts_of(self, owner: str) -> tuple[str, ...]:
         """Names of the unilateral contacts of an arm, or of the surroundings."""
         return tuple(contact.name for contact in self.contacts if contact.arm == owner)

@@ -138,6 +138,7 @@ class Modes:
         for s, u in enumerate(self._sliding_constraints):
             self.slides.direction[s] = mode.directions[u]
         self.guards.armed[:] = 0
+        self.full.guards.held[:] = self._guards.table.held
         self.numbers.muted = self.numbers.stressed = False
         set_constraint_forces(self.full, mode.states)
 

@@ -1,17 +1,18 @@
 """What a run watches without enforcing it: pulled contacts, patches, limits of joints and drives.
 
-The contacts of the model are bilateral and their surfaces are unbounded.  A real contact can only
-push, on a bounded surface, and a real joint has limits.  Where the motion leaves this range, an
-event of the result says so, with its time.  Another event is a drive at its limit, which is part
-of the model.  Each is a guard that only reports (:mod:`multiarm.dynamics.guards`); its events go to
-the result in :mod:`multiarm.simulation.guard_log`.
+Contacts that no effect lets open are bilateral and their surfaces are unbounded.  A real contact
+can only push, on a bounded surface, and a real joint has limits.  Where the motion leaves this
+range, an event of the result says so, with its time.  Another event is a drive at its limit, which
+is part of the model.  Each is a guard that only reports (:mod:`multiarm.dynamics.guards`); its
+events go to the result in :mod:`multiarm.simulation.guard_log`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 from multiarm.dynamics.arrays import open_reports, open_system
+from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
     DriveMargin,
@@ -37,17 +38,20 @@ def reporting_guards(
     limits: Mapping[str, Mapping[int, tuple[float, float]]],
     layout: Layout,
     drives: Sequence[tuple[int, int, float]] = (),
+    enforced: Set[int] = frozenset(),
 ) -> tuple[Guard, ...]:
     """A guard for every force that can only push, every patch, limit and drive.
 
     The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
     are by arm and component of the joint's relative motion; ``drives`` are places of excesses in
-    the system's struct, joints, and roundings of the excess.
+    the system's struct, joints, and roundings of the excess.  Rows that are ``enforced`` by
+    unilateral constraints have guards that stop (:mod:`multiarm.events.mode_guards`).
     """
     guards: list[Guard] = []
     for i, (arm, records) in enumerate(contacts.items()):
         for k, contact in enumerate(records):
-            guards += _contact_guards(layout.rows[i] + k, i, contact)
+            if layout.rows[i] + k not in enforced:
+                guards += _contact_guards(layout.rows[i] + k, i, contact)
         for component, (lower, upper) in limits[arm].items():
             depth = RangeDepth(i, component, lower, upper)
             guards.append(Guard(depth, ROUNDING, stops=False))
@@ -73,9 +77,18 @@ def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
 
 @kernel
 def write_reports(struct: INTS):
-    """Write the values of the guards that only report at the state evaluated last."""
+    """Write the values of the guards that only report at the state evaluated last.
+
+    They are numbered by all rows; in a mode these have kinematics of their own.
+    """
     model, data, _ = open_system(struct)
-    write_values(open_reports(struct), struct, data, model, data)
+    if data.modes.active:
+        rows = struct_at(data.modes.full, 0)
+        update_rows(rows)
+        model_of_all, full, _ = open_system(rows)
+        write_values(open_reports(struct), struct, data, model_of_all, full)
+    else:
+        write_values(open_reports(struct), struct, data, model, data)
 
 
 @cfunc

@@ -73,7 +73,7 @@ class EventKind(Enum):
     PULLS = (
         "pulls",
         LOST,
-        "a contact that can only push is pulled, in a scene whose contacts stay closed",
+        "a contact that can only push is pulled, and no effect lets it open",
     )
     LEAVES_PATCH = (
         "leaves its patch",

@@ -67,7 +67,7 @@ def _event(data: Data, g: int, time: float) -> RunEvent:
         number = int(np.searchsorted(model.layout.dofs, watched.joint, side="right")) - 1
         arm, name = model.arm_names[number], model.joint_name(watched.joint)
         return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
-    (arm, contact), where = model.owner(watched.row), ""
+    (arm, contact), where = model.owner(int(data.guards.held[watched.row])), ""
     if isinstance(watched, PatchDepth):
         where = " (on the object)" if watched.body == ON_OBJECT else " (on the arm)"
     text = f"{arm}: {contact.name} {kind.word}{where}"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from event_scenes import AS_WRITTEN, AWAY, AWAY_HEIGHT, arm, ball, scene
 from mechanics import scene_of, single_arm, state_at
 from refusals import refused
 
@@ -59,6 +60,38 @@ def test_leaving_a_patch_is_told_with_its_time_even_in_the_first_step(sliding, s
     assert event["kind"] == "leaves its patch" and event["arm"] == "a" and event["contact"] == "c"
     assert event["time"] == pytest.approx(0.05, abs=1e-6)
     assert "patch" in run.message and "a: c (on the arm)" in run.message
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"floor": {"at": {"xyz": [0, 0, -50.0]}}},
+        {"joint_friction": {"torque": 1e-6, "model": "set_valued"}},
+        {"unilateral_contacts": {**AS_WRITTEN, "contacts": ["away"]}},
+    ],
+    ids=["bilateral", "floor", "dry friction", "open contact in a row before"],
+)
+def test_contacts_that_stay_bilateral_are_watched_beside_unilateral_constraints(effects):
+    """A plate pushes a ball that slides off its patch, and pulls it half a period later."""
+    patch = {"min": [-1, -1, None], "max": [0.05, 1, None]}
+    contact = {
+        "name": "c",
+        "arm": {"plane": {"normal": [0, 0, 1], "patch": patch}},
+        "object": {"sphere": {"radius": 0.05}},
+    }
+    lifting = {"kind": "harmonic", "amplitude": {"plate": 10.0}, "frequency": 5.0, "hold": False}
+    arms, contacts = {"plate": arm("z")}, {"plate": [contact]}
+    if "unilateral_contacts" in effects:
+        arms = {"away": arm("x", base={"xyz": [0, 0, AWAY_HEIGHT]}), **arms}
+        contacts = {"away": [AWAY], **contacts}
+    body = ball(twist=[1.0, 0, 0, 0, 0, 0])
+    system = ma.compile_system(scene(body, arms, contacts, effects, [0, 0, 0], control=lifting))
+    run = ma.simulate(system, 0.15, accuracy=1e-9, certificate=False)
+    reported = [event for event in run.events if event.get("contact") == "c"]
+    assert [event["kind"] for event in reported] == ["leaves its patch", "pulls"]
+    assert [event["time"] for event in reported] == pytest.approx([0.05, 0.1], abs=1e-6)
+    assert all("plate: c" in event["text"] for event in reported)
 
 
 def test_events_are_those_of_one_run(sliding):
