@@ -369,6 +369,7 @@ def _assemble(
             tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, kind)
         mount = _frame_id(model, files.mount, name)
         placement = pin.SE3(files.tool_placement)
+        armature |= dict(zip(tool.names[1:], tool.armature, strict=False))
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
     if files.locked:
         reference = pin.neutral(model)

@@ -60,8 +60,7 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
                 shared[joint.arm] = like.model.joints[joint.arm]
     specs = {joint.arm: joint for joint in scene.joints}
     return {
-        name: shared.get(name)
-        or _make_joint(specs[name], scene, arm, robots.resolved[name].posture)
+        name: shared.get(name) or _make_joint(specs[name], scene, arm, robots.postures[name])
         for name, arm in robots.arms.items()
     }
 

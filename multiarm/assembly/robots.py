@@ -5,7 +5,7 @@ Arms that another system (``like``) has too are shared with it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +26,8 @@ class Robots:
 
     resolved: dict[str, ResolvedArm]
     arms: dict[str, Arm]
-    shared: tuple[str, ...] = ()  # arms that another system has too
+    postures: dict[str, np.ndarray]  # (n,) [rad, m] at the start: found, or as written
+    shared: tuple[str, ...]  # arms that another system has too
 
 
 def with_bases(scene: Scene) -> Scene:
@@ -73,11 +74,10 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
             locked = spec.model_copy(update={"lock": scene.robot_of(name).lock | spec.lock})
             resolved[name] = resolve_arm(locked, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
+    postures = {name: arm.posture for name, arm in resolved.items()}
     if seek:
-        written = {name: arm.posture for name, arm in resolved.items()}
-        for name, posture in find_postures(scene, arms, written).items():
-            resolved[name] = replace(resolved[name], posture=posture)
-    return Robots(resolved, arms, shared)
+        postures |= find_postures(scene, arms, postures)
+    return Robots(resolved, arms, postures, shared)
 
 
 def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmBackends:

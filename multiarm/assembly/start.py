@@ -53,6 +53,8 @@ from multiarm.jit.rows import fields_of
 from multiarm.scene import Scene
 from multiarm.spatial import matrix_to_quaternion
 
+# Joints that assembly moves by less [rad, m] were at their limits before.
+MOVED = 1e-9
 # Gaps below this part of the scene's size count as touching.
 TOUCHING = 1e-9
 
@@ -89,7 +91,11 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     displacement = np.abs(written.displacement_to(start))
     moved, shift = layout.joint_rates(displacement), layout.twists(displacement)[0]
     faster = np.abs(start.velocity - written.velocity)
-    of_object = layout.twists(faster)[0]
+    of_object, at_limit = layout.twists(faster)[0], joints_at_limit(data)
+    before = dict(
+        zip(data.model.joint_names, layout.joint_positions(written.position), strict=True)
+    )
+    moves = dict(zip(data.model.joint_names, moved, strict=True))
     return start, StartReport(
         gaps=gaps,
         gap_rates=rates,
@@ -101,7 +107,8 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         object_held=held,
         object_shift=float(np.linalg.norm(shift[:3])),
         object_turn=float(np.linalg.norm(shift[3:])),
-        at_limit=joints_at_limit(data),
+        at_limit=at_limit,
+        pushed_to_limit={name: before[name] for name in at_limit if moves[name] > MOVED},
         outside_limits=outside,
         velocity_change=float(np.max(faster)),
         object_velocity_change=float(np.linalg.norm(of_object[:3])),
@@ -113,14 +120,14 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
 
 def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
     """The start as written in the scene, before it is assembled."""
-    pose, resolved = scene.object.pose.matrix(), robots.resolved.values()
+    pose = scene.object.pose.matrix()
     position = [
         pose[:3, 3],
         matrix_to_quaternion(pose[:3, :3]),
-        *(r.posture for r in resolved),
+        *robots.postures.values(),
     ]
     twist = np.zeros(6) if scene.object.twist is None else np.array(scene.object.twist)
-    velocity = [twist, *(r.velocity for r in resolved)]
+    velocity = [twist, *(arm.velocity for arm in robots.resolved.values())]
     return State(np.concatenate(position), np.concatenate(velocity), layout)
 
 

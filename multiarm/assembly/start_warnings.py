@@ -11,8 +11,6 @@ from multiarm.scene.faults import place
 
 # A joint may be off the object's shape by a fingertip [m], beside the surface that it states.
 FINGERTIP = 0.02
-# Joints that assembly moves by less [rad, m] were written at their limits.
-MOVED = 1e-9
 
 
 def start_warnings(system: System) -> list[str]:
@@ -59,17 +57,15 @@ def _own_size(joint: JointSpec) -> float:
 
 def _joints_at_limits(system: System) -> list[str]:
     start, warnings = system.initial_state().joint_positions, []
-    for path in system.start_report.at_limit:
+    for path, written in system.start_report.pushed_to_limit.items():
         arm, joint = path.split("/", 1)
-        k = system.arms[arm].joint_names.index(joint)
-        written, limit = system.model.robots[arm].posture[k], start[arm][k]
-        if abs(written - limit) > MOVED:
-            unit = system.arms[arm].joint_units[joint]
-            warnings.append(
-                f"{place(('arms', arm, 'posture'))}: {joint!r} is written at {written:.6g} {unit}; "
-                f"to close the joints, assembly pushed it into its limit {limit:.6g} {unit}; "
-                "correct the posture, the base or the joint's place"
-            )
+        limit = start[arm][system.arms[arm].joint_names.index(joint)]
+        unit = system.arms[arm].joint_units[joint]
+        warnings.append(
+            f"{place(('arms', arm, 'posture'))}: {joint!r} is written at {written:.6g} {unit}; "
+            f"to close the joints, assembly pushed it into its limit {limit:.6g} {unit}; "
+            "correct the posture, the base or the joint's place"
+        )
     return warnings
 
 

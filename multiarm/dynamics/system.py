@@ -114,6 +114,8 @@ class StartReport:
     object_shift: float = 0.0  # displacement of the object [m]
     object_turn: float = 0.0  # rotation of the object [rad]
     at_limit: tuple[str, ...] = ()  # joints (arm/joint) of the assembled start at a limit
+    # those of them that assembly moved there -> position before [rad, m]
+    pushed_to_limit: dict[str, float] = field(default_factory=dict)
     outside_limits: tuple[str, ...] = ()  # joints outside their limits, which are not enforced
     velocity_change: float = 0.0  # largest change of a velocity component [m/s, rad/s]
     object_velocity_change: float = 0.0  # of the centre of mass [m/s]

@@ -191,6 +191,29 @@ def test_scenes_with_it_evaluate_as_with_urdf_and_load_again(arms, tmp_path, rng
     )
 
 
+@pytest.mark.parametrize("lock", [{}, {"fj": 0.1}])
+def test_a_tool_may_have_a_joint_of_its_own(lock, tmp_path, rng):
+    """The joint leads to the tip, or is locked; drives of the arm keep their inertia."""
+    urdf, mjcf = both_files(rng, "hhh", tmp_path)
+    mjcf.write_text(mjcf.read_text().replace("<joint ", "<joint armature='0.3' "))
+    link = (
+        "<link name='{}'><inertial><mass value='0.5'/>"
+        "<inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/></inertial></link>"
+    )
+    tool = tmp_path / "tool.urdf"
+    tool.write_text(
+        f"<robot name='t'>{link.format('palm')}{link.format('finger')}"
+        "<joint name='fj' type='revolute'><parent link='palm'/><child link='finger'/>"
+        "<axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='5' velocity='1'/></joint></robot>"
+    )
+    more = {"tool": {"urdf": tool, "mount": "l3"}, "tip": "finger", "lock": lock}
+    arms = [arm_of(**{key: path}, **more) for key, path in (("urdf", urdf), ("mjcf", mjcf))]
+    q = rng.normal(size=arms[0].dof)
+    plain, driven = (arm.terms(q, np.zeros(q.size)).M for arm in arms)
+    armature = [0.3, 0.3, 0.3, 0.0][: q.size]
+    np.testing.assert_allclose(driven, plain + np.diag(armature), atol=1e-12)
+
+
 ONE = "<body name='a'><joint name='j' axis='0 0 1'/>{}</body>"
 MASS = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>"
 

@@ -73,6 +73,21 @@ def expected(plan):
 # --- a run --------------------------------------------------------------------------------------
 
 
+def test_a_run_does_not_depend_on_postures_of_the_scene_that_is_swept(tmp_path):
+    """Postures that are open are found for each run alone, as for its trajectory."""
+    scene = ma.Scene(
+        gravity=[0, 0, -9.81],
+        object={"shape": {"box": [0.4, 0.3, 0.2]}, "mass": 2.0, "pose": {"xyz": [0, 0, 0.4]}},
+        arms={"left": {"robot": "panda", "base": {"xyz": [0.5, 0.2, 0]}}},
+        joints=[{"arm": "left", "kind": "ball", "at": {"xyz": [0, 0, 0.1], "rpy": [np.pi, 0, 0]}}],
+    )
+    asked = {"over": {"object.pose.xyz[0]": [0.01, 0.02]}, "certificate": False}
+    asked["keep"] = ["final_x", "final_z"]
+    sweep = ma.sweep(scene, asked, out=tmp_path / "s.sweep", workers=1, **RUN)
+    again = [sweep.trajectory(run).object_position[-1, [0, 2]] for run in (1, 2)]
+    np.testing.assert_array_equal(sweep.table[asked["keep"]], again)
+
+
 @pytest.mark.slow
 def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, plan, expected):
     for run in (1, 12):
