@@ -30,7 +30,17 @@ from multiarm.arms.chain import (
 )
 from multiarm.arms.terms import ArmStructure
 from multiarm.dynamics.solver.factors import solve_semidefinite
-from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, TABLE, allocating, copy, inlined, kernel
+from multiarm.jit.kernels import (
+    INTS,
+    NUMBER,
+    NUMBERS,
+    TABLE,
+    allocating,
+    copy,
+    greatest,
+    inlined,
+    kernel,
+)
 from multiarm.jit.rows import fields_of, row_of
 from multiarm.jit.vectors import AXES, ZERO, add_cross, compose, rotation_vector
 
@@ -119,9 +129,9 @@ def reach_place(
             damping = max(0.3 * damping, LEAST_DAMPING)
         else:
             damping *= 5.0
-            if damping > STUCK or largest(error) < REACHED:  # as near as rounding lets it come
+            if damping > STUCK or greatest(error) < REACHED:  # as near as rounding lets it come
                 break
-    return largest(error)
+    return greatest(error)
 
 
 @allocating
@@ -140,23 +150,12 @@ def write_step(error, rows, lower, upper, q, damping, A, y, step):
             for k in range(n):
                 A[i, j] += step[k] * rows[i, k] * rows[j, k]
     solve_semidefinite(A, error, y)
-    longest = 0.0
     for k in range(n):
         change = 0.0
         for i in range(m):
             change -= rows[i, k] * y[i]
         step[k] *= change
-        longest = max(longest, abs(step[k]))
-    return longest
-
-
-@kernel
-def largest(vector):
-    """Largest magnitude of an entry."""
-    size = 0.0
-    for value in vector:
-        size = max(size, abs(value))
-    return size
+    return greatest(step)
 
 
 @inlined

@@ -92,6 +92,7 @@ def compare_solution(address, size, _a, _b):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     solution, step, changes = data.solution, data.last_step, 0
+    step.solution.margin = solution.margin
     if not step.solution.known or step.solution.rank != solution.rank:
         step.solution.known, step.solution.rank = 1, solution.rank
         changes += 1

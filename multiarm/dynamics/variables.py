@@ -112,6 +112,7 @@ class LastSolution(Numbers):
 
     known: Flag  # there is one: a run has begun
     rank: Int
+    margin: Float  # from a loss of rank, as in `Solution`
 
 
 class LastStep(NamedTuple):

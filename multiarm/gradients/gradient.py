@@ -346,7 +346,7 @@ class _AdjointSolver:
     def _solve_panel(
         self, collocated: CollocatedPanel, halving: Halving = WHOLE
     ) -> tuple[float, np.ndarray]:
-        """Solve over one collocated, or over parts of it.
+        """Solve over a panel, or over parts of it.
 
         Returns what the series' error adds: relative to the adjoint, and to the integrals.
         """
@@ -388,7 +388,7 @@ class _AdjointSolver:
 def _adjoint(
     collocated: CollocatedPanel, end: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the adjoint equation over one collocated, from its value at the end.
+    """Solve the adjoint equation over a panel, from its value at the end.
 
     Returns its value at the start (d,), at the stages (s, d), and the integrands (s, 1 + P).
     """
@@ -399,7 +399,7 @@ def _adjoint(
 def _solved_with_error(
     collocated: CollocatedPanel, end: np.ndarray, error: np.ndarray
 ) -> _PanelSolution:
-    """Solve the adjoint equation over one collocated, and for its error."""
+    """Solve the adjoint equation, and for its error, over a panel."""
     at, defect, weights = collocated.at, collocated.defect, collocated.panel.length * WEIGHTS
     start, stages, integrand = _adjoint(collocated, end)
     wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope

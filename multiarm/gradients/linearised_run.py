@@ -196,8 +196,13 @@ class LinearisedRun:
         return 2 * self.layout.nv
 
     @property
+    def _shortest(self) -> float:
+        """Panels are divided while they are longer [s]."""
+        return SHORTEST * (self.end - self.begin)
+
+    @property
     def paths(self) -> list[str]:
-        """Of the parameters."""
+        """The parameters' paths in the scene."""
         return [parameter.path for parameter in self.parameters]
 
     @property
@@ -244,7 +249,7 @@ class LinearisedRun:
         -------
         solution : AnySolution
         quality : Quality
-            With the error of the walk along the run, and that which the run's own error adds.
+            With the error of the solution along the run, and what the run's own error adds.
 
         Raises
         ------
@@ -263,7 +268,7 @@ class LinearisedRun:
     def _along_the_run(
         self, solve: Callable[[Linearisation, Done], AnySolution], show: Report
     ) -> AnySolution:
-        """The result of a walk along the run over segments that are short enough."""
+        """The solution along the run, over segments that are short enough."""
         best: AnySolution | None = None
         for number in range(1, MOST_ROUNDS + 1):
             words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
@@ -297,17 +302,18 @@ class LinearisedRun:
         self._segments = []
         for panel in self._run.panels:
             series, first = self._run.series(panel.begin), self.layout.nq
-            self._segments += _planned_segments(panel, series, first, self.tolerance / ROUGHER)
+            allowed = self.tolerance / ROUGHER
+            self._segments += _planned_segments(panel, series, first, allowed, self._shortest)
 
     def _refine_coarse(self) -> None:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
-        allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
+        allowed = COARSE * self.tolerance
         while True:
             for k, key in enumerate(self._segments):
                 if key not in self._quality:
                     self.segment(k)
             errors = np.array([self._quality[key][1] for key in self._segments])
-            long = np.array([panel.length > shortest for panel, _ in self._segments])
+            long = np.array([panel.length > self._shortest for panel, _ in self._segments])
             coarse = (errors > allowed) & long
             if not coarse.any():
                 return
@@ -416,16 +422,26 @@ def _refuse(system: System) -> None:
 
 
 def _planned_segments(
-    panel: Panel, series: Series, first: int, allowed: float, before: float = math.inf
+    panel: Panel,
+    series: Series,
+    first: int,
+    allowed: float,
+    shortest: float,
+    before: float = math.inf,
 ) -> list[tuple[Panel, int]]:
-    """Segments of a panel over which a series, from a component on, is one of lower degree."""
+    """Segments of a panel over which a series, from a component on, is one of lower degree.
+
+    Panels that are not longer than ``shortest`` [s] are not divided.
+    """
     for degree in DEGREES:
         values = series.at(nodes(*panel, degree))[0][:, first:]
         size = max(1.0, np.abs(values).max())
         defect = Series(*panel, values).defect.max() / size
         if defect <= allowed:
             return [(panel, degree)]
-    if defect > LESSENED * before or panel.length < SHORTEST:  # noise of the run, or a kink
+    if defect > LESSENED * before or panel.length < shortest:  # noise of the run, or a kink
         return [(panel, DEGREES[-1])]
-    halves = (_planned_segments(half, series, first, allowed, defect) for half in panel.parts(2))
+    halves = (
+        _planned_segments(half, series, first, allowed, shortest, defect) for half in panel.parts(2)
+    )
     return list(chain.from_iterable(halves))

@@ -178,7 +178,7 @@ class Segment:
 
     @property
     def numbers(self) -> int:
-        """How many it has."""
+        """How many numbers its series have."""
         return self._series.numbers + self._lift.numbers
 
     def at(self, times: list[float]) -> tuple[Coefficients, Coefficients]:
@@ -261,6 +261,6 @@ class CollocatedPanel:
 
     @cached_property
     def halves(self) -> tuple[CollocatedPanel, CollocatedPanel]:
-        """The collocated in two."""
+        """Solutions over the two halves of the panel."""
         first, second = self.panel.parts(2)
         return CollocatedPanel(self._segment, first), CollocatedPanel(self._segment, second)

@@ -244,7 +244,7 @@ class _ForwardSolver:
     def _solve_panel(
         self, collocated: CollocatedPanel, segment_error: np.ndarray, halving: Halving = WHOLE
     ) -> None:
-        """Solve over one collocated, or over parts of it; adds the errors of the series, (C,)."""
+        """Solve over a panel, or over parts of it; adds the errors of the series, (C,)."""
         linearised, panel, S, error = self._linearised, collocated.panel, self._S, self._error
         whole, _, _ = _solved_with_error(collocated, S, error)
         of_series = np.zeros(S.shape[1])
@@ -267,7 +267,7 @@ class _ForwardSolver:
 def _solved_with_error(
     collocated: CollocatedPanel, S: np.ndarray, error: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the variational equation over one collocated, and for its error.
+    """Solve the variational equation, and for its error, over a panel.
 
     Returns both at the end, (d, C) each, and the part of the error that begins here, (C,).
     """

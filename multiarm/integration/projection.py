@@ -28,7 +28,7 @@ from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import solve_constrained, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
-from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, greatest, kernel, larger
+from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, greatest, inlined, kernel, larger
 
 # alpha = beta = FEEDBACK_RATIO / step
 FEEDBACK_RATIO = 0.1
@@ -80,7 +80,7 @@ def project_positions(
             return status
         worst = greatest(data.rows.kinematics[:, GAP])
         if worst <= tolerance:
-            if further == 0 or worst > 0.5 * before or not near_loss(struct):
+            if further == 0 or worst > 0.5 * before or not near_loss(data.solution):
                 return OK
             further -= 1
         if not math.isfinite(worst):
@@ -108,10 +108,10 @@ def project_positions(
     return PROJECTION_FAILED
 
 
-@kernel
-def near_loss(struct):
-    """Whether the constraints were near a loss of rank when they were solved last."""
-    return open_data(struct).solution.margin < NEAR_LOSS
+@inlined
+def near_loss(solution):
+    """Whether the constraints of a solution are near a loss of rank."""
+    return solution.margin < NEAR_LOSS
 
 
 @kernel

@@ -228,11 +228,11 @@ def length_after_rejection(method, h, error):
 @kernel
 def choose_stage_projection(step, clock, settings):
     """Decide whether the stages of the next step are projected."""
-    struct = step.system
-    open_data(struct).solution.least_margin = math.inf
+    data = open_data(step.system)
+    data.solution.least_margin = math.inf
     retry = clock.retry_steps > 0
     if not settings.adaptive and settings.gap_tolerance >= 0.0:
-        retry = near_loss(struct)
+        retry = near_loss(data.last_step.solution)  # samples within the step are others
     step.stage.gap = settings.gap_tolerance if retry else -1.0
 
 

@@ -122,7 +122,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             return status
         clock.rejected += 1
         step.stage.repeats = True
-        if near_loss(struct) and settings.gap_tolerance >= 0.0:
+        if near_loss(open_data(struct).solution) and settings.gap_tolerance >= 0.0:
             first_failure = clock.retry_steps == 0
             clock.retry_steps = RETRY_STEPS
             if first_failure:

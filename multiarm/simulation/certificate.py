@@ -326,12 +326,11 @@ def _work_on_gaps(run: Trajectory) -> float:
         "time", "drift/position", "drift/velocity", *forces
     ):
         total = sum(np.abs(values).sum(axis=1) for values in blocks)
-        largest = max(largest, float(np.max(total)))
-        gap = max(gap, float(gaps.max()))
+        largest, gap = np.maximum(largest, total.max()), np.maximum(gap, gaps.max())
         steps = np.diff(time, prepend=time[0] if before is None else before)
         opened += float(rates @ steps)
         before = time[-1]
-    return largest * (gap + opened)
+    return float(largest * (gap + opened))
 
 
 def _momenta(data: Data, state: State) -> np.ndarray:
@@ -357,7 +356,7 @@ def _energy_gradient(data: Data, state: State) -> np.ndarray:
 
 
 def _largest(run: Trajectory, name: str) -> float:
-    return max(float(np.abs(values).max()) for (values,) in run.blocks(name))
+    return float(np.max([np.abs(values).max() for (values,) in run.blocks(name)]))
 
 
 def _required(accuracy: AccuracySpec) -> dict[str, float | None]:

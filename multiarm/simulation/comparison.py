@@ -75,8 +75,8 @@ class Comparison:
     """Differences of two runs."""
 
     outputs: dict[str, Difference]
-    time: np.ndarray  # (p,) [s]
-    course: dict[str, np.ndarray]  # by kind, (p,): the largest difference up to each time
+    time: np.ndarray  # (p,) [s], ends of intervals
+    course: dict[str, np.ndarray]  # by kind, (p,): the largest difference in each interval
     velocity: dict[str, np.ndarray]  # by channel: the largest difference of each velocity
     work: float  # [J], the largest difference
     samples: int  # that both runs have

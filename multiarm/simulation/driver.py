@@ -73,7 +73,7 @@ GOES_ON = (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, GUARD_FIRED, STIFF)
 
 
 def never() -> bool:
-    """Of a run that nobody interrupts between two calls of the loop."""
+    """Whether a run is to end that nobody interrupts: it is not."""
     return False
 
 

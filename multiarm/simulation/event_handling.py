@@ -155,6 +155,10 @@ class EventHandler:
         run.clock.stop = time
         return ""
 
+    def forget_pending(self) -> None:
+        """Forget the event that was located: the run does not come to it."""
+        self._pending, self.modes.numbers.muted = None, False
+
     def cross(self, run: Run) -> str:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
         assert self._pending is not None, "the run stops at an event"

@@ -231,26 +231,26 @@ class Stepper:
         self._control(torques)
         self._extend(end)
         ending = self._driver.drive()
-        if ending.end in (End.FAILED, End.INTERRUPTED):
-            self._fail(ending)
         if ending.end is End.UNDECIDED:
             self._broken = ending.message
         if ending.end is not End.COMPLETED:
-            raise SolverError(ending.message)
+            self._fail(ending)
         return state_of(self._run, self._layout)
 
     def _begin(self, torques: np.ndarray | None) -> None:
         """Bring the task to its start, where ``torques`` are held, or those of its own control."""
-        task, self._samples = self._task, MemorySink()
+        task, samples = self._task, MemorySink()
         task.data.hold(torques)
-        self._driver: Driver = begin(task, self._samples)
-        open_sink(self._samples, task.system, task.spec, task.state is not None)
-        run = self._driver.run
+        self._held = torques is not None
+        driver = begin(task, samples)
+        open_sink(samples, task.system, task.spec, task.state is not None)
+        run = driver.run
         run.clock.final_sample = -1
         if torques is not None:
             run.clock.control_due = run.clock.control_step = math.inf
-        self._held = self._driven = torques is not None
+        self._driver: Driver = driver
         self._run: Run = run
+        self._samples, self._driven = samples, self._held
         self._row = np.zeros(run.block.shape[1])
 
     def _end_after(self, duration: float) -> float:
@@ -309,10 +309,12 @@ class Stepper:
         clock.sample += 1
 
     def _fail(self, ending: Ending) -> NoReturn:
-        """Raise the error of a step that failed; the next call begins with a usual step again."""
-        run = self._run
+        """Raise why the run cannot go on; the next call begins with a usual step again."""
+        run, events = self._run, self._driver.events
         run.data.forgive()
         run.clock.stop = math.inf
+        if events is not None:
+            events.forget_pending()
         run.clock.h, run.clock.retry_steps = run.clock.step, 0
         if ending.end is End.INTERRUPTED:
             raise KeyboardInterrupt

@@ -47,7 +47,7 @@ from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 __all__ = ["SweepPlan", "make_plan"]
 
 MOST_RUNS = 1_000_000
-"""Of one sweep."""
+"""A sweep has at most so many runs."""
 
 
 @dataclass(frozen=True)

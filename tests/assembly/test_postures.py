@@ -19,7 +19,7 @@ from multiarm.arms.arm import Arm
 from multiarm.assembly.bases import StandSearch
 from multiarm.assembly.inverse_kinematics import BASE_JOINTS, InverseKinematics
 from multiarm.assembly.postures import PostureSearch, overlapping_links
-from multiarm.assembly.reaching import REACHED
+from multiarm.assembly.reaching import REACHED, write_step
 from multiarm.assembly.robots import arm_files, load_robots, with_bases
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import SceneError
@@ -208,6 +208,12 @@ def test_where_nothing_is_found_the_message_says_how_hard_it_was_tried():
     arms = {"a": {**plain_arm("xyzX"), "posture": "solve"}}
     with refused(SceneError, "arms.a.posture"):
         ma.compile_system(scene(arms, [{"arm": "a", "kind": "weld", "at": turned}]))
+
+
+def test_a_step_that_is_not_finite_is_not_the_shortest():
+    one, error = np.ones(1), np.array([np.nan])
+    longest = write_step(error, np.ones((1, 1)), -one, one, 0 * one, 1.0, np.ones((1, 1)), one, one)
+    assert np.isnan(longest)
 
 
 def test_every_arm_that_cannot_be_placed_is_named():

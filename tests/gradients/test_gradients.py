@@ -7,6 +7,7 @@ accuracy, matrix exponentials, and each of the two directions for the other.
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -172,6 +173,13 @@ def test_panels_are_divided_as_long_as_that_lessens_their_error():
         while halving := halving.next(factor**times, 0.5**times):
             times += 1
         assert times == most
+
+
+def test_segments_at_a_kink_are_no_shorter_than_is_allowed():
+    """The series of t^1.5 is wrong by 2^-1.5 as much over half of a segment that begins at zero."""
+    root, shortest = SimpleNamespace(at=lambda times: (np.array(times)[:, None] ** 1.5, None)), 1e-3
+    segments = linearised_module._planned_segments(Panel(0.0, 1.0), root, 0, 1e-18, shortest)
+    assert 0.5 * shortest < min(panel.length for panel, _ in segments) <= shortest
 
 
 @pytest.mark.parametrize("degree", DEGREES)

@@ -15,8 +15,10 @@ from mechanics import data_of
 
 import multiarm as ma
 from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK
 from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
+from multiarm.integration.step_control import choose_stage_projection
 from multiarm.problems import loops
 from multiarm.problems.postures import stretched_and_released_scene
 
@@ -82,6 +84,22 @@ def test_crossing_motions_are_passed_on_the_one_that_the_state_is_on(name, setti
         assert trajectory.statistics["residual_max"] < 1e-5, start
         assert np.all(trajectory.rank >= 6)
     assert crossed >= 2 * STARTS
+
+
+def test_fixed_steps_near_a_loss_of_rank_do_not_depend_on_the_samples():
+    """Samples within a step may be nearer to the loss than its end, or farther."""
+    start = state_on("four_bar", math.pi - 1.0, 6.0)
+    stepper = ma.Stepper(compiled("four_bar"), start, integrator="rk4", step=1e-2)
+    stepper.advance(0.02)
+    run = stepper._run
+    step, data = run.stepping.step, run.data.arrays
+    assert data.last_step.solution.margin == data.solution.margin < NEAR_LOSS
+    data.solution.margin = 2.0 * NEAR_LOSS  # of a sample
+    choose_stage_projection(step, run.clock, run.settings)
+    assert step.stage.gap == run.settings.gap_tolerance > 0.0
+    data.last_step.solution.margin, data.solution.margin = 2.0 * NEAR_LOSS, 0.5 * NEAR_LOSS
+    choose_stage_projection(step, run.clock, run.settings)
+    assert step.stage.gap < 0.0
 
 
 # --- starts in the flat position -----------------------------------------------------------------

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from event_scenes import GRAVITY, arm, ball, ball_on_plate, box, on_floor
+from event_scenes import GRAVITY, arm, ball, ball_on_plate, box, fall_time, on_floor
 from loose_scenes import cart_with_box
 from mechanics import ur5_pair
 from refusals import refused
@@ -15,6 +15,7 @@ import multiarm as ma
 from multiarm.errors import ControlError, ModelError, SceneError, SolverError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import parse_scene
+from multiarm.simulation.event_handling import EventHandler
 from multiarm.spatial import quaternion_to_matrix
 
 T, COUNT = 2e-3, 40
@@ -267,6 +268,52 @@ def test_a_failed_step_leaves_the_last_good_state(tmp_path):
     failing[0] = math.inf
     state = stepper.advance(0.01, {"cart": [-5.0]})
     assert state.joint_velocities["cart"][0] == pytest.approx(1.0 + t - 0.01, abs=1e-9)
+
+
+def test_an_event_is_located_again_after_the_step_to_it_failed(monkeypatch):
+    """The load breaks off where an event has been located and the run has not come to it."""
+    handle, located, failures = EventHandler.handle, [False], []
+
+    def watched(self, run, stopped):
+        fault = handle(self, run, stopped)
+        located[0] = not stopped
+        return fault
+
+    def load(t, state):
+        if located[0] and not failures:
+            failures.append(t)
+            raise ValueError("no load")
+        return np.zeros(6)
+
+    monkeypatch.setattr(EventHandler, "handle", watched)
+    height, effects = 0.1, {"external_wrenches": [{"on": "object", "function": load}]}
+    system = ma.compile_system(on_floor(ball(height=height), 0.5, effects=effects))
+    stepper = ma.Stepper(system, integrator="rk4", step=0.01)
+    with refused(SolverError, "external_wrenches[0]"):
+        stepper.advance(0.2, {})
+    assert failures and stepper.time < fall_time(height)
+    stepper.advance(0.2, {})
+    first, *_ = [event["time"] for event in stepper.events if event["kind"] == "bounces"]
+    assert first == pytest.approx(fall_time(height), abs=1e-9)
+
+
+def test_a_start_that_fails_under_torques_leaves_the_recording(tmp_path):
+    failing = [False]
+
+    def wind(t, state):
+        if failing[0]:
+            raise ValueError("the wind tunnel is off")
+        return np.zeros(6)
+
+    scene = cart_with_box(tmp_path, {"external_wrenches": [{"on": "object", "function": wind}]})
+    stepper = ma.Stepper(ma.compile_system(parse_scene(scene)), record=True, output_step=1e-3)
+    failing[0] = True
+    with refused(ControlError, "external_wrenches[0]"):
+        stepper.advance(0.01, {"cart": [5.0]})
+    failing[0] = False
+    state = stepper.advance(0.01)
+    assert state.joint_velocities["cart"][0] == 0.0  # the torques are those of the system
+    np.testing.assert_allclose(stepper.trajectory().time, 1e-3 * np.arange(11), atol=1e-15)
 
 
 def test_a_run_that_hardly_gets_on_is_ended(ur5_system, monkeypatch):
