@@ -35,7 +35,9 @@ from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.effects.building import BuildContext, effect_program
 from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.integration.near_singular import evaluate_near_singular
+from multiarm.integration.projection import close_gaps
 from multiarm.integration.reporting_guards import check_reports, reporting_guards
+from multiarm.integration.step import watch_stage
 from multiarm.scene import Scene
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -46,8 +48,10 @@ FUNCTIONS = {
     "project": solve,
     "record": record_solution,
     "compare": compare_solution,
-    "reports": check_reports,
+    "close_gaps": close_gaps,
 }
+# Those of scenes with guards that only report.
+REPORT_FUNCTIONS = {"reports": check_reports, "watch": watch_stage}
 LAZY_FUNCTIONS = {
     "coupled": solve_deficient,
     "row": write_general_row,
@@ -76,6 +80,7 @@ def uncontrolled_model(
     limits = {name: joint.limits for name, joint in joints.items()}
     frames = {name: joint.frame for name, joint in joints.items()}
     levers = [arms[name].levers(frame.on_tip[:3, 3]) for name, frame in frames.items()]
+    guards = reporting_guards(of_arms, limits, layout, effects.watched, enforced)
     without_arm = len(layout.dofs) - 1 - len(arms)  # the surroundings, where they have rows
     return Model(
         arms=arms,
@@ -91,12 +96,12 @@ def uncontrolled_model(
         effects=effects,
         links=tuple(context.links),
         levers=(*levers, *[np.zeros(0)] * without_arm),
-        functions=FUNCTIONS,
+        functions=FUNCTIONS | REPORT_FUNCTIONS if guards else FUNCTIONS,
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
         pair_places=np.zeros((len(rows.table.shapes), 3)),
         unilateral=unilateral,
-        guards=reporting_guards(of_arms, limits, layout, effects.watched, enforced),
+        guards=guards,
     )
 
 

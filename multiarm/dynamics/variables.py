@@ -230,6 +230,7 @@ class Functions(Numbers):
     forces: Int
     solve: Int
     project: Int  # the node algorithm without friction, for impulses and projections
+    close_gaps: Int  # the projection of a state
     coupled: Int  # the system with deficient arms
     row: Int  # a contact other than a tip on a plane, sphere or cylinder
     near_singular: Int  # an evaluation near a loss of rank
@@ -237,7 +238,8 @@ class Functions(Numbers):
     compare: Int  # the recorded solution with that of the previous step
     contact_forces: Int  # with unilateral contacts
     guards: Int  # with unilateral contacts
-    reports: Int  # the check of the guards that only report
+    reports: Int  # the check of the guards that only report, where there are any
+    watch: Int  # what all guards see of a stage, where there are any
     arms: Int  # terms of compiled arms, with address and size of their struct
     arms_struct: Int
     arms_size: Int

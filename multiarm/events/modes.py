@@ -33,6 +33,7 @@ from multiarm.events.kernels import (
 )
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import ModeGuards
+from multiarm.integration.step import watch_stage
 from multiarm.jit.pointers import address_of
 from multiarm.results.contact_states import ContactState
 
@@ -78,7 +79,7 @@ class Modes:
         self.data.of_laws = self.closed
         self._functions = functions = self.data.arrays.functions
         functions.contact_forces = address_of(record_forces)
-        functions.guards = address_of(check_guards)
+        functions.guards, functions.watch = address_of(check_guards), address_of(watch_stage)
         self._solve_held, self._solve_sliding = address_of(solve_held), 0
         self._reactions = None
         if any(constraint.tangents for constraint in unilateral.constraints):

@@ -28,18 +28,38 @@ from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import solve_constrained, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
-from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, greatest, inlined, kernel, larger
+from multiarm.jit.kernels import (
+    INT,
+    INTS,
+    NUMBER,
+    TRUTH,
+    cfunc,
+    clear,
+    greatest,
+    inlined,
+    kernel,
+    larger,
+)
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_at
 
 # alpha = beta = FEEDBACK_RATIO / step
 FEEDBACK_RATIO = 0.1
 
 
-@kernel
+@inlined
 def project(struct, tolerance):
     """Project the state in ``data`` of the system with this struct; returns a status.
 
     The kinematics left in ``data`` are those from before the velocities' correction.
     """
+    return call_cfunc(open_data(struct).functions.close_gaps, struct, tolerance, 0.0)
+
+
+@cfunc
+def close_gaps(address, size, tolerance, _b):
+    """:func:`project`, once for all the kernels that call it."""
+    struct = struct_at(address, size)
     status = project_positions(struct, tolerance, False, 0.5, 12)
     if status != OK:
         return status

@@ -108,9 +108,7 @@ def check_reports(address, size, h, _b):
 @kernel
 def count_reports(struct, functions, h):
     """Call :func:`check_reports` where there are such guards."""
-    if open_reports(struct).kind.size == 0:
-        return 0
-    return call_cfunc(functions.reports, struct, h, 0.0)
+    return 0 if functions.reports == 0 else call_cfunc(functions.reports, struct, h, 0.0)
 
 
 def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
@@ -118,6 +116,8 @@ def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
 
     At the kinematics in ``data``.
     """
+    if not any(isinstance(guard.function, PatchDepth) for guard in data.model.guards):
+        return []
     write_reports(data.struct)
     off = []
     for guard, depth in zip(data.model.guards, data.guards.value.tolist(), strict=True):

@@ -30,7 +30,8 @@ from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
-from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, copy, inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, cfunc, copy, inlined, kernel
+from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import (
     Flag,
     Float,
@@ -224,11 +225,21 @@ def stage_slope(step, t, z, slope):
     """:func:`slope_at` at a stage, whose forces the guards watch; returns a status."""
     status = slope_at(step, t, z, slope)
     if status == OK:
-        struct, data = step.system, open_data(step.system)
-        follow_stage(open_reports(struct), struct, data.rows.force)
-        if data.functions.guards != 0:
-            follow_stage(open_guards(struct_at(data.modes.mode, 0)), struct, data.rows.force)
+        functions = open_data(step.system).functions
+        if functions.watch != 0:
+            call_cfunc(functions.watch, step.system, 0.0, 0.0)
     return status
+
+
+@cfunc
+def watch_stage(address, size, _a, _b):
+    """Let the guards see the forces of a stage that has been evaluated."""
+    struct = struct_at(address, size)
+    data = open_data(struct)
+    follow_stage(open_reports(struct), struct, data.rows.force)
+    if data.functions.guards != 0:
+        follow_stage(open_guards(struct_at(data.modes.mode, 0)), struct, data.rows.force)
+    return OK
 
 
 @kernel

@@ -104,8 +104,10 @@ class Kernel:
         if INTERPRETED:
             return
         self._stamp = _stamp_of(function)
-        # as in NumPy, a division by zero gives inf or NaN, which the callers look for
-        self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
+        # As in NumPy, a division by zero gives inf or NaN, which the callers look for.  Numba would
+        # inline also what an inlined kernel calls: large kernels, and each of their calls anew.
+        common = {"error_model": "numpy", "no_cfunc_wrapper": True, "forceinline": False}
+        self._options = {**common, **options}
         self._whole: Any = None
         self._wait: Callable[[], object] | None = None
         self._making = threading.Lock()

@@ -22,7 +22,7 @@ import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.jit import kernels, vectors
 from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
-from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, kernel, kernel_modules
+from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, inlined, kernel, kernel_modules
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import (
     Flag,
@@ -276,6 +276,35 @@ def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
     assert compiled not in (before, data_of(fresh).arrays.functions.coupled)
     assert data_of(regular).arrays.functions.coupled == before, "a regular scene does without"
     assert data_of(regular).arrays.functions.row != 0
+
+
+@inlined
+def twice(x):
+    return square(x) + square(2.0 * x)
+
+
+@kernel
+def square(x):
+    return x * x
+
+
+@kernel
+def one_and_two(x: NUMBER):
+    return twice(x)
+
+
+def test_what_an_inlined_kernel_calls_is_not_inlined_with_it():
+    one_and_two.whole.compile(argument_types(one_and_two))
+    (inlined_code,) = twice._part.inspect_llvm().values()
+    (called_code,) = square._part.inspect_llvm().values()
+    assert "alwaysinline" in inlined_code
+    assert "alwaysinline" not in called_code
+
+
+def test_a_scene_without_guards_compiles_none_of_their_functions(welded_ur5_system):
+    data = data_of(welded_ur5_system)
+    assert not data.model.guards
+    assert data.arrays.functions.reports == data.arrays.functions.watch == 0
 
 
 def test_kernels_that_python_calls_get_the_types_that_they_are_compiled_for(welded_ur5_system):

@@ -47,9 +47,9 @@ import numpy as np
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
 from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import INTS, inlined, kernel
+from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.simd import LANES, aligned_zeros
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, struct_of, view
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, view
 
 # Pivot of an arm whose inertia matrix is not positive definite.
 NO_INERTIA = -2.0
@@ -130,7 +130,7 @@ def make_work(
         packs=np.zeros(0),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
-    size = write_group_tables(struct_of(work), group_order(dofs, rows))
+    size = write_groups(group_order(dofs, rows), work)
     return work._replace(packs=aligned_zeros(size))
 
 
@@ -156,13 +156,7 @@ def group_order(dofs: list[int], rows: list[int]) -> np.ndarray:
     return np.array(order, dtype=np.int64)
 
 
-@kernel
-def write_group_tables(struct: INTS, order: INTS):
-    """:func:`write_groups` for the struct of a :class:`NodeWork`."""
-    return write_groups(order, open_node(struct))
-
-
-@inlined
+@plain
 def write_groups(order, work):
     """Write the tables of the groups for arms in an order; returns the size of ``packs``."""
     n, all_joints = order.size, work.stiffness.shape[1] // LANES
@@ -191,7 +185,7 @@ def write_groups(order, work):
     return size
 
 
-@inlined
+@plain
 def place_in_vector(starts, arm, k):
     """Index of a joint or contact of an arm in a stacked vector; padding reads from somewhere."""
     first, end = starts[arm], starts[arm + 1]
