@@ -25,7 +25,7 @@ from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.event_log import CLAUSE_SEPARATOR
-from multiarm.results.files import STATUSES, atomic_file
+from multiarm.results.files import INTERRUPTED, STATUSES, atomic_file
 from multiarm.results.limit_use import (
     JointUse,
     joint_uses,
@@ -668,7 +668,7 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
     last = store.read("time", store.samples - 1)[0] if store.samples else None
     where = "before its first checkpoint" if last is None else f"at t = {last:.9g} s"
     return Trajectory(
-        store, Outcome("interrupted", f"the run was cut {where}: it was killed or is still running")
+        store, Outcome(INTERRUPTED, f"the run was cut {where}: it was killed or is still running")
     )
 
 

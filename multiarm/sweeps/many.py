@@ -24,6 +24,7 @@ from multiarm.dynamics.state import State, require_same_joints
 from multiarm.dynamics.system import System, require_control, require_state, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.jit.ahead import processors
+from multiarm.results.files import FAILED, INTERRUPTED
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
@@ -202,7 +203,7 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
             system, state=case.state, out=case.out, progress=progress, **case.options
         ).close_between_reads()
     except MultiarmError as error:
-        return empty_result(case, system, "failed", f"the run could not begin: {error}")
+        return empty_result(case, system, FAILED, f"the run could not begin: {error}")
 
 
 def _compiled(scene: Scene, like: System) -> System:
@@ -296,7 +297,7 @@ def run_cases(
     for worker in workers:
         worker.result()
     report()
-    never = "interrupted", "stopped by the user before it began"
+    never = INTERRUPTED, "stopped by the user before it began"
     return [
         empty_result(case, system, *never, write=False) if result is None else result
         for case, result in zip(cases, results, strict=True)
