@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.control_laws import ControlLaw
-from multiarm.dynamics.effect_kernels import EffectKernel
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import (
     ARM_INERTIA,
@@ -18,7 +16,6 @@ from multiarm.dynamics.status import (
     PROJECTION_FAILED,
 )
 from multiarm.errors import SolverError
-from multiarm.jit.kernels import Kernel
 from multiarm.jit.pointers import address_of
 from multiarm.scene.values import SURROUNDINGS
 
@@ -84,21 +81,19 @@ def _arm_that_failed(data: Data) -> str:
 def _kernel_text(data: Data) -> str:
     """Which control law or effect returned an answer of its own, and which."""
     model, status = data.model, data.arrays.status
-    kernels = [("control law", kernel) for law in model.laws for kernel in _functions_of(law)]
-    kernels += [("effect", kernel) for e in model.effects.kernels for kernel in _functions_of(e)]
+    kernels = [("effect", k) for e in model.effects.kernels for k in (e.kernel, e.derivative)]
+    for law in model.laws:
+        of_law = law.kernel, law.derivative, law.share_derivative
+        kernels += [("control law", kernel) for kernel in of_law]
     kind, name = next(
         (kind, kernel.py_func.__name__)
         for kind, kernel in kernels
-        if address_of(kernel) == status.kernel
+        if kernel is not None and address_of(kernel) == status.kernel
     )
     return (
         f"the {kind} `{name}` returned {status.answer}; a kernel returns 0 when it succeeds: look "
         f"there for what this number stands for"
     )
-
-
-def _functions_of(law: ControlLaw | EffectKernel) -> list[Kernel]:
-    return [kernel for kernel in (law.kernel, law.derivative) if kernel is not None]
 
 
 def contradiction_text(data: Data) -> str:
