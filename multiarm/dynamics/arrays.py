@@ -15,7 +15,7 @@ from multiarm.contacts.table import JointRows
 from multiarm.dynamics.guards import Guards
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.status import CALLBACK_FAILED, KERNEL_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import Rows, Variables
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc
@@ -159,15 +159,26 @@ def open_data(struct):
 
 @inlined
 def call_listed(table, k, struct, data):
-    """Call function ``k`` of ``Constants.control``, ``sampled`` or ``effects``."""
-    call_cfunc(table[k, ADDRESS], struct, float(table[k, NUMBERS_AT]), data.time.now)
+    """Call function ``k`` of ``Constants.control``, ``sampled``, ``effects``; returns a status."""
+    at = float(table[k, NUMBERS_AT])
+    answer = call_cfunc(table[k, ADDRESS], struct, at, data.time.now)
+    return OK if answer == OK else failure_of_kernel(table[k, ADDRESS], answer, data)
 
 
 @inlined
 def call_derivative(table, k, column, struct, data):
-    """Call the derivative of function ``k`` in a column; returns a status.
-
-    One that cannot fail returns 0.
-    """
+    """Call the derivative of function ``k`` in a column; returns a status."""
     at = float(table[k, NUMBERS_AT])
-    return min(call_cfunc(table[k, column], struct, at, data.time.now), OK)
+    answer = call_cfunc(table[k, column], struct, at, data.time.now)
+    if answer in (OK, SINGULAR):
+        return answer
+    return failure_of_kernel(table[k, column], answer, data)
+
+
+@inlined
+def failure_of_kernel(address, answer, data):
+    """The status that stands for an answer which is not ``OK``; any other than these is noted."""
+    if answer in (CALLBACK_FAILED, KERNEL_FAILED):
+        return answer
+    data.status.kernel, data.status.answer = address, answer
+    return KERNEL_FAILED

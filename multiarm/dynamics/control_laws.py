@@ -103,7 +103,8 @@ class ControlLaw:
     ----------
     kernel : Kernel
         Decorated with :func:`multiarm.jit.kernels.cfunc`, called with address and size of the
-        system's struct, the place ``at`` of the numbers there (a float), and the time [s].
+        system's struct, the place ``at`` of the numbers there (a float), and the time [s].  It
+        returns 0; any other answer ends the evaluation, and the run's message has it.
     numbers : NamedTuple
         Numbers, and contiguous arrays of float64 or int64.  All threads share them: a law reads
         them only.  Empty for a law without numbers.

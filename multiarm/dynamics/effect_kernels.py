@@ -158,8 +158,8 @@ class EffectKernel:
     state_joints : tuple of int
         The joint, among all, to which each state of a local kernel belongs.
     derivative : compiled function, optional
-        The derivatives of what the kernel does, see above; returns 0, or a status that ends the
-        evaluation (:mod:`multiarm.dynamics.status`).  Absent: differences.
+        The derivatives of what the kernel does, see above; returns 0, any other answer ends the
+        evaluation.  Absent: differences.
     """
 
     name: str

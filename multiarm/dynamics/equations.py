@@ -49,7 +49,7 @@ from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.node import eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
 from multiarm.dynamics.solver.solution import SPLIT, WHOLE, write_solution
-from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OK
+from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import floats_at, struct_at
@@ -88,8 +88,7 @@ def solve_constrained(struct: INTS):
     """Solve for ``a_o, a_j, force`` with the right-hand sides ``f_o, f_j, c`` in ``data``.
 
     Contact forces act along their normals, without friction, as projections need.  Call
-    :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of the arm
-    (the number of arms: of the object) whose inertia is not positive definite.
+    :func:`update_kinematics` before.  Returns a status.
     """
     return call_cfunc(open_data(struct).functions.project, struct, 0.0, 0.0)
 
@@ -115,52 +114,58 @@ def kinematics(address, size, _a, _b):
 def right_hand_sides(address, size, alpha, beta):
     """Forces ``f_j, f_o`` from bias, control and effects, and ``c`` with feedback on the drift.
 
-    Returns ``OK`` or ``CALLBACK_FAILED``.
+    Returns ``OK``, ``CALLBACK_FAILED`` or ``KERNEL_FAILED``.
     """
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     clear(data.effects.power)
-    passive_forces(struct, model, data, work)
-    power = 0.0
-    if model.control.shape[0] > 0:
-        command_torques(struct, model, data, work)
-        power = add_torques(struct, model, data, work)
-    applied_forces(struct, model, data, power)
+    status, power = passive_forces(struct, model, data, work), 0.0
+    if status == OK and model.control.shape[0] > 0:
+        status = command_torques(struct, model, data, work)
+        if status == OK:
+            status = call_effects(model.passive_end, model.actuator_end, struct, model, data)
+        power = add_torques(data, work)
+    if status == OK:
+        status = applied_forces(struct, model, data, power)
+    if status != OK:
+        return status
     drift_terms(data, alpha, beta)
     return CALLBACK_FAILED if data.status.failed else OK
 
 
 @inlined
 def command_torques(struct, model, data, work):
-    """Let the control laws write ``data.control.torque``."""
+    """Let the control laws write ``data.control.torque``; returns a status."""
     if data.modes.active:
-        control_of_closed(model, data)
-    else:
-        load_gravity_torque(data, work)
-        control_torques(struct, model.control.shape[0], model, data)
+        return control_of_closed(model, data)
+    load_gravity_torque(data, work)
+    return control_torques(struct, model.control.shape[0], model, data)
 
 
 @inlined
 def control_of_closed(model, data):
-    """Let the laws write ``data.control.torque`` as if all contacts of the joints were closed."""
+    """Let the laws write ``data.control.torque`` as if all contacts of the joints were closed.
+
+    Returns a status.
+    """
     closed = struct_at(data.modes.closed, 0)
     constants, of_closed, work = open_system(closed)
     for i in range(of_closed.bodies.pointers.shape[0]):
         arm_rows(i, closed, constants, of_closed, work)
         load_inertia(i, of_closed, work)
     load_gravity_torque(of_closed, work)
-    control_torques(closed, model.control.shape[0], model, of_closed)
+    return control_torques(closed, model.control.shape[0], model, of_closed)
 
 
 @inlined
 def passive_forces(struct, model, data, work):
-    """``f_j = -b`` and the passive effects of the joints."""
+    """``f_j = -b`` and the passive effects of the joints; returns a status."""
     for i in range(data.bodies.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         bias = floats_at(open_addresses(data.bodies.pointers[i]).bias, d)
         for j in range(d):
             data.forces.f_j[d0 + j] = -bias[j]
-    call_effects(0, model.passive_end, struct, model, data)
+    return call_effects(0, model.passive_end, struct, model, data)
 
 
 @inlined
@@ -175,19 +180,21 @@ def load_gravity_torque(data, work):
 
 @inlined
 def control_torques(struct, laws, model, data):
-    """Let a number of control laws write ``data.control.torque``."""
+    """Let a number of control laws write ``data.control.torque``; returns a status."""
     clear(data.control.torque)
+    status = OK
     for k in range(laws):
-        call_listed(model.control, k, struct, data)
+        if status == OK:
+            status = call_listed(model.control, k, struct, data)
+    return status
 
 
 @inlined
-def add_torques(struct, model, data, work):
+def add_torques(data, work):
     r"""Add the control torques, changed by the actuators, to ``f_j``, and write the arms' powers.
 
     That of an arm is :math:`P_i = \tau_i \cdot \dot q_i`; returns their sum [W].
     """
-    call_effects(model.passive_end, model.actuator_end, struct, model, data)
     total = 0.0
     for i in range(data.control.power.size):
         power = 0.0
@@ -201,19 +208,29 @@ def add_torques(struct, model, data, work):
 
 @inlined
 def applied_forces(struct, model, data, power):
-    """Add the external loads, and write the total power; ``power`` [W] is that of the control."""
-    call_effects(model.actuator_end, model.applied_end, struct, model, data)
+    """Add the external loads, and write the total power; returns a status.
+
+    ``power`` [W] is that of the control.
+    """
+    status = call_effects(model.actuator_end, model.applied_end, struct, model, data)
     last = data.effects.power.size - 1
     for k in range(last):
         power += data.effects.power[k]
     data.effects.power[last] = power
+    return status
 
 
 @inlined
 def call_effects(first, end, struct, model, data):
-    """Call the effects of one phase, rows ``first`` to ``end`` of ``Constants.effects``."""
+    """Call the effects of one phase, rows ``first`` to ``end`` of ``Constants.effects``.
+
+    Returns a status.
+    """
+    status = OK
     for k in range(first, end):
-        call_listed(model.effects, k, struct, data)
+        if status == OK:
+            status = call_listed(model.effects, k, struct, data)
+    return status
 
 
 @inlined
@@ -268,13 +285,13 @@ def solve_deficient(address, size, decompose_all, _b):
 def solve_coupled_arms(data, work, coupled, decompose_all):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
-    failed = eliminate_arms(work, rows.Wo)
-    if failed != OK:
-        return failed
+    status, data.status.arm = eliminate_arms(work, rows.Wo)
+    if status != OK:
+        return status
     pivot = couple(work, coupled, rows.Wo, data.bodies.object_inertia, decompose_all)
     work.pivot[data.bodies.pointers.shape[0]] = pivot
     if not pivot > 0.0:
-        return data.bodies.pointers.shape[0] if pivot == pivot else NOT_FINITE
+        return OBJECT_INERTIA if pivot == pivot else NOT_FINITE
     solve_coupled(
         work, coupled, forces.f_o, forces.f_j, rows.c,
         accelerations.a_o, accelerations.a_j, rows.force,

@@ -5,9 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.node import NO_INERTIA
-from multiarm.dynamics.status import CONTRADICTION, NOT_FINITE, OK, PROJECTION_FAILED
+from multiarm.dynamics.status import (
+    ARM_INERTIA,
+    ARM_NOT_FINITE,
+    CONTRADICTION,
+    KERNEL_FAILED,
+    NOT_FINITE,
+    OBJECT_INERTIA,
+    OK,
+    PROJECTION_FAILED,
+)
 from multiarm.errors import SolverError
+from multiarm.jit.pointers import address_of
 from multiarm.scene.values import SURROUNDINGS
 
 
@@ -32,16 +41,21 @@ def require_ok(data: Data, status: int) -> None:
 
 def failure_text(data: Data, status: int) -> str:
     """What a status of the compiled code means, and what to do."""
-    names = data.model.arm_names
     lost = lost_contact_text(data)
     if lost:
         return lost
-    if 0 <= status < len(names) and data.work.pivot[status] == NO_INERTIA:
+    if status == ARM_INERTIA:
         return (
-            f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
-            f"links without mass or inertia; give them some in the URDF, or lock the joint"
+            f"the inertia matrix of arm '{_arm_that_failed(data)}' is not positive definite: a "
+            f"joint moves links without mass or inertia; give them some in the URDF, or lock the "
+            f"joint"
         )
-    if status == len(data.arrays.bodies.pointers):
+    if status == ARM_NOT_FINITE:
+        return (
+            f"numbers of arm '{_arm_that_failed(data)}' are not finite; take smaller steps, or "
+            f"check its URDF and the controller"
+        )
+    if status == OBJECT_INERTIA:
         return (
             "the object's node matrix is not positive definite; check the object's mass and "
             "inertia and that all numbers of the state are finite"
@@ -55,7 +69,31 @@ def failure_text(data: Data, status: int) -> str:
         return contradiction_text(data)
     if status == NOT_FINITE:
         return "the state is not finite; take smaller steps, or check the controller"
+    if status == KERNEL_FAILED:
+        return _kernel_text(data)
     return f"the evaluation failed (status {status})"
+
+
+def _arm_that_failed(data: Data) -> str:
+    return [*data.model.arm_names, SURROUNDINGS][data.arrays.status.arm]
+
+
+def _kernel_text(data: Data) -> str:
+    """Which control law or effect returned an answer of its own, and which."""
+    model, status = data.model, data.arrays.status
+    kernels = [("effect", k) for e in model.effects.kernels for k in (e.kernel, e.derivative)]
+    for law in model.laws:
+        of_law = law.kernel, law.derivative, law.share_derivative
+        kernels += [("control law", kernel) for kernel in of_law]
+    kind, name = next(
+        (kind, kernel.py_func.__name__)
+        for kind, kernel in kernels
+        if kernel is not None and address_of(kernel) == status.kernel
+    )
+    return (
+        f"the {kind} `{name}` returned {status.answer}; a kernel returns 0 when it succeeds: look "
+        f"there for what this number stands for"
+    )
 
 
 def contradiction_text(data: Data) -> str:

@@ -217,10 +217,10 @@ def differentiate_control(struct, differences):
     law has no derivative at this state.
     """
     model, data, work = open_system(struct)
-    columns, status, differs = force_columns(data), OK, False
+    columns, differs = force_columns(data), False
     clear_slopes(model, data, work, differences.local, data.slopes.force, chart_places(data).joints)
-    act(struct, differences, CONTROL, model, data, work)
-    if differences.follows:
+    status = act(struct, differences, CONTROL, model, data, work)
+    if status == OK and differences.follows:
         for k in range(differences.laws):
             differs = differs or model.control[k, DERIVATIVE] == 0
         if not differs:
@@ -234,13 +234,14 @@ def differentiate_control(struct, differences):
     elif status == OK and differences.time_change > 0.0 and not differences.held:
         status = add_differences(struct, differences, CONTROL, False)
         take_torque_slopes(data, columns.time, columns.time + 1)
-    act(struct, differences, CONTROL, model, data, work)
+    acted = act(struct, differences, CONTROL, model, data, work)
     for k in range(differences.laws, model.control.shape[0]):
-        call_listed(model.control, k, struct, data)
-        if status == OK:
+        if acted == OK:
+            acted = call_listed(model.control, k, struct, data)
+        if status == OK and acted == OK:
             clear_table(data.slopes.share)
             status = call_derivative(model.control, k, SHARE_DERIVATIVE, struct, data)
-    return status
+    return acted if status == OK else status
 
 
 @inlined
@@ -283,8 +284,8 @@ def differentiate_effect(struct, differences, k):
         for j in range(data.control.torque.size):
             copy(data.slopes.force[first + j], data.slopes.torque[j])
             clear(data.slopes.force[first + j])
-    act(struct, differences, k, model, data, work)
-    return status
+    acted = act(struct, differences, k, model, data, work)
+    return acted if status == OK else status
 
 
 @kernel
@@ -327,18 +328,21 @@ def clear_table(table):
 
 @inlined
 def act(struct, differences, k, model, data, work):
-    """Let one effect write its forces alone, an actuator its torques, or the control these."""
+    """Let one effect write its forces alone, an actuator its torques, or the control these.
+
+    Returns a status.
+    """
     if k != CONTROL:
         clear(data.forces.f)
-        call_listed(model.effects, k, struct, data)
-        return
+        return call_listed(model.effects, k, struct, data)
     object_terms(model, data)  # laws may compensate the forces before them
-    passive_forces(struct, model, data, work)
+    status = passive_forces(struct, model, data, work)
+    if status != OK:
+        return status
     if differences.laws == model.control.shape[0]:
-        command_torques(struct, model, data, work)
-    else:
-        load_gravity_torque(data, work)
-        control_torques(struct, differences.laws, model, data)
+        return command_torques(struct, model, data, work)
+    load_gravity_torque(data, work)
+    return control_torques(struct, differences.laws, model, data)
 
 
 # --- differences ---------------------------------------------------------------------------------
@@ -370,10 +374,10 @@ def add_differences(struct, differences, k, by_state):
     of_torques, moves = of_drives or k == CONTROL, not knows_state_alone(model, data, k)
     columns = np.zeros(start.velocity.size + start.states.size, dtype=np.int64)
     direction, offsets, weights = np.zeros(2 * start.velocity.size), np.empty(4), np.empty(4)
-    base, value, status = np.zeros(columns.size), np.zeros(columns.size), OK
-    act(struct, differences, k, model, data, work)
+    base, value = np.zeros(columns.size), np.zeros(columns.size)
+    status = act(struct, differences, k, model, data, work)
     read_forces(data, of_torques, first, base)
-    for column in range(at.end):
+    for column in range(at.end if status == OK else 0):
         wanted = by_state and (column < at.time or of_drives)
         if column == at.time:
             wanted = differences.time_change > 0.0
@@ -391,7 +395,7 @@ def add_differences(struct, differences, k, by_state):
                 if row >= 0:
                     data.control.torque[j] += offsets[point] * data.slopes.torque[j, row]
             if status == OK:
-                act(struct, differences, k, model, data, work)
+                status = act(struct, differences, k, model, data, work)
             if data.status.failed:
                 status = CALLBACK_FAILED
             read_forces(data, of_torques, first, value)

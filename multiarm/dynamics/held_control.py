@@ -88,13 +88,18 @@ def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = Fals
 
 @cfunc
 def hold_torques(address, size, _at, _t):
-    """Write the held torques; where a sample is due, let the laws compute them."""
+    """Write the held torques; where a sample is due, let the laws compute them.
+
+    Returns a status.
+    """
     struct = struct_at(address, size)
     model, data, _ = open_system(struct)
     sampling, held = data.control.sampling, data.control.held_torques
     if sampling.due != HELD:
         for k in range(model.sampled.shape[0]):
-            call_listed(model.sampled, k, struct, data)
+            status = call_listed(model.sampled, k, struct, data)
+            if status != OK:
+                return status
         at_once = not model.sample_delay or sampling.samples == 0
         for j in range(data.control.torque.size):
             held[0, j] = data.control.torque[j] if at_once else held[1, j]
@@ -103,7 +108,7 @@ def hold_torques(address, size, _at, _t):
         if sampling.due == ONCE:
             sampling.due = HELD
     copy(held[0], data.control.torque)
-    return 0
+    return OK
 
 
 @cfunc

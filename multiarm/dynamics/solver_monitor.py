@@ -44,7 +44,7 @@ def evaluate_and_check(struct: INTS):
     if status != OK:
         return status
     data = open_data(struct)
-    call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
     check = data.check
     check.solved = 1 if believable(data.solution, data.solution.residual) else 0
     write_residuals(struct, data.accelerations.a, data.forces.f, data.rows.force, data.rows.c)

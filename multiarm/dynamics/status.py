@@ -1,7 +1,7 @@
 """Status codes of compiled code, each in one place.
 
-Kernels return them as plain integers, which have the names below; numbers from 0 on are those of
-the arm whose elimination failed (the number of arms: the object's).
+Kernels return them as plain integers, which have the names below.  Which arm, control law or effect
+failed is in :class:`multiarm.dynamics.variables.Status`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from enum import IntEnum
 class StatusCode(IntEnum):
     """What a kernel returns."""
 
-    OK = -1
+    OK = 0
     # of an evaluation
     CALLBACK_FAILED = -2  # a Python function raised an exception
     PROJECTION_FAILED = -3
@@ -20,19 +20,23 @@ class StatusCode(IntEnum):
     CONTRADICTION = -5  # no acceleration meets all constraints
     DEFICIENT = -6  # an arm has a pivot too small for the plain elimination
     SINGULAR = -7  # a matrix of the derivatives
+    ARM_INERTIA = -8  # that of an arm is not positive definite
+    ARM_NOT_FINITE = -9  # numbers of an arm
+    OBJECT_INERTIA = -10  # the object's, or its node matrix, is not positive definite
+    KERNEL_FAILED = -11  # a control law or an effect returned an answer of its own
     # why the time loop returned
-    FINISHED = -10
-    BLOCK_FULL = -11
-    BUDGET_USED = -12
-    STEP_TOO_SMALL = -13
-    DIVERGED = -14
-    SOLVER_CHANGED = -15
-    LARGE_CORRECTION = -16
-    STIFF = -17
-    NOT_CONVERGED = -18  # the equations of an implicit step
-    EVENT = -19  # lies within the step just made, which was not accepted
-    STOPPED = -20  # the run reached its stop
-    GUARD_FIRED = -21  # one that only reports, in the step just made
+    FINISHED = -20
+    BLOCK_FULL = -21
+    BUDGET_USED = -22
+    STEP_TOO_SMALL = -23
+    DIVERGED = -24
+    SOLVER_CHANGED = -25
+    LARGE_CORRECTION = -26
+    STIFF = -27
+    NOT_CONVERGED = -28  # the equations of an implicit step
+    EVENT = -29  # lies within the step just made, which was not accepted
+    STOPPED = -30  # the run reached its stop
+    GUARD_FIRED = -31  # one that only reports, in the step just made
 
 
 # Numba reads them as constants.
@@ -43,6 +47,10 @@ NOT_FINITE = int(StatusCode.NOT_FINITE)
 CONTRADICTION = int(StatusCode.CONTRADICTION)
 DEFICIENT = int(StatusCode.DEFICIENT)
 SINGULAR = int(StatusCode.SINGULAR)
+ARM_INERTIA = int(StatusCode.ARM_INERTIA)
+ARM_NOT_FINITE = int(StatusCode.ARM_NOT_FINITE)
+OBJECT_INERTIA = int(StatusCode.OBJECT_INERTIA)
+KERNEL_FAILED = int(StatusCode.KERNEL_FAILED)
 FINISHED = int(StatusCode.FINISHED)
 BLOCK_FULL = int(StatusCode.BLOCK_FULL)
 BUDGET_USED = int(StatusCode.BUDGET_USED)

@@ -203,12 +203,12 @@ def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     work.by_arm[0] = 1
-    failed = eliminate_with_reactions(
+    status, data.status.arm = eliminate_with_reactions(
         reactions, rows.Wo, mode.Wr, data.bodies.object_inertia, couple_all
     )
     copy(reactions.pivot, work.pivot)
-    if failed != OK:
-        return failed
+    if status != OK:
+        return status
     solve_for_reactions(
         reactions, rows.Wo, mode.Wr, forces.f_o, forces.f_j, rows.c,
         accelerations.a_o, accelerations.a_j, rows.force,

@@ -95,7 +95,7 @@ def write_reports(struct: INTS):
 def check_reports(address, size, h, _b):
     """Check these guards at the end of a step of length ``h``; returns how many report an event.
 
-    ``data.coordinates`` has the joints' coordinates at that end.
+    ``data.last_step.coordinates`` has the joints' coordinates at that end.
     """
     struct = struct_at(address, size)
     write_reports(struct)

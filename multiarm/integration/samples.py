@@ -15,6 +15,7 @@ from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import write_wrenches
 from multiarm.dynamics.equations import potential_energy
 from multiarm.dynamics.momenta import kinetic_energy
+from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.dynamics.variables import TIP_WIDTH
 from multiarm.jit.kernels import copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
@@ -25,8 +26,12 @@ from multiarm.spatial import quaternion_of
 
 @kernel
 def write_sample(struct, t, works, row):
-    """Write an evaluated state as a row with the columns of :func:`sample_columns`."""
+    """Write an evaluated state as a row with the columns of :func:`sample_columns`.
+
+    Returns a status.
+    """
     model, data, work = open_system(struct)
+    status = OK
     m, at = data.sample.forces.size, 1
     row[0] = t
     copy(data.state.configuration, row[at : at + data.state.configuration.size])
@@ -39,7 +44,7 @@ def write_sample(struct, t, works, row):
         copy(data.control.power, row[at : at + data.control.power.size])
         at += data.control.power.size
     if data.functions.contact_forces != 0:
-        call_cfunc(data.functions.contact_forces, struct, t, 0.0)
+        status = call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
         write_wrenches(data.rows.Wo, work.rows, data.rows.force, data.sample.wrenches)
     copy(data.sample.forces, row[at : at + m])
@@ -63,6 +68,7 @@ def write_sample(struct, t, works, row):
     row[at + 2] = data.solution.rank
     row[at + 3] = data.solution.coupled_arms
     row[at + 4] = data.solution.residual
+    return CALLBACK_FAILED if data.status.failed else status
 
 
 @kernel

@@ -137,12 +137,16 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
 
 @kernel
 def begin_run(struct: INTS):
-    """Store joint coordinates, guards that report, and the solution at the start of a run."""
+    """Store joint coordinates, guards that report, and the solution at the start of a run.
+
+    Returns a status.
+    """
     model, data, _ = open_system(struct)
     follow_joints(model, data)
     count_reports(struct, data.functions, 0.0)
-    call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
+    return CALLBACK_FAILED if data.status.failed else status
 
 
 @kernel
@@ -203,9 +207,15 @@ def observe(arrays, clock, settings, row):
     load_chart(step.z, step.base, data)
     status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
-        call_cfunc(data.functions.record, struct, 0.0, 0.0)
-        write_sample(struct, clock.t, step.z[chart_places(data).works :], row)
+        status = record_and_write(struct, clock.t, step.z[chart_places(data).works :], row)
     return CALLBACK_FAILED if data.status.failed else status
+
+
+@inlined
+def record_and_write(struct, t, works, row):
+    """Record the last solution, and write it as a sample; returns a status."""
+    status = call_cfunc(open_data(struct).functions.record, struct, 0.0, 0.0)
+    return write_sample(struct, t, works, row) if status == OK else status
 
 
 @kernel
@@ -243,10 +253,9 @@ def emit_samples(struct, method, step, clock, settings, block):
         status = project_and_evaluate(struct, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
-        call_cfunc(data.functions.record, struct, 0.0, 0.0)
-        write_sample(struct, due, works, block[rows])
-        if data.status.failed:
-            return CALLBACK_FAILED
+        status = record_and_write(struct, due, works, block[rows])
+        if status != OK:
+            return status
         rows += 1
         clock.sample += 1
 
@@ -300,8 +309,9 @@ def complete_step(method, step, clock, settings, h, end):
     )
     if status != OK:
         return status
-    call_cfunc(data.functions.record, struct, 0.0, 0.0)
-    status = check_solution(struct, clock, settings)
+    status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    if status == OK:
+        status = check_solution(struct, clock, settings)
     if status != OK:
         return status
     gap = greatest(data.rows.kinematics[:, GAP])

@@ -221,7 +221,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         step.stage.gap = settings.gap_tolerance
         _first_slope(task, stepping)
         step.stage.gap = -1.0
-    begin_run(data.struct)
+    require_ok(data, begin_run(data.struct))
     log.add(*(RunEvent(begin, EventKind.START, f"start: {line}") for line in report.lines()))
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)

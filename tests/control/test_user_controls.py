@@ -24,7 +24,9 @@ from multiarm.control import (
 )
 from multiarm.control.gravity_compensation import carrying_laws
 from multiarm.control.laws import PROGRAMS
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.effect_kernels import keep_forces
+from multiarm.dynamics.status import BLOCK_FULL, OK
+from multiarm.errors import SolverError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import Float, Floats1, struct_at
 from multiarm.scene import CONTROLS, Scene, dump_scene, named_code, parse_scene
@@ -125,6 +127,31 @@ class Twice(ma.Control):
         return ControlProgram(laws)
 
 
+@cfunc
+def give_up(_address, _size, _at, t):
+    """After 0.05 s it has no torques, which is no status of ours."""
+    return 7 if t > 0.05 else 0
+
+
+@cfunc
+def refuse_derivative(_address, _size, _at, _t):
+    """A number that the time loop must not take for its own."""
+    return BLOCK_FULL
+
+
+class GiveUp(ma.Control):
+    """A law that fails after a while, and whose derivative always does."""
+
+    kind: Literal["give_up"] = "give_up"
+
+    def build(self, context):
+        """One that works before it."""
+        pushes = Pushes(1.0, np.ones(len(context.stacked(1.0))))
+        return ControlProgram(
+            (ControlLaw(push, pushes, keep_forces), ControlLaw(give_up, (), refuse_derivative))
+        )
+
+
 class Pull(ma.Control):
     """Springs about the straight arm, in Python."""
 
@@ -189,6 +216,26 @@ def test_two_laws_of_one_kind_have_their_derivatives_each_in_its_own_memory():
     state = stated.initial_state()
     found, expected = (ma.derivatives(s, 0.0, state).matrix for s in (stated, differences))
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("samples", [{}, {"sample_time": 0.01}])
+@pytest.mark.parametrize("step", [None, 0.01])
+def test_what_a_law_returns_beside_success_ends_the_run_and_is_in_its_message(samples, step):
+    ma.register_control(GiveUp)
+    run = {**RUN, **({"step": step, "integrator": "rk4"} if step else {})}
+    if step:
+        del run["accuracy"]
+    system = ma.compile_system(scene_of({"kind": "give_up", **samples}, run=run))
+    ended = ma.simulate(system, certificate=False)
+    assert ended.status == "failed" and 0.039 < ended.time[-1] < 0.061
+    assert "control law `give_up` returned 7" in ended.message
+
+
+def test_what_the_derivative_of_a_law_returns_beside_success_is_an_error():
+    ma.register_control(GiveUp)
+    system = ma.compile_system(scene_of({"kind": "give_up"}))
+    with refused(SolverError, "refuse_derivative"):
+        ma.derivatives(system, 0.0, system.initial_state())
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from mechanics import EPS
 from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW
 from multiarm.dynamics.solver.dense import solve_dense
-from multiarm.dynamics.solver.node import NO_INERTIA, eliminate_arms, make_work
+from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import couple, make_coupled
-from multiarm.dynamics.status import DEFICIENT, OK
+from multiarm.dynamics.status import ARM_INERTIA, DEFICIENT, OK
 
 shapes = st.lists(
     st.integers(1, 16).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, min(n, 6)))),
@@ -76,7 +76,7 @@ def test_node_solution_satisfies_all_three_equations(seed, shapes):
         W[:] = np.linalg.qr(W)[0]
     M, f_j, W, c = stacked(system)
     node = solve_by_node(system)
-    assert node.failed == -1
+    assert node.failed == OK
     scale = max(np.max(np.abs(node.force)), np.max(np.abs(node.x)), 1.0)
     np.testing.assert_allclose(M @ node.x - W @ node.force, f_j, atol=1e-11 * scale)
     np.testing.assert_allclose(W.T @ node.x, c, atol=1e-11 * scale)
@@ -131,9 +131,9 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     found = np.zeros(6), np.zeros(9), np.zeros(5)
     assert solve_batched(work, Wo, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
-        assert eliminate_arms(work, Wo) == 1 and work.pivot[1] == NO_INERTIA
+        assert eliminate_arms(work, Wo) == (ARM_INERTIA, 1) and work.pivot[1] == 0.0
     else:
-        assert eliminate_arms(work, Wo) == OK
+        assert eliminate_arms(work, Wo) == (OK, 0)
         assert not couple(work, coupled, Wo, system.M_o) > 0.0
 
 
@@ -282,8 +282,8 @@ def test_an_arm_without_inertia_is_named(rng, which, inertia):
     node_work = loaded(system)
     assert solve_in(node_work, system)[0] == DEFICIENT
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    assert eliminate_arms(node_work, Wo) == which
-    assert node_work.pivot[which] == NO_INERTIA
+    assert eliminate_arms(node_work, Wo) == (ARM_INERTIA, which)
+    assert node_work.pivot[which] == 0.0
 
 
 def test_numbers_too_large_to_be_squared_are_no_pivots(rng):

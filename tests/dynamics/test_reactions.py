@@ -24,7 +24,7 @@ from multiarm.dynamics.solver.reactions import (
     make_reaction_work,
     solve_for_reactions,
 )
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, OBJECT_INERTIA, OK
 
 
 def solve_with_reactions(
@@ -59,9 +59,9 @@ def solve_with_reactions(
             work.M[i, : dofs[i], : dofs[i]] = inertia
             work.W[i, : dofs[i], : rows[i]] = own
             work.Wr[i, : dofs[i], : rows[i]] = forces
-        failed = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, float), couple_all)
-        if failed >= 0:
-            part = "the object" if failed == len(M) else f"arm {failed + 1}"
+        failure, arm = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, float), couple_all)
+        if failure != OK:
+            part = f"arm {arm + 1}" if failure in (ARM_INERTIA, ARM_NOT_FINITE) else "the object"
             raise ValueError(
                 f"{part}: the inertia matrix is not positive definite, or a number is not finite"
             )
@@ -225,7 +225,7 @@ def test_without_friction_it_is_the_node_algorithm(seed, shapes):
     system = orthonormal_system(np.random.default_rng(seed), shapes)
     none = {"reaction_o": system.W_o, "reaction": system.W}
     node = solve_by_node(system)
-    assert node.failed == -1
+    assert node.failed == OK
     for reactions in ({}, none):
         found = flat(solve_with_reactions(**vars(system), **reactions))
         np.testing.assert_allclose(found.x, node.x, atol=1e-10 * np.max(np.abs(node.x)))
@@ -312,15 +312,37 @@ def test_only_arms_that_cannot_follow_are_coupled(rng):
     assert coupled_rows(system) == 3
 
 
+@pytest.mark.parametrize(
+    "matrix, value, failure",
+    [("M", -1.0, ARM_INERTIA), ("M", np.nan, ARM_INERTIA), ("W", np.nan, ARM_NOT_FINITE)],
+)
+def test_the_arm_that_fails_is_told_apart_from_its_failure(matrix, value, failure, rng):
+    system = random_system(rng, [(6, 3)] * 3)
+    getattr(system, matrix)[2][-1, -1] = value
+    assert eliminated(system)[:2] == (failure, 2)
+
+
+def test_an_object_without_inertia_is_no_arm(rng):
+    system = random_system(rng, [(6, 3)] * 3)
+    system.M_o[-1, -1] = -1.0
+    assert eliminated(system)[0] == OBJECT_INERTIA
+
+
 def coupled_rows(system):
+    status, _, work = eliminated(system)
+    assert status == OK
+    return work.status.rows
+
+
+def eliminated(system):
+    """Status, the arm that failed, and the work, without friction."""
     dofs, rows = [len(m) for m in system.M], [w.shape[1] for w in system.W]
     work = make_reaction_work(dofs, rows)
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = work.Wr[i, : dofs[i], : rows[i]] = W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    assert eliminate_with_reactions(work, Wo, Wo, system.M_o) == OK
-    return work.status.rows
+    return *eliminate_with_reactions(work, Wo, Wo, system.M_o), work
 
 
 # --- friction ------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ from multiarm.dynamics.solver.singular import (
     make_coupled,
     solve_coupled,
 )
-from multiarm.dynamics.status import DEFICIENT, OK
+from multiarm.dynamics.status import ARM_INERTIA, DEFICIENT, OK
 from multiarm.problems import HARD_CASES
 from multiarm.problems.postures import STRETCHED
 
@@ -80,8 +80,8 @@ def eliminated(system):
     found = np.zeros(6), np.zeros(f_j.size), np.zeros(c.size)
     status = solve_batched(work, object_rows(system), system.M_o, system.f_o, f_j, c, *found)
     if status == DEFICIENT:
-        failed = eliminate_arms(work, object_rows(system))
-        status = DEFICIENT if failed == OK else failed
+        failure, _ = eliminate_arms(work, object_rows(system))
+        status = DEFICIENT if failure == OK else failure
     return work, coupled, status, found
 
 
@@ -483,7 +483,9 @@ def test_numbers_that_are_not_finite_never_come_out_as_a_solution(value, which, 
 def test_inertias_that_are_not_positive_definite_are_refused(joints, which):
     system = random_system(np.random.default_rng(7), [(joints, 4), (5, 2)])
     system.M[which][-1, -1] = -1.0
-    assert eliminated(system)[2] == which
+    work, _, status, _ = eliminated(system)
+    assert status == ARM_INERTIA
+    assert eliminate_arms(work, object_rows(system)) == (ARM_INERTIA, which)
     system = random_system(np.random.default_rng(7), [(joints, 4), (5, 2)])
     system.M_o[5, 5] = -100.0
     assert not solved(system, force_coupling=[0]).solvable

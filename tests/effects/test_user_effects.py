@@ -14,7 +14,9 @@ from repository import ROOT, SCENES
 from user_classes import empty_registries, offered
 
 import multiarm as ma
+from multiarm.effects import APPLIED, EffectKernel
 from multiarm.effects.defaults import defaults
+from multiarm.jit.kernels import cfunc
 from multiarm.scene import EFFECTS, dump_scene, parse_scene, with_code
 
 RING = parse_scene((SCENES / "ring_weld.yaml").read_text(), SCENES)
@@ -436,6 +438,30 @@ def test_the_package_of_the_example_offers_effects_that_scenes_can_name(package,
     for name in points:
         scene = with_code(RING.replace(effects={name: {"at": [0, 0, 1], "strength": 1.0}}))
         assert type(scene.effects.named[name]) is package.Magnet.Spec
+
+
+@cfunc
+def overload(_address, _size, _at, t):
+    """Fails after 0.05 s."""
+    return 3 if t > 0.05 else 0
+
+
+class Overload(ma.Effect):
+    """A kernel that fails after a while."""
+
+    name = "overload"
+
+    def build(self, _context):
+        """The kernel."""
+        return [EffectKernel(self.name, overload, APPLIED, works=False)]
+
+
+def test_what_a_kernel_returns_beside_success_ends_the_run_and_is_in_its_message():
+    ma.register_effect(Overload)
+    scene = RING.replace(effects={"overload": {}})
+    run = ma.simulate(ma.compile_system(scene), 0.1, certificate=False)
+    assert run.status == "failed" and 0.0 < run.time[-1] <= 0.05
+    assert "effect `overload` returned 3" in run.message
 
 
 def test_an_effect_in_python_and_its_kernel_move_things_alike(package):

@@ -135,8 +135,8 @@ def solve_by_node(system: System) -> SystemSolution:
         return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):
         load_arms(system, work, {"W": system.W})
-        failed = eliminate_arms(work, Wo)
-        if failed != OK or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
+        failure, _ = eliminate_arms(work, Wo)
+        if failure != OK or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
             raise ValueError("the node algorithm takes an inertia for indefinite")
         solve_coupled(work, coupled, *loads)
         if balanced(system, loads):
@@ -161,7 +161,8 @@ def solve_by_reactions(system: System) -> SystemSolution:
     Wo, Wr = (np.ascontiguousarray(np.hstack(W).T) for W in (system.W_o, system.reaction_o))
     for couple_all in (False, True):
         load_arms(system, work, {"W": system.W, "Wr": system.reaction})
-        if eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all) != OK:
+        failure, _ = eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all)
+        if failure != OK:
             raise ValueError("the form with reactions takes an inertia for indefinite")
         solve_for_reactions(work, Wo, Wr, *loads)
         if balanced(system, loads):

@@ -46,13 +46,10 @@ import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.status import ARM_INERTIA, OK
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, view
-
-# Pivot of an arm whose inertia matrix is not positive definite.
-NO_INERTIA = -2.0
 
 # Columns of NodeWork.groups: joints and contacts of the largest arm, number of arms, offset and
 # width of the table, the four arms.
@@ -210,7 +207,7 @@ def mobility(L, n, levers):
 
 @inlined
 def eliminate_arm(i, work, Wo):
-    """Factor arm ``i``; returns its ``NodeWork.pivot``, or ``NO_INERTIA``.
+    """Factor arm ``i``, and write its ``NodeWork.pivot``; returns ``OK`` or ``ARM_INERTIA``.
 
     ``work.M[i]`` is the arm's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
     contact) and ``Wo`` (sum of rows, 6) the object's rows.
@@ -223,7 +220,8 @@ def eliminate_arm(i, work, Wo):
     copy_block(work.W[i], n, m, Y)
     inertia_pivot = factor_cholesky(L, n)
     if not inertia_pivot > 0.0:
-        return NO_INERTIA
+        work.pivot[i] = 0.0
+        return ARM_INERTIA
     forward_columns(L, Y, n, m)
     for a in range(m):
         for b in range(a + 1):
@@ -237,9 +235,9 @@ def eliminate_arm(i, work, Wo):
     pivot = 1.0
     for a in range(m):
         pivot = min(pivot, G[a, a] / least)
-    pivot = min(pivot, factor_cholesky(G, m))
+    work.pivot[i] = pivot = min(pivot, factor_cholesky(G, m))
     if not pivot > COUPLED_BELOW:
-        return pivot
+        return OK
     for a in range(m):
         for k in range(6):
             Z[a, k] = Wo[first + a, k]
@@ -250,7 +248,7 @@ def eliminate_arm(i, work, Wo):
         inverse = G[a, a]
         for k in range(6):
             Z[a, k] *= inverse
-    return pivot
+    return OK
 
 
 @inlined
@@ -268,15 +266,16 @@ def add_to_node(i, work):
 def eliminate_arms(work, Wo):
     """Factor all arms, one after the other, from what :func:`eliminate_arm` describes.
 
-    Returns ``OK``, or the number of the arm whose inertia failed.  The pivots are left in
-    ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
+    Returns a status, and the arm whose inertia failed where it is ``ARM_INERTIA``.  The pivots are
+    left in ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y``
+    only.
     """
     work.by_arm[0] = 1
     for i in range(work.dofs.size - 1):
-        work.pivot[i] = eliminate_arm(i, work, Wo)
-        if work.pivot[i] == NO_INERTIA:
-            return i
-    return OK
+        status = eliminate_arm(i, work, Wo)
+        if status != OK:
+            return status, i
+    return OK, 0
 
 
 @inlined

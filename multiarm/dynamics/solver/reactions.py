@@ -45,7 +45,6 @@ from multiarm.dynamics.solver.factors import (
     forward_columns,
 )
 from multiarm.dynamics.solver.node import (
-    NO_INERTIA,
     mobility,
     node_backward,
     node_forward,
@@ -53,7 +52,7 @@ from multiarm.dynamics.solver.node import (
     unconstrained_motion,
 )
 from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
 
@@ -183,27 +182,24 @@ def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ..
 
 @kernel
 def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
-    """Factor the whole system; ``OK``, or the number of the arm (n: the object) that failed.
+    """Factor the whole system; returns a status, and the arm of ``ARM_INERTIA, ARM_NOT_FINITE``.
 
     With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
     ``work.M[i]`` are the arms' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
-    ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the object's rows.  An arm
-    fails when its inertia is not positive definite (``NO_INERTIA`` is left in ``work.pivot``) or
-    its numbers are not finite, the object likewise.
+    ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the object's rows.
     """
     n = work.coupled.size
     for k in range(6):
         for l in range(k + 1):
             work.Lo[k, l] = object_inertia[k, l]
     if not factor_cholesky(work.Lo, 6) > 0.0:
-        return n
+        return OBJECT_INERTIA, 0
     for i in range(n):
-        pivot = factor_arm(i, work)
-        work.pivot[i] = pivot
-        if not pivot >= 0.0:
-            return i
-        work.coupled[i] = 0 if pivot > COUPLING_TOLERANCE and not couple_all else 1
+        status = factor_arm(i, work)
+        if status != OK:
+            return status, i
+        work.coupled[i] = 0 if work.pivot[i] > COUPLING_TOLERANCE and not couple_all else 1
     work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
     if not work.status.evenness > COUPLING_TOLERANCE:
         for i in range(n):
@@ -215,12 +211,12 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
         for i in range(n):
             work.coupled[i] = 1
         factor_node(work, Wo, Wr, object_inertia)
-    return OK if decompose_coupled(work, Wo, Wr) else n
+    return (OK if decompose_coupled(work, Wo, Wr) else NOT_FINITE), 0
 
 
 @kernel
 def factor_arm(i, work):
-    """Factor an arm's inertia and ``K``; returns its ``ReactionWork.pivot``, or ``NO_INERTIA``."""
+    """Factor an arm's inertia and ``K``, and write its ``ReactionWork.pivot``; returns a status."""
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
@@ -229,7 +225,8 @@ def factor_arm(i, work):
     copy_block(work.W[i], n, m, Y)
     copy_block(work.Wr[i], n, m, Yr)
     if not factor_cholesky(L, n) > 0.0:
-        return NO_INERTIA
+        work.pivot[i] = 0.0
+        return ARM_INERTIA
     forward_columns(L, Y, n, m)
     forward_columns(L, Yr, n, m)
     gram(Y, Y, n, m, K)
@@ -240,7 +237,8 @@ def factor_arm(i, work):
             norm += Y[j, a] * Y[j, a]
             norm_r += Yr[j, a] * Yr[j, a]
         if not math.isfinite(norm + norm_r):
-            return math.nan
+            work.pivot[i] = math.nan
+            return ARM_NOT_FINITE
         mobile = min(mobile, norm / least, norm_r / least)
         work.arm_scale[first + a] = 1.0 / math.sqrt(norm) if norm > 0.0 else 1.0
         work.arm_scale_r[first + a] = 1.0 / math.sqrt(norm_r) if norm_r > 0.0 else 1.0
@@ -249,7 +247,9 @@ def factor_arm(i, work):
     for a in range(m):
         for b in range(m):
             K[a, b] *= work.arm_scale[first + a] * work.arm_scale_r[first + b]
-    return max(0.0, min(mobile, without_friction, factor_lu(K, m, work.K_pivots[i])))
+    regular = factor_lu(K, m, work.K_pivots[i])
+    work.pivot[i] = max(0.0, min(mobile, without_friction, regular))
+    return OK
 
 
 @kernel
