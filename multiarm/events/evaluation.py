@@ -158,7 +158,12 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
 def _residuals(modes: Modes, forces: np.ndarray, constraint: float) -> Residuals:
     """Residuals of the equations of motion with the forces of all rows."""
     full, b = modes.full, modes.data.arrays
+    require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
+    forces_without_contacts = b.forces.f.copy()
+    require_ok(full, update_kinematics(full.struct))
     pushing = forces.copy()
     pushing[modes.arrays.springs] = 0.0  # these are among the generalised forces already
-    residuals = residuals_of(full, b.accelerations.a, b.forces.f, pushing, full.arrays.rows.c)
+    residuals = residuals_of(
+        full, b.accelerations.a, forces_without_contacts, pushing, full.arrays.rows.c
+    )
     return replace(residuals, constraint=constraint)  # open contacts move as they like

@@ -332,7 +332,7 @@ def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):
     with system.borrow() as data:
         evaluation.evaluate(data, 0.3, state)
         applied_derivatives(data, True)  # prepares those of the law
-        _, at, derivative = data.model.constants.control[1]
+        _, at, derivative, _ = data.model.constants.control[1]
         call = function_at(int(derivative))
         assert call(data.struct.ctypes.data, data.struct.size, float(at), 0.3) == SINGULAR
     found, expected = ma.derivatives(system, 0.3, state), by_differences(system, state)
