@@ -14,10 +14,7 @@ import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.contact_geometry import (
-    of_unit_length,
-    scaled_force_directions,
-)
+from multiarm.dynamics.contact_geometry import of_unit_length, scaled_force_directions
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.evaluation import (
     Evaluation,
@@ -113,8 +110,9 @@ def evaluate_mode(modes: Modes, t: float, state: State) -> Evaluation:
 def in_all_rows(modes: Modes, of_held_rows: Evaluation) -> Evaluation:
     """The last evaluation of the mode's data, in the rows of the whole system."""
     full, closed = modes.full, modes.closed
+    without_contacts = modes.data.arrays.forces.f.copy()  # kinematics of all rows begin it anew
     forces, unique = _all_forces(modes)
-    residuals = _residuals(modes, forces, of_held_rows.residuals.constraint)
+    residuals = _residuals(modes, without_contacts, forces, of_held_rows.residuals.constraint)
     require_ok(closed, update_rows(closed.struct))
     unilateral, layout = modes.unilateral, full.model.layout
     words: dict[str, list[str]] = {}
@@ -155,15 +153,13 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     return forces, unique
 
 
-def _residuals(modes: Modes, forces: np.ndarray, constraint: float) -> Residuals:
-    """Residuals of the equations of motion with the forces of all rows."""
-    full, b = modes.full, modes.data.arrays
-    require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
-    forces_without_contacts = b.forces.f.copy()
-    require_ok(full, update_kinematics(full.struct))
-    pushing = forces.copy()
+def _residuals(
+    modes: Modes, without_contacts: np.ndarray, forces: np.ndarray, constraint: float
+) -> Residuals:
+    """Residuals of the equations of motion with the forces of all rows, at their kinematics."""
+    full, pushing = modes.full, forces.copy()
     pushing[modes.arrays.springs] = 0.0  # these are among the generalised forces already
     residuals = residuals_of(
-        full, b.accelerations.a, forces_without_contacts, pushing, full.arrays.rows.c
+        full, modes.data.arrays.accelerations.a, without_contacts, pushing, full.arrays.rows.c
     )
     return replace(residuals, constraint=constraint)  # open contacts move as they like
