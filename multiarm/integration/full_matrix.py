@@ -10,10 +10,10 @@ positions and by these, and R and the right-hand sides of :mod:`multiarm.integra
 
 one matrix as large as there are velocities, half as large as the state, without states of effects.
 
-*The derivatives* are exact where the motion is unique and the constraints keep their rank: those
-of the equations of motion (:mod:`multiarm.dynamics.equation_derivatives`) and of the forces of
-control and effects (:mod:`multiarm.dynamics.force_derivatives`).  With the generalised forces f,
-their responses :math:`\partial\dot v/\partial f` are columns of the same solution,
+*The derivatives* are exact where the constraints keep their rank: those of the equations of motion
+(:mod:`multiarm.dynamics.equation_derivatives`, :mod:`multiarm.dynamics.open_motion`) and of the
+forces of control and effects (:mod:`multiarm.dynamics.force_derivatives`).  With the generalised
+forces f, their responses :math:`\partial\dot v/\partial f` are columns of the same solution,
 
 .. math::
     \frac{d\dot v}{dx} = \frac{\partial\dot v}{\partial x}
@@ -50,6 +50,7 @@ from multiarm.dynamics.force_derivatives import (
     differentiate_forces,
 )
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.open_motion import solve_open_motion
 from multiarm.dynamics.sliding import slides_of
 from multiarm.dynamics.sliding_derivatives import (
     add_friction,
@@ -139,9 +140,8 @@ def differentiate_full(step, full, slope, time_slope, t, h):
 
 @inlined
 def is_smooth(step):
-    """Whether the motion is unique and the constraints are far from a change of their rank."""
-    solution = open_data(step.system).solution
-    return step.stage.gap < 0.0 and solution.motion_unique and solution.margin >= ZONE
+    """Whether the constraints are far from a change of their rank."""
+    return step.stage.gap < 0.0 and open_data(step.system).solution.margin >= ZONE
 
 
 # --- exact ----------------------------------------------------------------------------------------
@@ -182,7 +182,9 @@ def solve_equations(struct, full):
         dF_o[l, wrench + l] = -1.0
     if data.solution.elimination == WHOLE:
         return solve_by_arms(struct, full.equations, full.solution)
-    return solve_at_once(struct, full.equations, full.solution)
+    if data.solution.motion_unique:
+        return solve_at_once(struct, full.equations, full.solution)
+    return solve_open_motion(struct, full.equations, full.friction, full.solution)
 
 
 @kernel

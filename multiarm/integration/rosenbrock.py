@@ -28,8 +28,7 @@ was rejected leaves its own to the next one, which begins there too.  A law or e
 derivative is differentiated by differences, which compute its forces and the kinematics that these
 need: n of the longest arm twice where it is local, twelve and twice n of all arms elsewhere, and
 none for a function of a user, which knows the state alone.  Whole evaluations are differentiated
-where constraints nearly lose rank, where stages are projected, and where friction leaves the motion
-open.
+where constraints nearly lose rank, and where stages are projected.
 """
 
 from __future__ import annotations

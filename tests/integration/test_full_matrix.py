@@ -34,6 +34,7 @@ from multiarm.problems import HARD_CASES
 WELD, BALL, PLANAR = {"kind": "weld"}, {"kind": "ball"}, {"kind": "planar"}
 SPRINGS = {"contact_compliance": {"stiffness": 2e5, "damping": 2e3}}
 END = {"arm": {"shoulder_lift_joint": [-3.0, UR5_POSTURE[1]]}}
+SIX_FEET = [[x, y, -0.2] for x in (-0.3, 0.1, 0.3) for y in (-0.2, 0.2)]
 FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
 
 
@@ -115,6 +116,8 @@ SCENES = {
     "deficient arm": hanging_box,
     "sliding on the floor": lambda tmp: over_floor(0.0, points=FEET, mu=0.3),
     "sliding on more corners than it needs": lambda tmp: over_floor(0.0, mu=0.3),
+    "spinning on four corners": lambda tmp: over_floor(0.0, mu=0.3),
+    "spinning on six corners": lambda tmp: over_floor(0.0, points=SIX_FEET, mu=0.3),
     "on the floor": lambda tmp: over_floor(0.0, points=FEET),
     "at the end of a joint": lambda tmp: over_floor(0.1, END),
 }
@@ -127,9 +130,11 @@ def test_derivatives_in_the_full_matrix_are_those_of_whole_evaluations(name, tmp
     state = system.initial_state()
     if system.model.unilateral is None:
         state = random_state(system, rng, turn=0.05, speed=1.0)
-    elif name.startswith("sliding"):
+    elif name.startswith(("sliding", "spinning")):
         state.velocity[[0, 1, *range(6, 12)]] = rng.uniform(-0.5, 0.5, 8)
+        state.velocity[5] = 0.4 if name.startswith("spinning") else 0.0
     exact = Slope(system, state, alpha, beta)
+    assert exact.data.arrays.solution.motion_unique == (not name.startswith("spinning"))
     stepping = step_of_the_package(system, state, 1e-3, alpha, beta)
     assert not stepping.work[1].used[0]
     n = 6 + system.model.layout.joints

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from event_scenes import box, on_floor
 from mechanics import (
     chain_urdf,
     first_difference,
@@ -224,6 +225,22 @@ def test_error_falls_with_order_5_under_dependent_constraints(name):
         found = ma.simulate(system, 0.3, integrator="rodas5p", tolerance=tolerance, **run)
         errors.append(np.max(np.abs(joints(found)[-1] - joints(exact)[-1])))
         steps.append(found.statistics["steps"])
+        assert found.statistics["evaluations"] < 11 * steps[-1] + 5
+    slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(5.0, abs=0.4), errors
+
+
+def test_error_falls_with_order_5_while_friction_leaves_the_motion_open():
+    """A box spins on four corners, and the least forces decide at every stage."""
+    system = ma.compile_system(on_floor(box(twist=[1.0, 0.3, 0, 0, 0, 2.0]), mu=0.3))
+    run = {"duration": 0.2, "output_step": 0.2, "certificate": False}
+    exact = ma.simulate(system, integrator="dop853", tolerance=1e-12, **run)
+    errors, steps = [], []
+    for tolerance in (1e-7, 1e-8, 1e-9, 1e-10):
+        found = ma.simulate(system, integrator="rodas5p", tolerance=tolerance, **run)
+        errors.append(np.max(np.abs(found.object_twist[-1] - exact.object_twist[-1])))
+        steps.append(found.statistics["steps"])
+        assert f"{steps[-1]} steps ended where friction leaves the motion open" in found.message
         assert found.statistics["evaluations"] < 11 * steps[-1] + 5
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(5.0, abs=0.4), errors
