@@ -15,8 +15,9 @@ from multiarm.assembly.paths import joint_path
 from multiarm.assembly.robots import arm_backends, load_robots, with_bases
 from multiarm.assembly.start import (
     assembled_start,
-    locate_contacts,
+    closed_at_start,
     unassembled_start,
+    with_contacts_located,
     written_start,
 )
 from multiarm.control.laws import control_program
@@ -96,13 +97,14 @@ def compile_system(
     backends = arm_backends(scene, robots, like)  # Pinocchio or compiled copies
     data = uncontrolled_model(scene, robots, joints, rows, backends).data()
     written = written_start(scene, robots, rows.layout)
+    data = with_contacts_located(data, closed_at_start(data) if assemble else data, written)
     if assemble:
         start, report = assembled_start(scene, data, written)
         frames = joint_frames(scene, data, start)  # with the motions that each joint leaves free
-        model = with_joint_frames(data.model, frames)
+        data = data.view(with_joint_frames(data.model, frames))
     else:
         start, report = unassembled_start(data, written)
-        model = data.model
+    model = data.model
     if control is None:
         model = with_control(model, control_law(scene, data, start))
     system = System(scene, model, report, start)
@@ -147,8 +149,7 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
     data = uncontrolled_model(scene, robots, joints, rows, arm_backends(scene, robots)).data()
     written = System(scene, data.model, StartReport(), written_start(scene, robots, rows.layout))
     state = written.state(**start or {})
-    locate_contacts(data, state)
-    return System(scene, data.model, StartReport(), state)
+    return System(scene, with_contacts_located(data, data, state).model, StartReport(), state)
 
 
 def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:

@@ -131,29 +131,35 @@ def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
     return State(np.concatenate(position), np.concatenate(velocity), layout)
 
 
-def locate_contacts(data: Data, state: State) -> None:
-    """Let contacts of two surfaces be found from where they touch at a state."""
-    data.model = replace(data.model, pair_places=locate_pairs(data, state))
+def closed_at_start(data: Data) -> Data:
+    """Data in which the contacts that are closed at the start hold both ways; they share a state."""
+    unilateral = data.model.unilateral
+    if unilateral is None:
+        return data
+    return data.view(replace(data.model.select(unilateral.assembled), unilateral=None))
+
+
+def with_contacts_located(data: Data, closed: Data, state: State) -> Data:
+    """Data in which contacts of two surfaces are found from where the ``closed`` touch at a state.
+
+    They share what moves with ``data``.
+    """
+    return data.view(replace(data.model, pair_places=locate_pairs(closed, state)))
 
 
 def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, StartReport]:
-    """The start, assembled on the contacts that are closed there, where those are located."""
-    unilateral, closed = data.model.unilateral, data
-    if unilateral is not None:
-        closed = data.view(replace(data.model.select(unilateral.assembled), unilateral=None))
-    locate_contacts(closed, written)
-    data.model = replace(data.model, pair_places=closed.model.pair_places)
+    """The start, assembled on the contacts that are closed there."""
+    closed = closed_at_start(data)
     closed.set_state(0.0, written)
     start, report = assemble(closed, scene)
     check_patches(data, start)
-    if unilateral is not None:
+    if data.model.unilateral is not None:
         check_unilateral(data, start)
     return start, report
 
 
 def unassembled_start(data: Data, written: State) -> tuple[State, StartReport]:
     """The start as written, with its gaps."""
-    locate_contacts(data, written)
     data.set_state(0.0, written)
     require_ok(data, update_kinematics(data.struct))
     gaps = gaps_by_arm(data)

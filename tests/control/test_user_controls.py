@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pytest
 from commands import multiarm
-from mechanics import ur5_pair
+from mechanics import two_arm_block, ur5_pair
 from refusals import refused
 from sweep_runs import jobs_of, repeatable
 from user_classes import empty_registries, offered
@@ -467,3 +467,24 @@ def test_what_a_class_lacks_is_named_when_it_is_registered(body):
         ma.register_control(own)
     with refused(ma.MultiarmError, "Scene"):
         ma.register_control(Scene)
+
+
+class Seen(ma.Control):
+    """No torques; it shows the system for which it was built."""
+
+    kind: Literal["seen"] = "seen"
+    seen: ClassVar[dict[str, Any]] = {}
+
+    def build(self, context):
+        """Keep the motions that the joints leave free."""
+        self.seen["free"] = {arm: frame.free for arm, frame in context.data.model.frames.items()}
+        return ControlProgram()
+
+
+def test_a_control_is_built_for_the_free_motions_that_assembly_finds():
+    """Those of listed contacts are known at the assembled start only."""
+    ma.register_control(Seen)
+    system = ma.compile_system(two_arm_block(torques=False).replace(control={"kind": "seen"}))
+    free = {arm: frame.free for arm, frame in system.frames.items()}
+    assert [len(components) for components in free.values()] == [2, 3]
+    assert Seen.seen["free"] == free
