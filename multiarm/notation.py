@@ -11,8 +11,6 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-__all__ = ["NOTHING", "count_of", "number", "numbers", "value_text"]
-
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
 PLAIN = 1e6

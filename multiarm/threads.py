@@ -14,8 +14,6 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-__all__ = ["one_thread"]
-
 
 class _Users:
     """How many ask for one thread at present, and what restores the number there was before."""

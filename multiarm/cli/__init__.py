@@ -33,9 +33,6 @@ from multiarm.errors import MultiarmError, shortened
 from multiarm.results.files import printable
 from multiarm.terminal.console import print_error, print_warnings
 
-__all__ = ["app", "main"]
-
-
 # Typer does not export the class that it raises for a wrong command line.
 _UsageError: Any = typer.BadParameter.__base__
 

@@ -35,8 +35,6 @@ from multiarm.terminal.progress import Progress
 if TYPE_CHECKING:
     from multiarm.studies.work_precision import Study
 
-__all__ = ["accuracy"]
-
 REWRITE, SHARE = 5.0, 0.1
 """Files of an unfinished study are written at most so often [s], and take such a share of the time
 at most."""

@@ -24,8 +24,6 @@ from multiarm.terminal.console import columns, facts, output, print_warnings
 if TYPE_CHECKING:
     from multiarm.scene.registry import Registry
 
-__all__ = ["Card", "KindName", "Section", "show"]
-
 KindName = Annotated[
     str | None,
     typer.Argument(help="One of them, shown in full.", show_default="all", metavar="[NAME]"),

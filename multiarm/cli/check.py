@@ -31,8 +31,6 @@ if TYPE_CHECKING:
         RunFacts,
     )
 
-__all__ = ["check"]
-
 
 def check(
     scene: SceneFile,

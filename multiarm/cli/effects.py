@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from multiarm.scene import Scene
     from multiarm.studies.effect_costs import Ledger
 
-__all__ = ["effects"]
-
 
 def effects(
     scene: Annotated[

@@ -14,13 +14,6 @@ from multiarm.terminal.console import print_loaded, print_warnings
 if TYPE_CHECKING:
     from multiarm.scene import Scene
 
-__all__ = [
-    "check_targets",
-    "refuse_targets",
-    "scene_to_run",
-    "write_json",
-]
-
 PLOTS = ("png", "svg", "pdf")
 
 

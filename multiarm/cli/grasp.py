@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from multiarm.scene import Scene
     from multiarm.simulation.holding import Carrying
 
-__all__ = ["FORMS", "body_of_text", "design_facts", "grasp_app", "judgement_tables"]
-
 
 # Reach of an optimised gripper around its corner, in sizes of the body.
 USUAL_SIZE = 0.2

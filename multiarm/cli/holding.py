@@ -12,8 +12,6 @@ from multiarm.notation import number
 if TYPE_CHECKING:
     from multiarm.simulation.holding import Carrying, EffortShares
 
-__all__ = ["carrying_rows", "overload_warnings"]
-
 REMEDY = "take a lighter object, a stronger robot or another posture"
 
 

@@ -11,8 +11,6 @@ from multiarm.cli.catalogue import Card, KindName, Section, show
 from multiarm.cli.options import JsonFile
 from multiarm.scene.parameters import parameters_of
 
-__all__ = ["controls", "effect_section", "joints", "methods", "shapes"]
-
 
 def joints(
     kind: Annotated[

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from multiarm.linear.linearisation import LinearSystem
     from multiarm.linear.modes import Mode
 
-__all__ = ["modes"]
-
 NOT_AT_REST = 1e-6  # [m/s^2, rad/s^2]
 
 

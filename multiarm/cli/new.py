@@ -15,8 +15,6 @@ from multiarm.errors import MultiarmError
 from multiarm.results.files import write_text
 from multiarm.terminal.console import print_written
 
-__all__ = ["new"]
-
 SCHEMA = "scene.schema.json"
 
 

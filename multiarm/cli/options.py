@@ -9,31 +9,6 @@ import typer
 
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 
-__all__ = [
-    "FILES",
-    "METHOD",
-    "Accuracy",
-    "AccuracyOfRun",
-    "Arms",
-    "Closing",
-    "Duration",
-    "JsonFile",
-    "Method",
-    "MostSteps",
-    "NoCode",
-    "OutputStep",
-    "Quiet",
-    "SceneFile",
-    "Solver",
-    "Step",
-    "Tolerance",
-    "chosen",
-    "file_option",
-    "option",
-    "plot_option",
-    "switch",
-]
-
 OF_SCENE = "the scene's"
 METHOD, FILES = "How exactly", "Results"
 

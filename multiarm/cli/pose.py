@@ -14,8 +14,6 @@ from multiarm.terminal.console import output, print_written
 if TYPE_CHECKING:
     from multiarm.scene import ArmSpec
 
-__all__ = ["pose"]
-
 
 def pose(
     scene: SceneFile,

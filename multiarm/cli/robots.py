@@ -16,8 +16,6 @@ from multiarm.notation import count_of, number
 if TYPE_CHECKING:
     from multiarm.scene import JointOutline, RobotEntry, RobotOutline
 
-__all__ = ["robots"]
-
 FILE = "a file"
 
 

@@ -54,8 +54,6 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 
-__all__ = ["run", "run_figures", "summary_table"]
-
 
 # A start that violates the joints by more than this [m] is reported.
 NOTABLE_GAP = 1e-3

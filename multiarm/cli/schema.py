@@ -14,8 +14,6 @@ from multiarm.cli.options import file_option, switch
 from multiarm.results.files import write_text
 from multiarm.terminal.console import print_warnings, print_written
 
-__all__ = ["schema", "schema_text"]
-
 
 class Sort(str, Enum):
     """The files that have a schema."""

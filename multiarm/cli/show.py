@@ -18,8 +18,6 @@ from multiarm.terminal.console import messages, print_warnings, print_written
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
-__all__ = ["replay", "report", "show_replay"]
-
 RESULT = typer.Argument(
     help="The file of multiarm run, or the folder of multiarm sweep with --run.",
     metavar="RESULT",

@@ -15,8 +15,6 @@ from multiarm.notation import number
 from multiarm.terminal.console import columns, output, print_error
 from multiarm.terminal.progress import Progress
 
-__all__ = ["stability"]
-
 
 def stability(
     names: Annotated[

@@ -21,8 +21,6 @@ from multiarm.terminal.console import columns, print_written
 if TYPE_CHECKING:
     from multiarm.studies.tables import TextTable
 
-__all__ = ["draw_files", "rendered", "write_files"]
-
 CLOSE = 8
 
 

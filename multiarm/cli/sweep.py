@@ -44,8 +44,6 @@ from multiarm.terminal.progress import SweepProgress
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep, SweepSummary
 
-__all__ = ["facts_table", "spread_table", "sweep", "trouble_lines"]
-
 
 WORKERS = "Workers"
 OF_SWEEP = "the sweep's"

@@ -11,8 +11,6 @@ from multiarm.notation import count_of
 from multiarm.terminal.console import output
 from multiarm.terminal.progress import Progress
 
-__all__ = ["warmup"]
-
 
 def warmup(
     workers: Annotated[

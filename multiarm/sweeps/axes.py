@@ -23,8 +23,6 @@ from multiarm.scene import parse_path
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import Number, OneOf, Positive, Range, Spec, list_of, rising
 
-__all__ = ["AxisSpec", "Count", "NonNegativeCount", "is_integer", "paths_of", "plain_value"]
-
 
 def plain_value(value: Any) -> Any:
     """The value in types that a YAML file can hold; a fault if there are none."""

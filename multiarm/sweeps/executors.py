@@ -28,8 +28,6 @@ from multiarm.sweeps.run import Context, Row, lost_run, prepare, run
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["connected", "run_here", "run_in_processes", "run_on_cluster"]
-
 Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
 IDLE = 10.0

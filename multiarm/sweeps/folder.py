@@ -42,16 +42,6 @@ from multiarm.sweeps.spec import FIRST, LAST, Column, SweepSpec
 if TYPE_CHECKING:
     from multiarm.sweeps.run import Row
 
-__all__ = [
-    "Header",
-    "PartWriter",
-    "create",
-    "is_sweep",
-    "read_header",
-    "read_rows",
-    "without_mixed_types",
-]
-
 PART_ROWS = 1024
 """Rows of a part, at least, before its writer begins the next one."""
 DIFFERENT_LINES = 6

@@ -44,8 +44,6 @@ from multiarm.sweeps.axes import AxisSpec, paths_of
 from multiarm.sweeps.quantities import UserQuantity
 from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 
-__all__ = ["SweepPlan", "make_plan"]
-
 MOST_RUNS = 1_000_000
 """A sweep has at most so many runs."""
 

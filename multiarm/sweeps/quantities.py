@@ -26,8 +26,6 @@ from multiarm.scene.values import Spec
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
-__all__ = ["KNOWN", "MEASURED", "UserQuantity", "measure"]
-
 MEASURED = "wall_time"
 """May be listed among the quantities; every record has it anyway, as it is not reproducible."""
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 
-__all__ = ["Failure", "Spread", "Sweep", "SweepSummary", "load_sweep"]
-
 
 class Sweep:
     """The rows of a sweep when its folder was read; rows that are appended later are not seen.

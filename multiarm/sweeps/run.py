@@ -31,8 +31,6 @@ from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.quantities import UserQuantity, measure
 from multiarm.threads import one_thread
 
-__all__ = ["Context", "Row", "lost_run", "prepare", "run", "simulate_run"]
-
 Row = dict[str, Any]
 """What a sweep stores of one run: column -> entry, without the values; what is missing is left out.
 

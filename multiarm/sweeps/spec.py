@@ -45,19 +45,6 @@ from multiarm.sweeps.axes import (
 )
 from multiarm.sweeps.quantities import KNOWN, MEASURED, UserQuantity
 
-__all__ = [
-    "DEFAULT_KEEP",
-    "FIRST",
-    "LAST",
-    "Column",
-    "QuantityEntry",
-    "SweepSpec",
-    "examined",
-    "parse_sweep",
-    "read_sweep",
-]
-
-
 DEFAULT_KEEP = (
     "final_position_error",
     "final_rotation_error",

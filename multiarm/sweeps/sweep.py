@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from multiarm.sweeps.run import Row
 
-__all__ = ["SweepReport", "run_plan", "sweep"]
-
 SweepReport = Callable[[int, int, int], None]
 """Called with the runs that are done, all of them, and those that failed."""
 

@@ -16,8 +16,6 @@ from rich.text import Text
 
 from multiarm.jit.compilation import process_running_time
 
-__all__ = ["Bar"]
-
 RECENT, SHARE = 30.0, 0.5
 """The pace is taken over so long [s] at least, and over such a share of the time so far."""
 

@@ -25,19 +25,6 @@ from multiarm.results.files import printable
 if TYPE_CHECKING:
     from multiarm.scene import NamedCode
 
-__all__ = [
-    "STATUS_STYLES",
-    "accuracy",
-    "columns",
-    "facts",
-    "messages",
-    "output",
-    "print_error",
-    "print_loaded",
-    "print_warnings",
-    "print_written",
-]
-
 WHOLE = 28
 """Words of tables with so many letters at most are never broken: names of hard cases have 25."""
 STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}

@@ -24,19 +24,6 @@ from multiarm.notation import count_of
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = [
-    "ManyRunsProgress",
-    "PartProgress",
-    "Progress",
-    "Report",
-    "RunProgress",
-    "RunWatcher",
-    "SweepProgress",
-    "TimeWatcher",
-    "displayed",
-    "span",
-]
-
 Shown = AbstractContextManager[Callable[..., None]]
 Report = Callable[[float, float, str], None]
 """Called with how much is done, of how much (0: not known), and what is being done."""
