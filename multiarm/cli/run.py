@@ -120,7 +120,7 @@ def run(
     they apply), compiled_kernels (also for the scene), and files (result, replay, report). Numbers
     are finite, or null where there is none.
     """
-    from multiarm.results.trajectory_file import TrajectoryReader
+    from multiarm.results.hdf5 import writable_target
 
     loaded = scene_to_run(scene, no_code)
     target = out if out is not None else Path(f"{scene.stem}.h5")
@@ -134,7 +134,7 @@ def run(
         },
         source=scene,
     )
-    TrajectoryReader.writable_target(target)
+    writable_target(target)
     settings = chosen(
         duration=duration,
         accuracy=accuracy,

@@ -21,46 +21,34 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import h5py
 import numpy as np
 
-from multiarm.errors import MultiarmError
+from multiarm.errors import TrajectoryError
 from multiarm.results.files import resolved, target_fault
 
 HDF5_ERRORS = (
     OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError,
 )  # fmt: skip
 """Exceptions of h5py for a damaged file."""
+FORMAT, VERSION = "multiarm trajectory", 1
+"""Attribute `format` of a file, and the newest `format_version` that this program reads."""
+REMEDY = "copy it again or repeat the run"
 
 
 class StoredFile:
-    """A file open for reading: complete, still being written, or left by a killed writer.
+    """A trajectory's file open for reading: complete, still being written, or left by a kill.
 
-    Subclasses name their format and read their contents in :meth:`load`.
+    What is in it, :meth:`load` reads.
 
     Raises
     ------
-    MultiarmError
-        Missing, unreadable, cut short, of another format, or of a newer version.
-
-    Attributes
-    ----------
-    format, version : str, int
-        Attribute `format` of the file, and the newest `format_version` that this program reads.
-    noun, origin, remedy : str
-        For messages: the kind of file, where it comes from, what to do about a damaged one.
-    error : type
-        Of the errors that are raised.
+    TrajectoryError
+        Missing, unreadable, cut short, not a trajectory, or written by a newer format.
     """
 
-    format: ClassVar[str]
-    version: ClassVar[int]
-    noun: ClassVar[str]
-    origin: ClassVar[str]
-    remedy: ClassVar[str]
-    error: ClassVar[type[MultiarmError]]
     file: h5py.File
 
     def __init__(self, path: Path):
@@ -71,7 +59,7 @@ class StoredFile:
             try:
                 self._open()
                 return
-            except self.error:  # a file that is being written changes while it is read
+            except TrajectoryError:  # a file that is being written changes while it is read
                 if attempt == attempts or not (path.is_file() and _is_unclosed(path)):
                     raise
                 time.sleep(0.1)
@@ -80,9 +68,9 @@ class StoredFile:
         """Read the contents of the open file, through the methods that check them."""
         raise NotImplementedError
 
-    def broken(self, what: str) -> MultiarmError:
+    def broken(self, what: str) -> TrajectoryError:
         """The error that names the file and what in it cannot be used."""
-        return self.error(f"'{self.path}' cannot be used: {what}; {self.remedy}")
+        return TrajectoryError(f"'{self.path}' cannot be used: {what}; {REMEDY}")
 
     def attribute(
         self, name: str, sort: type | tuple[type, ...], of: h5py.Dataset | None = None
@@ -146,82 +134,86 @@ class StoredFile:
         if self._size is not None and not _stored_within(self.file[name], rows, self._size):
             raise OSError("data beyond the end of the file")
 
-    @classmethod
-    @contextmanager
-    def reading(cls, path: Path) -> Iterator[None]:
-        """Turn exceptions of HDF5 while reading into messages."""
-        try:
-            yield
-        except HDF5_ERRORS as error:
-            raise cls.error(
-                f"'{path}' is damaged or was cut short ({reason(error)}); {cls.remedy}"
-            ) from error
-
     def close(self) -> None:
         """Close the file; nothing more can be read."""
         self.file.close()
 
-    @classmethod
-    def opened(cls, path: Path) -> tuple[h5py.File, bool]:
-        """A file of any format, open for reading, and whether its writer closed it."""
-        path = resolved(path, cls.error)
-        if not path.is_file():
-            what = "it is a folder" if path.is_dir() else "there is no such file"
-            what = "it is no ordinary file" if path.exists() and not path.is_dir() else what
-            raise cls.error(f"cannot read '{path}': {what}")
-        with cls.reading(path):
-            if not h5py.is_hdf5(path):
-                raise cls.error(f"'{path}' is not an HDF5 file; {cls.origin}")
-            if _is_unclosed(path):
-                return h5py.File(_Unclosed(path), "r"), False
-            return h5py.File(path, "r", locking="best-effort"), True
-
-    @classmethod
-    def matches(cls, path: Path) -> bool:
-        """Whether a file has this format, in any version and state."""
-        try:
-            with cls.opened(path)[0] as file:
-                return str(file.attrs.get("format")) == cls.format
-        except (cls.error, *HDF5_ERRORS):
-            return False
-
-    @classmethod
-    def writable_target(cls, path: str | os.PathLike) -> Path:
-        """The resolved path of a new file, if it is free or holds a file of this format.
-
-        Raises
-        ------
-        MultiarmError
-            The folder is missing, or the path is a folder, a device or another kind of file.
-        """
-        target = resolved(path, cls.error)
-        if target.is_file() and not (cls.matches(target) and os.access(target, os.W_OK)):
-            raise cls.error(
-                f"'{path}' exists and is not {cls.noun} that may be replaced: it is something "
-                "else, damaged or write-protected; move it away or choose another name"
-            )
-        fault = target_fault(target)
-        if fault:
-            raise cls.error(f"cannot write '{path}': {fault}")
-        return target
-
     def _open(self) -> None:
-        self.file, closed = self.opened(self.path)
-        with self.reading(self.path):
+        self.file, closed = opened(self.path)
+        with reading(self.path):
             stored_format = self.file.attrs.get("format")
-            if not isinstance(stored_format, str) or stored_format != self.format:
-                raise self.error(f"'{self.path}' is an HDF5 file, but not {self.noun} of multiarm")
+            if not isinstance(stored_format, str) or stored_format != FORMAT:
+                raise TrajectoryError(
+                    f"'{self.path}' is an HDF5 file, but not a trajectory of multiarm"
+                )
             version = int(self.attribute("format_version", (int, np.integer)))
             if version < 1:
                 raise self.broken(f"its format version is {version}")
-            if version > self.version:
-                raise self.error(
+            if version > VERSION:
+                raise TrajectoryError(
                     f"'{self.path}' has format version {version}; this program reads up to "
-                    f"{self.version}: update multiarm"
+                    f"{VERSION}: update multiarm"
                 )
             self._groups: dict[str, Any] = {}
             self._size = None if closed else self.path.stat().st_size
             self.load()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn exceptions of HDF5 while reading into messages."""
+    try:
+        yield
+    except HDF5_ERRORS as error:
+        raise TrajectoryError(
+            f"'{path}' is damaged or was cut short ({reason(error)}); {REMEDY}"
+        ) from error
+
+
+def opened(path: Path) -> tuple[h5py.File, bool]:
+    """A file of any format, open for reading, and whether its writer closed it."""
+    path = resolved(path, TrajectoryError)
+    if not path.is_file():
+        what = "it is a folder" if path.is_dir() else "there is no such file"
+        what = "it is no ordinary file" if path.exists() and not path.is_dir() else what
+        raise TrajectoryError(f"cannot read '{path}': {what}")
+    with reading(path):
+        if not h5py.is_hdf5(path):
+            raise TrajectoryError(
+                f"'{path}' is not an HDF5 file; a trajectory is written by a run or by save()"
+            )
+        if _is_unclosed(path):
+            return h5py.File(_Unclosed(path), "r"), False
+        return h5py.File(path, "r", locking="best-effort"), True
+
+
+def is_trajectory(path: Path) -> bool:
+    """Whether a file has this format, in any version and state."""
+    try:
+        with opened(path)[0] as file:
+            return str(file.attrs.get("format")) == FORMAT
+    except (TrajectoryError, *HDF5_ERRORS):
+        return False
+
+
+def writable_target(path: str | os.PathLike) -> Path:
+    """The resolved path of a new file, if it is free or holds a file of this format.
+
+    Raises
+    ------
+    TrajectoryError
+        The folder is missing, or the path is a folder, a device or another kind of file.
+    """
+    target = resolved(path, TrajectoryError)
+    if target.is_file() and not (is_trajectory(target) and os.access(target, os.W_OK)):
+        raise TrajectoryError(
+            f"'{path}' exists and is not a trajectory that may be replaced: it is something "
+            "else, damaged or write-protected; move it away or choose another name"
+        )
+    fault = target_fault(target)
+    if fault:
+        raise TrajectoryError(f"cannot write '{path}': {fault}")
+    return target
 
 
 def _refused(constant: str) -> None:

@@ -183,10 +183,11 @@ class Hdf5Sink(Sink):
         self._writer.checkpoint()
 
     def _begin(self) -> None:
-        from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
+        from multiarm.results.hdf5 import writable_target
+        from multiarm.results.trajectory_file import TrajectoryWriter
 
         self._columns = self._columns_of(self._channels)
-        target = TrajectoryReader.writable_target(self.path)
+        target = writable_target(self.path)
         self._writer = TrajectoryWriter(target, self._channels, _evaluated(self._metadata))
 
     def _keep(self, rows: np.ndarray) -> None:

@@ -545,9 +545,10 @@ class Trajectory:
         TrajectoryError
             The path cannot be written, or holds a file that multiarm did not write.
         """
-        from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
+        from multiarm.results.hdf5 import writable_target
+        from multiarm.results.trajectory_file import TrajectoryWriter
 
-        target, names = TrajectoryReader.writable_target(path), tuple(self._store.channels)
+        target, names = writable_target(path), tuple(self._store.channels)
         with atomic_file(target) as partial:
             channels = tuple(self._store.channels.values())
             writer = TrajectoryWriter(partial, channels, self.provenance)

@@ -50,7 +50,7 @@ from multiarm.results.channels import (
     wrench_channel,
 )
 from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
-from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
+from multiarm.results.hdf5 import FORMAT, HDF5_ERRORS, VERSION, StoredFile, opened, reading, reason
 from multiarm.scene.run import LONGEST_RUN
 
 CHUNK_SAMPLES = 512
@@ -83,15 +83,9 @@ class TrajectoryReader(StoredFile):
         None: the file was written by an earlier program, and cannot be amended.
     """
 
-    format, version = "multiarm trajectory", 1
-    noun = "a trajectory"
-    origin = "a trajectory is written by a run or by save()"
-    remedy = "copy it again or repeat the run"
-    error = TrajectoryError
-
     def __init__(self, path: str | os.PathLike):
         self._identity: tuple[int, ...] | None = None
-        super().__init__(resolved(path, self.error))
+        super().__init__(resolved(path, TrajectoryError))
 
     def load(self) -> None:
         """Read everything but the samples."""
@@ -176,14 +170,14 @@ class TrajectoryReader(StoredFile):
         if self._identity is None:
             if not self.file:  # closed
                 raise TrajectoryError(CLOSED)
-            with self.reading(self.path):
+            with reading(self.path):
                 return self._recordable(name, self.file[name][start:stop])
         if _identity(self.path) != self._identity:
             raise TrajectoryError(
                 f"'{self.path}' is not the file any more that this result was read from; load it "
                 "again, or write other runs elsewhere"
             )
-        with self.opened(self.path)[0] as file, self.reading(self.path):
+        with opened(self.path)[0] as file, reading(self.path):
             return self._recordable(name, file[name][start:stop])
 
     def _recordable(self, name: str, values: np.ndarray) -> np.ndarray:
@@ -207,7 +201,7 @@ class TrajectoryReader(StoredFile):
 class TrajectoryWriter:
     """A new file that grows by blocks of samples.
 
-    ``path`` is one of :meth:`StoredFile.writable_target`; the entry `scene` of the metadata is the
+    ``path`` is one of :func:`writable_target`; the entry `scene` of the metadata is the
     YAML text of the scene.
 
     Raises
@@ -249,8 +243,8 @@ class TrajectoryWriter:
 
     def _create(self, channels: Sequence[Channel], metadata: dict[str, Any]) -> None:
         """Create all datasets."""
-        file, reader = self.file, TrajectoryReader
-        file.attrs["format"], file.attrs["format_version"] = reader.format, reader.version
+        file = self.file
+        file.attrs["format"], file.attrs["format_version"] = FORMAT, VERSION
         provenance = {key: value for key, value in metadata.items() if key != "scene"}
         file.attrs["provenance"] = json.dumps(provenance, allow_nan=False)
         file.create_dataset("scene", data=metadata.get("scene", ""), dtype=h5py.string_dtype())

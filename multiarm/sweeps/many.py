@@ -336,11 +336,11 @@ def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
             "out: must be a folder for the runs, or a pattern of files such as 'box_{:03d}.h5', "
             f"got {shown(out)}"
         )
-    from multiarm.results.trajectory_file import TrajectoryReader
+    from multiarm.results.hdf5 import writable_target
 
     paths = _by_pattern(str(out), count) if "{" in str(out) else _in_folder(Path(out), count)
     for path in paths:
-        TrajectoryReader.writable_target(path)
+        writable_target(path)
     return [*paths]
 
 
