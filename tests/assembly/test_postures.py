@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+import yaml
 from commands import multiarm
 from event_scenes import arm as plain_arm
 from event_scenes import box
@@ -24,7 +25,6 @@ from multiarm.assembly.robots import arm_files, load_robots, with_bases
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import SceneError
 from multiarm.scene import ArmSpec, ObjectSpec, Pose, Scene, parse_scene, resolve_arm
-from multiarm.scene.text import parse_yaml, with_values, without_entry
 
 UR5 = {"robot": "ur5", "tip": "tool0"}
 PANDA = {"robot": "panda", "tip": "panda_hand"}
@@ -462,91 +462,51 @@ def test_a_base_needs_a_place_to_be_found_for():
         )
 
 
-# --- into the scene's file ------------------------------------------------------------------------
+# --- as the command prints them -------------------------------------------------------------------
 
 RING = SCENES / "three_makes_ring.yaml"
 
 
-@pytest.mark.slow
-def test_postures_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
-    path, text = tmp_path / "ring.yaml", RING.read_text()
-    path.write_text(text)
+def with_printed_arms(path):
+    """The system of a scene in which the arms have what `multiarm pose` prints of them."""
     shown = multiarm("pose", path)
-    assert shown.exit_code == 0 and path.read_text() == text
-    assert multiarm("pose", path, "--write").exit_code == 0
-    written = path.read_text()
-    changed = [
-        old for old, new in zip(text.splitlines(), written.splitlines(), strict=True) if old != new
-    ]
-    assert len(changed) == 3 and all("posture: solve" in line for line in changed)
-    found, expected = (ma.compile_system(ma.load_scene(file)) for file in (path, RING))
+    assert shown.exit_code == 0
+    arms = yaml.safe_load(shown.output)
+    changes = {f"arms.{name}.{key}": v for name, arm in arms.items() for key, v in arm.items()}
+    return arms, ma.compile_system(ma.load_scene(path).replace(changes))
+
+
+def same_start(system, expected):
     for name, posture in expected.initial_state().joint_positions.items():
-        assert f"{name}: {{posture: [" in shown.output
-        np.testing.assert_allclose(found.scene.arms[name].posture, posture, atol=1e-8)
-    again = multiarm("pose", path)
-    assert again.exit_code == 2 and "gives every arm a posture" in again.stderr
+        np.testing.assert_allclose(system.scene.arms[name].posture, posture, atol=1e-8)
 
 
 @pytest.mark.slow
-def test_bases_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
+def test_postures_are_printed_as_a_scene_has_them():
+    arms, system = with_printed_arms(RING)
+    assert [*arms.values()] == [{"posture": [*arm.posture]} for arm in system.scene.arms.values()]
+    same_start(system, ma.compile_system(ma.load_scene(RING)))
+
+
+@pytest.mark.slow
+def test_bases_are_printed_whole(tmp_path):
     path, text = tmp_path / "ring.yaml", RING.read_text()
     text = text.replace("base: {xyz: [0.95, 0, 0]}", "base: {solve: [x, y, yaw]}").replace(
-        "    base: {xyz: [-0.5, 0.75, 0]}\n",
-        "    base:  # a table\n      solve: [x, y]  # beside it\n"
-        "      xyz: [0, 0, 0.1]  # its top\n",
+        "base: {xyz: [-0.5, 0.75, 0]}",
+        "base: {solve: [x, y], xyz: [0, 0, 0.1], rpy: [0, 0, 0.3]}",
     )
     path.write_text(text)
     expected = ma.compile_system(ma.load_scene(path))
-    shown = multiarm("pose", path).output
-    assert "front: {base: {xyz: [" in shown and "left: {base: {xyz: [" in shown
-    assert "right: {posture: [" in shown
-    assert multiarm("pose", path, "--write").exit_code == 0
-    written = path.read_text()
-    assert "solve" not in written.partition("arms:")[2]
-    for comment in ("# a table\n      # beside it\n      xyz: [", ", 0.1]  # its top\n"):
-        assert comment in written
-    found = ma.load_scene(path)
+    arms, system = with_printed_arms(path)
+    assert [*map(len, arms.values())].count(1) == 1, "one arm stands where it is written"
     for name, arm in expected.scene.arms.items():
-        np.testing.assert_array_equal(found.arms[name].base.matrix(), arm.base.matrix())
-        posture = expected.initial_state().joint_positions[name]
-        np.testing.assert_allclose(found.arms[name].posture, posture, atol=1e-8)
+        found = system.scene.arms[name].base.matrix()
+        np.testing.assert_allclose(found, arm.base.matrix(), atol=1e-8)
+    same_start(system, expected)
 
 
-@pytest.mark.parametrize(
-    ("text", "left"),
-    [
-        ("a: {b: 1, c: [2, 3]}  # x", "a: {b: 1}  # x"),
-        ("a: {c: [2], b: 1}", "a: {b: 1}"),
-        ("a:\n  c:\n    - 1\n    - 2  # x\n  b: 1", "a:\n  # x\n  b: 1"),
-        ("a:\n  b: 1\n  c: 2\nd: 3", "a:\n  b: 1\nd: 3"),
-        ("a:\n  b: 1\n  c: 2", "a:\n  b: 1\n"),
-    ],
-)
-def test_an_entry_is_taken_out_and_nothing_else(text, left):
-    assert without_entry(text, ("a", "c")) == left
-
-
-def test_values_come_into_tables_of_every_form():
-    text = (
-        "# top\narms:  # all\n  a: {tip: x, posture: solve}  # one\n  b:\n    tip: y  # two\n"
-        "    lock:\n      j: 1.0  # three\n\n  c:\n    posture: solve # four\n    tip: z"
-    )
-    written = with_values(text, {("arms", name, "posture"): "[1, 2]" for name in "abc"})
-    expected = parse_yaml(text.replace("solve", "[1, 2]"))
-    expected["arms"]["b"]["posture"] = [1, 2]
-    assert parse_yaml(written) == expected
-    assert [line.partition("#")[2] for line in written.splitlines() if "#" in line] == [
-        " top", " all", " one", " two", " three", " four",
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a: &same {tip: x}\nb: *same",
-        "a: {tip: x}\nb: {<<: {tip: y}, lock: {}}",
-    ],
-)
-def test_values_of_tables_that_share_their_text_are_refused(text):
-    with refused(SceneError):
-        with_values(text, {("a", "posture"): "[1]", ("b", "posture"): "[2]"})
+def test_a_scene_in_which_all_is_written_leaves_nothing_to_find(tmp_path):
+    path = tmp_path / "ring.yaml"
+    path.write_text(RING.read_text().replace("posture: solve", "posture: {}"))
+    again = multiarm("pose", path)
+    assert again.exit_code == 2 and "gives every arm a posture" in again.stderr
