@@ -84,7 +84,8 @@ def methods(name: KindName = None, json: JsonFile = None) -> None:
     The JSON has the keys integrators, stabilizations: each a table by name, with what is shown
     here.
     """
-    from multiarm.scene.run import STABILIZATIONS, StabilizationSpec
+    from multiarm.scene.run import StabilizationSpec
+    from multiarm.scene.settings import STABILIZATIONS
     from multiarm.tableaus import KINDS, METHODS
 
     integrators = {}

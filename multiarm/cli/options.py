@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, get_args
 
 import typer
 
-from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
+from multiarm.scene.settings import (
+    ARM_TERMS,
+    MEANINGS,
+    STABILIZATIONS,
+    ArmTerms,
+    Integrator,
+    SolverName,
+    Stabilization,
+)
+from multiarm.tableaus import METHODS
 
 OF_SCENE = "the scene's"
 METHOD, FILES = "How exactly", "Results"
@@ -54,91 +63,33 @@ NoCode = Annotated[
 ]
 
 
-def setting(text: str, metavar: str) -> Any:
-    """The option of a setting of runs."""
+def setting(key: str, metavar: str, *choices: str, more: str = "") -> Any:
+    """The option of a setting of runs; its text lists its choices."""
+    text = MEANINGS[key] + more
+    if any(name not in text for name in choices):
+        text += f" One of {', '.join(choices)}."
     return option(text, metavar, default=OF_SCENE, panel=METHOD)
 
 
-def choice(text: str, *choices: str) -> Any:
-    """The option of a setting with few values, which its text lists."""
-    unnamed = [name for name in choices if name not in text]
-    return setting(f"{text} One of {', '.join(choices)}." if unnamed else text, "NAME")
-
-
-# Words and choices are those of multiarm.scene.RunSpec, as a test claims: the commands know them
-# without what reads scenes. An option takes no tables.
-if TYPE_CHECKING:
-    Integrator = str
-else:
-    Integrator = Literal[tuple(METHODS)]
-ACCURACY = (
-    "Largest error of the whole run at the worst output time: a number [m and rad]. The program "
-    "chooses method and steps, checks the result against a tightened rerun and repeats the run "
-    "with smaller tolerances if need be. 1e-6 by default."
-)
-Duration = Annotated[float | None, setting("Simulated time [s].", "S")]
-Accuracy = Annotated[float | None, setting(ACCURACY, "A")]
+Duration = Annotated[float | None, setting("duration", "S")]
+Accuracy = Annotated[float | None, setting("accuracy", "A")]
 AccuracyOfRun = Annotated[
     float | None,
     setting(
-        f"{ACCURACY} Any of this, --integrator, --step, --tolerance replaces the scene's choice of "
-        "all four.",
+        "accuracy",
         "A",
+        more=" Any of this, --integrator, --step, --tolerance replaces the scene's choice of all "
+        "four.",
     ),
 ]
-Method = Annotated[
-    Integrator | None,
-    choice(
-        f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed 'step'; "
-        f"{', '.join(ADAPTIVE_INTEGRATORS)} choose their steps by 'accuracy' or 'tolerance'. "
-        "Absent: dopri5 or dop853 by the accuracy, and rodas5p where the scene turns out to be "
-        "stiff.",
-        *METHODS,
-    ),
-]
-Step = Annotated[float | None, setting("Fixed step [s].", "S")]
-Tolerance = Annotated[
-    float | None,
-    setting("Error of one step of an adaptive integrator [m, rad, m/s, rad/s].", "T"),
-]
-Closing = Annotated[
-    Literal["projection", "feedback", "none"] | None,
-    choice(
-        "How the joints are kept closed although integration errors add up.",
-        "projection",
-        "feedback",
-        "none",
-    ),
-]
-OutputStep = Annotated[float | None, setting("Time between stored samples [s].", "S")]
-MostSteps = Annotated[
-    float | None,
-    setting(
-        "Steps for one second of simulated time (for the whole run, if that is shorter): a run "
-        "that needs more at the pace of its last thousands of steps, rejected ones and events "
-        "counted, fails instead of running for hours.",
-        "M",
-    ),
-]
-Solver = Annotated[
-    Literal["node", "dense"] | None,
-    choice(
-        "The node algorithm, or the whole linear system at once, an independent reference to "
-        "compare with.",
-        "node",
-        "dense",
-    ),
-]
-Arms = Annotated[
-    Literal["pinocchio", "compiled"] | None,
-    choice(
-        "Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is "
-        "several times as fast and verified against Pinocchio whenever the scene is compiled. An "
-        "arm that cannot be compiled stays with Pinocchio and says so.",
-        "pinocchio",
-        "compiled",
-    ),
-]
+Method = Annotated[Integrator | None, setting("integrator", "NAME", *METHODS)]
+Step = Annotated[float | None, setting("step", "S")]
+Tolerance = Annotated[float | None, setting("tolerance", "T")]
+Closing = Annotated[Stabilization | None, setting("stabilization", "NAME", *STABILIZATIONS)]
+OutputStep = Annotated[float | None, setting("output_step", "S")]
+MostSteps = Annotated[float | None, setting("most_steps", "M")]
+Solver = Annotated[SolverName | None, setting("solver", "NAME", *get_args(SolverName))]
+Arms = Annotated[ArmTerms | None, setting("arms", "NAME", *ARM_TERMS)]
 
 
 def chosen(**settings: Any) -> dict[str, Any]:

@@ -47,14 +47,9 @@ from multiarm.scene.robots import (
     find_robot,
     resolve_package_dirs,
 )
-from multiarm.scene.run import (
-    ARM_TERMS,
-    STEPS_CHOSEN_BY,
-    AccuracySpec,
-    RunSpec,
-    StabilizationSpec,
-)
+from multiarm.scene.run import STEPS_CHOSEN_BY, AccuracySpec, RunSpec, StabilizationSpec
 from multiarm.scene.schema import Scene, changed_scenes
+from multiarm.scene.settings import ARM_TERMS
 from multiarm.scene.shapes import Shape
 from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf

@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
+from multiarm.scene.settings import MEANINGS, ArmTerms, Integrator, SolverName, Stabilization
 from multiarm.scene.values import NonNegative, Positive, Spec, shorthand
-from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
-if TYPE_CHECKING:
-    Integrator = str
-else:
-    Integrator = Literal[tuple(METHODS)]
-ArmTerms = Literal["pinocchio", "compiled"]
-ARM_TERMS: tuple[str, ...] = get_args(ArmTerms)
-"""Backends of the arms' inertia, forces and motion."""
 STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
 """Settings of a run that say together how long its steps are."""
 DEFAULT_ACCURACY = 1e-6
 """Aimed at in positions [m] and rotations [rad] by default."""
-
-STABILIZATIONS = {
-    "projection": "returns position and velocity to the constraints after each step",
-    "feedback": "adds -2 alpha W^T v - beta^2 phi to the constraint accelerations, as Baumgarte",
-    "none": "lets the joints drift apart as the errors of the steps add up, to see how fast",
-}
-"""How the joints are kept closed, by name."""
-if TYPE_CHECKING:
-    Stabilization = str
-else:
-    Stabilization = Literal[tuple(STABILIZATIONS)]
 
 LONGEST_RUN, MOST_SAMPLES, MOST_FIXED_STEPS = 1e9, 1e8, 1e11
 """Simulated time [s], samples and fixed steps of a run: more of them would never end."""
@@ -125,41 +108,24 @@ class StabilizationSpec(Spec):
 class RunSpec(Spec):
     """How long and how exactly the motion is computed, and by which method."""
 
-    duration: Positive = 1.0
-    """Simulated time [s]."""
-    accuracy: Accuracy | None = None
-    """Largest error of the whole run at the worst output time: a number [m and rad], or a table
-    ``{position: [m], rotation: [rad], force: [N]}``, some of them. The program chooses method and
-    steps, checks the result against a tightened rerun and repeats the run with smaller tolerances
-    if need be. 1e-6 by default."""
-    integrator: Integrator | None = Field(
-        default=None,
-        description=f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed 'step'; "
-        f"{', '.join(ADAPTIVE_INTEGRATORS)} choose their steps by 'accuracy' or 'tolerance'. "
-        "Absent: dopri5 or dop853 by the accuracy, and rodas5p where the scene turns out to be "
-        "stiff.",
+    duration: Positive = Field(1.0, description=MEANINGS["duration"])
+    accuracy: Accuracy | None = Field(
+        None,
+        description=MEANINGS["accuracy"].replace(
+            "[m and rad]",
+            "[m and rad], or a table {position: [m], rotation: [rad], force: [N]}, some of them",
+        ),
     )
-    step: Positive | None = None
-    """Fixed step [s]."""
-    tolerance: Positive | None = None
-    """Error of one step of an adaptive integrator [m, rad, m/s, rad/s]."""
+    integrator: Integrator | None = Field(None, description=MEANINGS["integrator"])
+    step: Positive | None = Field(None, description=MEANINGS["step"])
+    tolerance: Positive | None = Field(None, description=MEANINGS["tolerance"])
     stabilization: Annotated[
         StabilizationSpec, shorthand("kind", StabilizationSpec | Stabilization, str)
-    ] = StabilizationSpec()
-    """How the joints are kept closed although integration errors add up."""
-    output_step: Positive = 0.01
-    """Time between stored samples [s]."""
-    most_steps: Positive = 1e8
-    """Steps for one second of simulated time (for the whole run, if that is shorter): a run that
-    needs more at the pace of its last thousands of steps, rejected ones and events counted, fails
-    instead of running for hours."""
-    solver: Literal["node", "dense"] = "node"
-    """The node algorithm, or the whole linear system at once, an independent reference to compare
-    with."""
-    arms: ArmTerms = "pinocchio"
-    """Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is
-    several times as fast and verified against Pinocchio whenever the scene is compiled. An arm that
-    cannot be compiled stays with Pinocchio and says so."""
+    ] = Field(StabilizationSpec(), description=MEANINGS["stabilization"])
+    output_step: Positive = Field(0.01, description=MEANINGS["output_step"])
+    most_steps: Positive = Field(1e8, description=MEANINGS["most_steps"])
+    solver: SolverName = Field("node", description=MEANINGS["solver"])
+    arms: ArmTerms = Field("pinocchio", description=MEANINGS["arms"])
 
     @model_validator(mode="before")
     @classmethod

@@ -28,7 +28,8 @@ from multiarm.scene import (
 from multiarm.scene.faults import models_in
 from multiarm.scene.loading import parse_yaml
 from multiarm.scene.parameters import parameters_of
-from multiarm.scene.run import STABILIZATIONS, StabilizationSpec
+from multiarm.scene.run import StabilizationSpec
+from multiarm.scene.settings import STABILIZATIONS
 from multiarm.tableaus import METHODS
 
 CONTROLS = {

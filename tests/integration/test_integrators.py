@@ -22,7 +22,7 @@ import multiarm as ma
 from multiarm import tableaus
 from multiarm.integration.step import coefficients
 from multiarm.scene import StabilizationSpec
-from multiarm.scene.run import STABILIZATIONS
+from multiarm.scene.settings import STABILIZATIONS
 from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
 COEFFICIENTS = {name: coefficients(tableau, 0) for name, tableau in METHODS.items()}
