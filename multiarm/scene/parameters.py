@@ -35,7 +35,7 @@ def parameters_of(model: Any) -> list[Parameter]:
         if name == "kind":
             continue
         default = field.get_default(call_default_factory=True)
-        written = "required" if field.is_required() else _written(default)
+        written = "required" if field.is_required() else written_value(default)
         parameters.append(Parameter(name, written, *_split(description_of(model, name))))
     return parameters
 
@@ -112,7 +112,7 @@ def _split(text: str) -> tuple[str, str]:
     return meaning, unit[1]
 
 
-def _written(value: Any) -> str:
+def written_value(value: Any) -> str:
     """A value as a scene would write it."""
     if value is None:
         return "none"
@@ -121,10 +121,10 @@ def _written(value: Any) -> str:
     if isinstance(value, (int, float)):
         return f"{value:g}"
     if isinstance(value, (tuple, list)):
-        return f"[{', '.join(_written(item) for item in value)}]"
+        return f"[{', '.join(written_value(item) for item in value)}]"
     if hasattr(value, "model_fields_set"):  # a pose that turns and moves nothing; a table
         entries = {name: item for name, item in value if name in value.model_fields_set}
-        return _written(entries) if entries else "identity"
+        return written_value(entries) if entries else "identity"
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{name}: {_written(item)}' for name, item in value.items())}}}"
+        return f"{{{', '.join(f'{name}: {written_value(item)}' for name, item in value.items())}}}"
     return str(value)

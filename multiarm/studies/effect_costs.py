@@ -34,6 +34,7 @@ from multiarm.errors import SolverError
 from multiarm.notation import count_of
 from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import RunSpec, Scene
+from multiarm.scene.parameters import written_value
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.simulation.inspection import active_effects
 from multiarm.simulation.simulate import simulate
@@ -229,21 +230,12 @@ def variants_of(scene: Scene, candidates: Mapping[str, Any]) -> list[Variant]:
     for name, spec in candidates.items():
         if name not in present:
             extended = partial(scene.replace, effects={**present, name: spec})
-            variants.append(Variant(name, CANDIDATE, f"added as {_words(spec)}", extended))
+            variants.append(Variant(name, CANDIDATE, f"added as {written_value(spec)}", extended))
     return variants
 
 
 def _with_run(scene: Scene, **changes: Any) -> Scene:
     return scene.replace(run={**scene.run.model_dump(exclude_none=True), **changes})
-
-
-def _words(spec: Any) -> str:
-    """Parameters in one line, as a scene has them."""
-    if isinstance(spec, Mapping):
-        return "{" + ", ".join(f"{key}: {_words(value)}" for key, value in spec.items()) + "}"
-    if isinstance(spec, (list, tuple)):
-        return "[" + ", ".join(_words(value) for value in spec) + "]"
-    return f"{spec:.4g}" if isinstance(spec, float) else str(spec)
 
 
 # --- measurements ---------------------------------------------------------------------------------
