@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import get_args
 
@@ -186,18 +183,6 @@ def test_every_snippet_that_a_pipe_gets_is_part_of_a_scene(command, tmp_path):
             snippet = snippet_of(shown(*command.split(), name, columns=60))
             assert snippet.rstrip("\n") == card["example"] != ""
             pasted(snippet, tmp_path)
-
-
-@pytest.mark.slow
-def test_a_snippet_of_a_process_is_the_same(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "multiarm", "joints", "weld"],
-        env={**os.environ, "COLUMNS": "60"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    pasted(snippet_of(done.stdout), tmp_path)
 
 
 def test_user_effects_are_listed(monkeypatch, tmp_path):

@@ -12,7 +12,7 @@ from commands import command
 
 from multiarm.cli.joint_cards import joint_section, surface_section
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
-from multiarm.scene import ContactSpec, Geometry, Joint, parse_scene
+from multiarm.scene import ContactSpec, Geometry, Joint
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.parameters import parameters_of
 
@@ -53,18 +53,6 @@ def cards():
 def test_every_kind_and_surface_of_the_schema_is_in_the_catalogue(cards):
     assert set(cards) == set(BUILT_IN)
     assert list(surface_section().cards) == SURFACES
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_example_of_a_joint_loads_as_part_of_a_scene(kind, cards):
-    text = """
-object: {shape: {box: [0.6, 0.5, 0.4]}, mass: 5.0}
-arms: {left: {robot: textbook_6r, tip: tool}}
-"""
-    scene = parse_scene(text + cards[kind].example, folder=None)
-    assert scene.joints[0].kind == kind
-    (entry,) = yaml.safe_load(cards[kind].example)["joints"]
-    assert scene.joints == (BUILT_IN[kind].model_validate(entry),)
 
 
 @pytest.mark.parametrize("name", sorted(SURFACES))
@@ -156,57 +144,12 @@ def test_contacts_are_told_from_the_records(cards):
     assert "2 directions without slip" in cards["contacts"].further["made_of"]
 
 
-def test_list_shows_every_kind_with_its_picture(cards):
-    result = joints()
-    assert result.exit_code == 0, result.output
-    for kind, card in cards.items():
-        assert kind in result.stdout
-        assert card.picture.split(":")[0] in flowing(result.stdout)
-    for name in SURFACES:
-        assert name in result.stdout
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_one_kind_is_shown_in_full(kind, cards):
-    result = joints(kind)
-    assert result.exit_code == 0, result.output
-    assert flowing(cards[kind].example) in flowing(result.stdout)
-    for parameter in (*cards[kind].parameters, *parameters_of(Joint)):
-        assert parameter.name in result.stdout
-    assert "door hinge" not in result.stdout or kind == "revolute"
-
-
 def test_surfaces_are_a_section_of_their_own():
     result = joints("surfaces")
     assert result.exit_code == 0, result.output
     for word in (*SURFACES, "half_angle", "rolling", "patch"):
         assert word in result.stdout
     assert "door hinge" not in result.stdout
-
-
-def test_one_surface_is_shown_in_full():
-    result = joints("cone")
-    assert result.exit_code == 0, result.output
-    assert "half_angle" in result.stdout and "rad" in result.stdout and "funnel" in result.stdout
-    assert "doughnut" not in result.stdout
-
-
-def test_unknown_kind_names_the_alternatives():
-    result = joints("revolut")
-    assert result.exit_code == 2
-    assert "unknown joint kind 'revolut'; did you mean 'revolute'?" in result.stderr
-    assert "'prismatic'" in result.stderr
-
-
-def test_json_holds_what_is_shown(tmp_path, cards):
-    assert joints("--json", tmp_path / "all.json").exit_code == 0
-    found = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
-    assert set(found) == {"joints", "surfaces"}
-    assert set(found["joints"]) == set(cards) and set(found["surfaces"]) == set(SURFACES)
-    assert found["joints"]["universal"]["rows"] == 4
-    assert joints("ball", "--json", tmp_path / "one.json").exit_code == 0
-    one = json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))
-    assert one == {"joints": {"ball": found["joints"]["ball"]}, "surfaces": {}}
 
 
 def test_file_that_cannot_be_written_is_found_first(tmp_path):
