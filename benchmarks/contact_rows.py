@@ -22,7 +22,7 @@ from timing import Burst, fastest, measure, one_thread
 from multiarm.contacts.kernel import CONTACT_WIDTH, write_row, write_rows
 from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
-from multiarm.contacts.table import KIND, pack
+from multiarm.contacts.table import open_code, pack
 from multiarm.geometry.records import (
     CYLINDER,
     Contact,
@@ -121,16 +121,16 @@ def _burst(contacts: list[Contact]) -> Burst:
     arm, body = _moving(0.01), _moving(-0.02)
     rows = np.zeros((ROWS, CONTACT_WIDTH))
     parts = np.zeros((len(table.codes) - ROWS, CONTACT_WIDTH))
-    scratch = np.zeros(RELATIVE_WIDTH + QUERY_WIDTH)
+    query = np.zeros(QUERY_WIDTH)
     places = np.tile([0.47, 0.01, 0.01], (len(table.shapes), 1))
     located = np.zeros_like(places)
-    answer = user_surface_callback(table.functions, scratch[RELATIVE_WIDTH:])
+    answer = user_surface_callback(table.functions, query)
     call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
 
     def burst(repeats: int) -> None:
         _write_often(
             repeats, ROWS, arm, body, np.zeros(RELATIVE_WIDTH), table.codes, table.geometry,
-            table.shapes, call.address, rows, parts, scratch, places, located,
+            table.shapes, call.address, rows, parts, query, places, located,
             np.zeros(1, dtype=np.int64),
         )  # fmt: skip
         call.reraise()
@@ -148,18 +148,19 @@ def _moving(speed: float) -> np.ndarray:
 
 @kernel
 def _write_often(
-    repeats, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
+    repeats, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, query,
     places, located, no_struct,
 ):  # fmt: skip
-    plain = codes[0, KIND] <= CYLINDER
+    plain = open_code(codes[0]).kind <= CYLINDER
     for _ in range(repeats):
         if plain:
             write_rows(0, count, arm, body, relative, codes, geometry, rows, no_struct, 0, 0)
             continue
         for k in range(count):
             write_row(
-                k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch, places, located
-            )
+                k, arm, body, codes, geometry, shapes, calls, rows, parts, relative, query, places,
+                located,
+            )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -40,9 +40,8 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import KIND, TANGENT
+from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retracted
 from multiarm.dynamics.equations import update_kinematics
@@ -79,9 +78,18 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
     return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
 
-def gaps_by_arm(data: Data, column: int = GAP) -> dict[str, float]:
-    """Largest magnitude of one column of the contact kinematics, by arm."""
-    parts = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, column]))
+def gaps_by_arm(data: Data) -> dict[str, float]:
+    """Largest magnitude of a gap, by arm [m]."""
+    return _largest_by_arm(data, data.contact_rows.gap)
+
+
+def gap_rates_by_arm(data: Data) -> dict[str, float]:
+    """Largest magnitude of a gap rate, by arm [m/s]."""
+    return _largest_by_arm(data, data.contact_rows.gap_rate)
+
+
+def _largest_by_arm(data: Data, values: np.ndarray) -> dict[str, float]:
+    parts = data.model.layout.split_contacts(np.abs(values))
     return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
 
 
@@ -244,7 +252,8 @@ class Linkage:
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)
         if with_object:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
-        holds = every_row | (data.model.constants.codes[: work.rows[-1], KIND] != TANGENT)
+        codes = fields_of(Code, data.model.constants.codes[: work.rows[-1]])
+        holds = every_row | (codes.kind != TANGENT)
         self._held_rows = [np.flatnonzero(holds[slice(*work.rows[i : i + 2])]) for i in arms]
         self.rows = np.concatenate(
             [work.rows[i] + held for i, held in zip(arms, self._held_rows, strict=True)]
@@ -274,7 +283,7 @@ class Linkage:
             L[frames, frames] = np.linalg.cholesky(b.bodies.object_inertia)
         for i, (_, c) in zip(self._arms, self.blocks, strict=True):
             L[c, c] = self._factor(i, c.stop - c.start)
-        gaps = b.rows.kinematics[self.rows, GAP].copy()
+        gaps = self._data.contact_rows.gap[self.rows]
         return Posture(b.state.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)
 
     def _factor(self, i: int, n: int) -> np.ndarray:

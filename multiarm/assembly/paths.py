@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from multiarm.assembly.loop_closure import Linkage, close_gaps, projection_tolerance
-from multiarm.contacts.kernel import GAP
 from multiarm.control.object_path import pose_of, quintic, route
 from multiarm.control.program import JointPath
 from multiarm.dynamics.equations import update_kinematics
@@ -188,7 +187,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
 
 
 def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:
-    gaps = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, GAP]))
+    gaps = data.model.layout.split_contacts(np.abs(data.contact_rows.gap))
     arm, gap = max(((arm, float(np.max(gap))) for arm, gap in gaps.items()), key=lambda a: a[1])
     return ControlError(
         f"control.path: on the way to waypoint {segment} the arms cannot follow the object beyond "

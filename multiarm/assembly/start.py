@@ -29,6 +29,7 @@ import numpy as np
 from multiarm.assembly.loop_closure import (
     Linkage,
     close_gaps,
+    gap_rates_by_arm,
     gaps_by_arm,
     joints_at_limit,
     projection_tolerance,
@@ -36,7 +37,6 @@ from multiarm.assembly.loop_closure import (
 )
 from multiarm.assembly.robots import Robots
 from multiarm.assembly.start_faults import cannot_close, inside, too_far
-from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import locate_pairs, patch_margin, place_state
 from multiarm.dynamics.equations import update_kinematics
@@ -78,7 +78,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         raise SceneError(
             [f"{lost_contact(data, int(row))}; correct its placement at the start" for row in lost]
         )
-    gaps, rates = gaps_by_arm(data), gaps_by_arm(data, GAP_RATE)
+    gaps, rates = gaps_by_arm(data), gap_rates_by_arm(data)
     size = scene_size(data)
     limit = 0.1 * size
     if not all(gap <= limit for gap in gaps.values()):
@@ -163,7 +163,7 @@ def unassembled_start(data: Data, written: State) -> tuple[State, StartReport]:
     data.set_state(0.0, written)
     require_ok(data, update_kinematics(data.struct))
     gaps = gaps_by_arm(data)
-    rates = gaps_by_arm(data, GAP_RATE)
+    rates = gap_rates_by_arm(data)
     return written, StartReport(gaps=gaps, gap_rates=rates, gaps_left=gaps, assembled=False)
 
 
@@ -239,7 +239,7 @@ def check_unilateral(data: Data, start: State) -> None:
     assert data.model.unilateral is not None
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
-    allowed, gaps = TOUCHING * scene_size(data), data.arrays.rows.kinematics[:, GAP]
+    allowed, gaps = TOUCHING * scene_size(data), data.contact_rows.gap
     faults = []
     for constraint in data.model.unilateral.constraints:
         gap = float(gaps[constraint.row])
@@ -332,7 +332,7 @@ def _close_rates(data: Data, size: float) -> float:
     terms = float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))
     closed = 100 * np.finfo(float).eps * terms
     for _ in range(3):
-        if not np.max(np.abs(b.rows.kinematics[:, GAP_RATE]), initial=0.0) > closed:
+        if not np.max(np.abs(data.contact_rows.gap_rate), initial=0.0) > closed:
             break
         A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 + n)
         _, s, Vt = np.linalg.svd(A, full_matrices=False)

@@ -13,7 +13,6 @@ from multiarm.assembly.loop_closure import (
     joints_at_limit,
     projection_tolerance,
 )
-from multiarm.contacts.kernel import GAP
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.model import Data
@@ -45,7 +44,7 @@ def inside(data: Data, constraint: Constraint, depth: float) -> str:
 def too_far(data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: float) -> list[str]:
     """One fault for every joint whose gap in the data exceeds the limit [m]."""
     kinds = {joint.arm: joint.kind for joint in scene.joints}
-    phi = data.model.layout.split_contacts(np.abs(data.arrays.rows.kinematics[:, GAP]))
+    phi = data.model.layout.split_contacts(np.abs(data.contact_rows.gap))
     faults, near = [], {}
     for arm, gap in gaps.items():
         if gap <= limit:
@@ -104,7 +103,7 @@ def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
     """Joints whose own contacts cannot all be closed, wherever the arm is."""
     b, faults, tolerance = data.arrays, [], projection_tolerance(data)
     wrenches = b.rows.Wo[linkage.rows] * linkage.unit[:6]
-    phi = b.rows.kinematics[linkage.rows, GAP]
+    phi = data.contact_rows.gap[linkage.rows]
     for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
         U, s, _ = np.linalg.svd(wrenches[of_arm])
         dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
@@ -131,5 +130,5 @@ def _listed(gaps: dict[str, float]) -> str:
 
 
 def _worst_contact(data: Data, arm: str) -> str:
-    phi = data.model.layout.split_contacts(data.arrays.rows.kinematics[:, GAP])[arm]
+    phi = data.model.layout.split_contacts(data.contact_rows.gap)[arm]
     return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name

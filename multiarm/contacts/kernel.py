@@ -56,35 +56,24 @@ CUHK 1995, sections 3.7, 3.9 and Example 4.1.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from multiarm.contacts.motion import motion_at, open_body, open_relative, relative_motion
-from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distance
+from multiarm.contacts.surfaces import open_query, world_distance
 from multiarm.contacts.table import (
-    AXIS,
     COMBINED,
     CURVED,
-    FIRST_DIRECTION,
-    FIRST_PART,
-    FIRST_SHAPE,
-    GUIDE_RADIUS,
     JOINT,
-    KIND,
-    NORMAL_PART,
-    ORIGIN,
     PAIR,
-    PARTS,
-    POINT,
-    SECOND_DIRECTION,
-    SIDE,
-    SURFACE_BODY,
     TANGENT,
-    TANGENT_NUMBER,
-    TIP_RADIUS,
-    WEIGHT,
+    open_code,
+    open_geometry,
+    open_tangent,
 )
 from multiarm.geometry.records import CYLINDER, PLANE, SURFACE_ON_OBJECT
-from multiarm.jit.kernels import inlined, kernel, plain
+from multiarm.jit.kernels import inlined, kernel, larger, plain
 from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.rows import Number, Rotation, Vector, row_of, width
 from multiarm.jit.vectors import (
     ZERO,
     across,
@@ -102,16 +91,35 @@ from multiarm.jit.vectors import (
     scale,
     solve,
     sub,
-    symmetric,
     times,
     vec,
 )
 
-# A row of contact kinematics, world axes: P, e, V, rate of n seen from B, three scalars, rate of P
-# seen from B.  A combined row has a couple in the place of V.
-AT, NORMAL, SLIP, NORMAL_RATE, GAP, GAP_RATE, GAP_BIAS = 0, 3, 6, 9, 12, 13, 14
-POINT_RATE, COUPLE = 15, SLIP
-CONTACT_WIDTH = 18
+
+class ContactRow(NamedTuple):
+    """Kinematics of a row, world axes; those of a joint's row are its gap and gap rate alone."""
+
+    point: Vector  # P [m]
+    normal: Vector  # e, into the object
+    couple: Vector  # of a combined row besides the force at P; else 0
+    normal_rate: Vector  # of the surface's outward normal, seen from B [1/s]
+    gap: Number  # [m]
+    gap_rate: Number  # [m/s]
+    gap_bias: Number  # second derivative of the gap at zero accelerations [m/s^2]
+    point_rate: Vector  # of P, seen from B [m/s]
+
+
+class PatchRow(NamedTuple):
+    """A patch of a surface: ``rotation`` turns into its frame, where the corners of the box are."""
+
+    rotation: Rotation
+    origin: Vector  # [m]
+    lower: Vector
+    upper: Vector
+
+
+CONTACT_WIDTH = width(ContactRow)
+open_contact, open_patch = row_of(ContactRow), row_of(PatchRow)
 
 # Two surfaces touch along a line, and have no contact point, where the smallest relative curvature
 # across the contact is below this part of the largest.
@@ -121,13 +129,11 @@ LINE_CONTACT = 1e-9
 @inlined
 def put_contact(row, sign, point, point_rate, n, n_rate, gap, V, A):
     """Write a row of contact kinematics, for a force along ``sign n``; gap' = n.V."""
-    put(row, AT, point)
-    put(row, NORMAL, scale(sign, n))
-    put(row, SLIP, V)
-    put(row, NORMAL_RATE, n_rate)
-    put(row, POINT_RATE, point_rate)
-    row[GAP], row[GAP_RATE] = gap, dot(n, V)
-    row[GAP_BIAS] = dot(n_rate, V) + dot(n, A)
+    contact = open_contact(row)
+    contact.point, contact.point_rate = point, point_rate
+    contact.normal, contact.normal_rate, contact.couple = scale(sign, n), n_rate, ZERO
+    contact.gap, contact.gap_rate = gap, dot(n, V)
+    contact.gap_bias = dot(n_rate, V) + dot(n, A)
 
 
 @inlined
@@ -141,36 +147,35 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     into_object : float
         -1 when the surface is the object's (its outward normal then points out of the object).
     geometry : float64 (13,)
-        One row of a :class:`~multiarm.contacts.table.ContactTable`.
+        A :class:`~multiarm.contacts.table.ContactGeometry`.
     a, b : float64 (24,)
         Kinematics of the body with the point and of the body with the surface.
     relative : float64 (15,)
         From :func:`multiarm.contacts.motion.relative_motion` of the two.
     out : float64 (18,), written
-        Contact point, normal into the object, slip velocity, rate of the outward normal, gap [m],
-        gap rate [m/s], the gap's second derivative at zero accelerations [m/s^2], point's rate.
+        A :class:`ContactRow`.
     """
-    R_B = open_body(b).rotation
-    d = rotate(open_body(a).rotation, vec(geometry, POINT))
+    R_B, contact = open_body(b).rotation, open_geometry(geometry)
+    d = rotate(open_body(a).rotation, contact.tip)
     V, A = motion_at(relative, d)
     # from a point of the surface's own geometry to P
-    f = sub(add(open_relative(relative).shift, d), rotate(R_B, vec(geometry, ORIGIN)))
-    axis = rotate(R_B, vec(geometry, AXIS))
+    f = sub(add(open_relative(relative).shift, d), rotate(R_B, contact.origin))
+    axis = rotate(R_B, contact.axis)
     if kind == PLANE:
         n, n_rate, gap = axis, ZERO, dot(axis, f)
     else:
         turning = V
         if kind == CYLINDER:
             f, turning = across(axis, f), across(axis, V)
-        side, distance = geometry[SIDE], norm(f)
+        side, distance = contact.side, norm(f)
         # at the very centre there is no normal
         inverse = side / distance if distance > 0.0 else math.nan
         n = scale(inverse, f)
         # n turns with the part of V across the surface's curved directions
         n_rate = scale(inverse, across(n, turning))
-        gap = side * (distance - geometry[GUIDE_RADIUS])
+        gap = side * (distance - contact.radius)
     point = add(open_body(a).origin, d)
-    put_contact(out, into_object, point, V, n, n_rate, gap - geometry[TIP_RADIUS], V, A)
+    put_contact(out, into_object, point, V, n, n_rate, gap - contact.tip_radius, V, A)
 
 
 @inlined
@@ -182,7 +187,8 @@ def write_rows(first, count, arm, body, relative, codes, geometry, rows, struct,
     """
     seen_from = -1
     for k in range(first, first + count):
-        kind, surface_body = codes[k, KIND], codes[k, SURFACE_BODY]
+        code = open_code(codes[k])
+        kind, surface_body = code.kind, code.surface_body
         if kind > CYLINDER:
             call_cfunc(general, struct, float(k), float(i))
         elif surface_body == SURFACE_ON_OBJECT:
@@ -198,7 +204,9 @@ def write_rows(first, count, arm, body, relative, codes, geometry, rows, struct,
 
 
 @kernel
-def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch, places, located):
+def write_row(
+    k, arm, body, codes, geometry, shapes, calls, rows, parts, relative, query, places, located
+):
     """Write row ``k`` of an arm's contacts, of any kind, into ``rows[k]``.
 
     Parameters
@@ -212,28 +220,29 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
         Address of the callback for user surfaces.
     rows, parts : (N, 18), (P, 18), written
         Contact kinematics of the rows, and of the parts of combined rows.
-    scratch : (29,)
-        Relative motion (15) and a query (14).
+    relative : (15,), query : (14,), written
+        A relative motion, and a query of a surface.
     places, located : (S, 3)
         Last contact points of two surfaces, in B's frame, and (written) those found now.
     """
-    kind = codes[k, KIND]
+    code = open_code(codes[k])
+    kind = code.kind
     if kind == TANGENT:
-        normal = k - codes[k, TANGENT_NUMBER]
+        normal = k - code.tangent
         base = rows[normal]
-        if codes[k, NORMAL_PART] > 0:  # it has its normal row among the parts
-            normal = codes[k, NORMAL_PART]
+        if code.normal_part > 0:  # it has its normal row among the parts
+            normal = code.normal_part
             base = parts[normal - rows.shape[0]]
             write_contact(
-                codes[normal], geometry[normal], arm, body, shapes, calls, base, scratch, places,
-                located,
+                codes[normal], geometry[normal], arm, body, shapes, calls, base, relative, query,
+                places, located,
             )  # fmt: skip
-        if codes[k, SURFACE_BODY] == SURFACE_ON_OBJECT:
+        if code.surface_body == SURFACE_ON_OBJECT:
             a, b, sign = arm, body, -1.0
         else:
             a, b, sign = body, arm, 1.0
-        relative_motion(a, b, scratch)
-        _no_slip(k, normal, sign, a, b, codes, geometry, base, rows[k], scratch)
+        relative_motion(a, b, relative)
+        _no_slip(k, normal, sign, a, b, codes, geometry, base, rows[k], relative)
         return
     if kind == JOINT:  # the row belongs to a joint of the arm and has no contact
         for i in range(CONTACT_WIDTH):
@@ -241,30 +250,30 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
         return
     if kind != COMBINED:
         write_contact(
-            codes[k], geometry[k], arm, body, shapes, calls, rows[k], scratch, places, located
-        )
+            codes[k], geometry[k], arm, body, shapes, calls, rows[k], relative, query, places,
+            located,
+        )  # fmt: skip
         return
-    first, count = codes[k, FIRST_PART], codes[k, PARTS]
+    first, count = code.first_part, code.parts
     at = first - rows.shape[0]
     for j in range(count):
         write_contact(
-            codes[first + j], geometry[first + j], arm, body, shapes, calls, parts[at + j], scratch,
-            places, located,
+            codes[first + j], geometry[first + j], arm, body, shapes, calls, parts[at + j],
+            relative, query, places, located,
         )  # fmt: skip
-    _combine(geometry[k, WEIGHT], parts, at, count, rows[k])
+    _combine(open_geometry(geometry[k]).weight, parts, at, count, rows[k])
 
 
 @kernel
-def write_contact(code, geometry, arm, body, shapes, calls, row, scratch, places, located):
+def write_contact(codes, geometry, arm, body, shapes, calls, row, relative, query, places, located):
     """Kinematics of one contact of two surfaces of any kinds."""
-    if code[SURFACE_BODY] == SURFACE_ON_OBJECT:
+    code = open_code(codes)
+    if code.surface_body == SURFACE_ON_OBJECT:
         a, b, sign = arm, body, -1.0
     else:
         a, b, sign = body, arm, 1.0
-    relative = scratch[0:15]
-    query = scratch[15:29]
     relative_motion(a, b, relative)
-    kind, first = code[KIND], code[FIRST_SHAPE]
+    kind, first = code.kind, code.shape
     if kind == CURVED:
         _curved(sign, geometry, a, b, shapes[first], relative, query, calls, row)
     elif kind == PAIR:
@@ -276,11 +285,12 @@ def write_contact(code, geometry, arm, body, shapes, calls, row, scratch, places
 @kernel
 def _curved(sign, geometry, a, b, shape, relative, query, calls, row):
     """A tip on a surface of any kind."""
-    d = rotate(open_body(a).rotation, vec(geometry, POINT))
+    contact, surface = open_geometry(geometry), open_query(query)
+    d = rotate(open_body(a).rotation, contact.tip)
     V, A = motion_at(relative, d)
     world_distance(shape, b, add(open_relative(relative).shift, d), query, calls)
-    n, n_rate = vec(query, GRADIENT), times(symmetric(query, SECOND), V)
-    gap = query[DISTANCE] - geometry[TIP_RADIUS]
+    n, n_rate = surface.gradient, times(surface.second, V)
+    gap = surface.distance - contact.tip_radius
     put_contact(row, sign, add(open_body(a).origin, d), V, n, n_rate, gap, V, A)
 
 
@@ -299,15 +309,15 @@ def locate_pair(a, b, shapes, first, r, query, calls, place):
     frame, holds the guess and then the point of B's surface on that normal; ``r`` is A's origin
     seen from B's, a tuple in world axes.
     """
-    R = open_body(b).rotation
+    R, surface = open_body(b).rotation, open_query(query)
     z, step = rotate(R, vec(place, 0)), ZERO
     before, share, last = math.inf, 1.0, False
     for _ in range(600):  # at most 50 steps of 12 halvings
         trial = add(z, step)
         world_distance(shapes[first], b, trial, query, calls)
-        s, n, H = query[DISTANCE], vec(query, GRADIENT), symmetric(query, SECOND)
+        s, n, H = surface.distance, surface.gradient, surface.second
         world_distance(shapes[first + 1], a, sub(trial, r), query, calls)
-        g = add(vec(query, GRADIENT), n)
+        g = add(surface.gradient, n)
         along = dot(g, n)
         g = add_scaled(g, -along, n)
         # opposite normals: along = 0; equal ones (along = 2) are no contact
@@ -324,7 +334,7 @@ def locate_pair(a, b, shapes, first, r, query, calls, place):
             step = scale(0.5, step)
             continue
         z, before, share = trial, angle, 1.0
-        H, k = _regular(add_symmetric(H, symmetric(query, SECOND)), n)
+        H, k = _regular(add_symmetric(H, surface.second), n)
         step = scale(-1.0, solve(H, add_scaled(g, k * s, n)))
         # one more step, which is quadratic, from 1e-9 rad between the normals
         last = angle < 1e-9 and abs(s) * k < 1e-9
@@ -336,6 +346,7 @@ def _pair(sign, a, b, shapes, first, relative, query, calls, place, located, row
     """Two curved surfaces."""
     put(located, 0, vec(place, 0))
     r, Omega = open_relative(relative).shift, open_relative(relative).spin
+    surface = open_query(query)
     if not locate_pair(a, b, shapes, first, r, query, calls, located):
         for i in range(CONTACT_WIDTH):
             row[i] = math.nan
@@ -344,39 +355,42 @@ def _pair(sign, a, b, shapes, first, relative, query, calls, place, located, row
     d = sub(z, r)
     V, A = motion_at(relative, d)
     world_distance(shapes[first + 1], a, d, query, calls)
-    gap, H_A = query[DISTANCE], symmetric(query, SECOND)
+    gap, H_A = surface.distance, surface.second
     world_distance(shapes[first], b, z, query, calls)
-    gap += query[DISTANCE]
-    n, H_B = vec(query, GRADIENT), symmetric(query, SECOND)
+    gap += surface.distance
+    n, H_B = surface.gradient, surface.second
     H_A_V = times(H_A, V)
     g = add_cross(H_A_V, Omega, n)
     H, _ = _regular(add_symmetric(H_A, H_B), n)
     u = solve(H, g)
     put_contact(row, sign, add(open_body(b).origin, z), u, n, times(H_B, u), gap, V, A)
-    row[GAP_BIAS] = dot(n, A) - 2.0 * dot(n, cross(Omega, V)) + dot(V, H_A_V) - dot(u, g)
+    bias = dot(n, A) - 2.0 * dot(n, cross(Omega, V)) + dot(V, H_A_V) - dot(u, g)
+    open_contact(row).gap_bias = bias
 
 
 @inlined
 def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
     """No slip along the tangent of row ``k`` at the contact whose normal row has this number."""
-    n, n_rate = scale(sign, vec(base, NORMAL)), vec(base, NORMAL_RATE)
+    contact, directions = open_contact(base), open_tangent(geometry[k])
+    n, n_rate = scale(sign, contact.normal), contact.normal_rate
     # the contact point on B and its rate; a tip's centre is a radius and a gap away
     away = rate = 0.0
-    if codes[normal, KIND] != PAIR:
-        away, rate = base[GAP] + geometry[normal, TIP_RADIUS], base[GAP_RATE]
-    c = add_scaled(vec(base, AT), -away, n)
-    c_rate = add_scaled(add_scaled(vec(base, POINT_RATE), -rate, n), -away, n_rate)
+    if open_code(codes[normal]).kind != PAIR:
+        away = contact.gap + open_geometry(geometry[normal]).tip_radius
+        rate = contact.gap_rate
+    c = add_scaled(contact.point, -away, n)
+    c_rate = add_scaled(add_scaled(contact.point_rate, -rate, n), -away, n_rate)
     V, A = motion_at(relative, sub(c, open_body(a).origin))
     # a direction of B across which the first tangent lies; near its pole, another one
-    f = rotate(open_body(b).rotation, vec(geometry[k], FIRST_DIRECTION))
+    f = rotate(open_body(b).rotation, directions.first)
     t = cross(f, n)
     if not norm(t) > 0.2:  # sine of the angle between normal and direction
-        f = rotate(open_body(b).rotation, vec(geometry[k], SECOND_DIRECTION))
+        f = rotate(open_body(b).rotation, directions.second)
         t = cross(f, n)
     inverse = 1.0 / norm(t)
     t = scale(inverse, t)
     t_rate = across(t, scale(inverse, cross(f, n_rate)))
-    if codes[k, TANGENT_NUMBER] == 2:  # n x t and its rate
+    if open_code(codes[k]).tangent == 2:  # n x t and its rate
         t, t_rate = cross(n, t), add_cross(cross(n_rate, t), n, t_rate)
     A = add_cross(A, open_relative(relative).spin, sub(c_rate, V))
     put_contact(row, sign, c, c_rate, t, t_rate, 0.0, V, A)
@@ -385,19 +399,35 @@ def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
 @inlined
 def _combine(weight, parts, at, count, row):
     """``weight`` times the difference of the parts: a wrench of force and couple."""
-    first = parts[at]
     for i in range(CONTACT_WIDTH):
-        row[i] = weight * first[i]
-    put(row, AT, vec(first, AT))
-    put(row, COUPLE, ZERO)
+        row[i] = weight * parts[at, i]
+    contact, first = open_contact(row), open_contact(parts[at])
+    contact.point, contact.couple = first.point, ZERO
     if count == 1:
         return
-    second = parts[at + 1]
-    e = scale(-weight, vec(second, NORMAL))
-    put(row, NORMAL, add(vec(row, NORMAL), e))
-    put(row, COUPLE, cross(sub(vec(second, AT), vec(first, AT)), e))
-    for i in (GAP, GAP_RATE, GAP_BIAS):
-        row[i] -= weight * second[i]
+    second = open_contact(parts[at + 1])
+    e = scale(-weight, second.normal)
+    contact.normal = add(contact.normal, e)
+    contact.couple = cross(sub(second.point, first.point), e)
+    contact.gap -= weight * second.gap
+    contact.gap_rate -= weight * second.gap_rate
+    contact.gap_bias -= weight * second.gap_bias
+
+
+@kernel
+def greatest_gaps(rows):
+    """Largest magnitudes of gaps and gap rates of rows (N, 18); NaN where any is."""
+    gap = gap_rate = 0.0
+    for k in range(rows.shape[0]):
+        contact = open_contact(rows[k])
+        gap, gap_rate = larger(gap, contact.gap), larger(gap_rate, contact.gap_rate)
+    return gap, gap_rate
+
+
+@inlined
+def slip_of(rows, tangent):
+    """Rates along the two tangents of a contact [m/s], whose first row is ``tangent``."""
+    return open_contact(rows[tangent]).gap_rate, open_contact(rows[tangent + 1]).gap_rate
 
 
 @plain
@@ -408,17 +438,15 @@ def tip_offset(kind, surface_body, tip_radius):
     return tip_radius if surface_body == SURFACE_ON_OBJECT else -tip_radius
 
 
-@plain
-def depth_in_patch(patch, at):
-    """How far inside its patch a contact point ``at`` (3,) is [m]; negative outside.
+@inlined
+def depth_in_patch(patch, point):
+    """How far inside its patch (18,) a contact point is [m]; negative outside.
 
-    ``patch`` (18,): its frame in the frame of ``at``, rotation row by row and origin; then the
-    lower and the upper corner of the box in it.
+    The point is a tuple in the frame of the patch's body.
     """
-    depth = math.inf
+    box = open_patch(patch)
+    x = rotate(box.rotation, sub(point, box.origin))
+    depth, above, below = math.inf, sub(x, box.lower), sub(box.upper, x)
     for j in range(3):
-        x = 0.0
-        for k in range(3):
-            x += patch[3 * k + j] * (at[k] - patch[9 + k])
-        depth = min(depth, x - patch[12 + j], patch[15 + j] - x)
+        depth = min(depth, above[j], below[j])
     return depth

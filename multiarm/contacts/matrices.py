@@ -28,21 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import (
-    AT,
-    NORMAL,
-    NORMAL_RATE,
-    POINT_RATE,
-)
+from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import (
-    COMBINED,
-    FIRST_PART,
-    KIND,
-    PARTS,
-    SURFACE_BODY,
-    WEIGHT,
-)
+from multiarm.contacts.table import COMBINED, Code, ContactGeometry
 from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.jit.rows import fields_of
 
@@ -97,7 +85,7 @@ def contact_matrices(
 
     Parameters
     ----------
-    codes : int64 (N + P, 4), geometry : (N + P, 13)
+    codes : int64 (N + P, 8), geometry : (N + P, 13)
         The table, see :class:`multiarm.contacts.table.ContactTable`.
     rows : (N + P, 18)
         Kinematics of its rows, followed by those of the parts of combined rows.
@@ -108,17 +96,18 @@ def contact_matrices(
     tip : (24,)
         Kinematics of the frame (fixed to the arm's last link) in which ``W_m`` is wanted.
     """
+    code, weights = fields_of(Code, codes), fields_of(ContactGeometry, geometry).weight
     wrenches = np.empty((len(codes), 4, 6))
     for on_object, surface in ((True, body), (False, link)):
-        mask = (codes[:, SURFACE_BODY] == SURFACE_ON_OBJECT) == on_object
+        mask = (code.surface_body == SURFACE_ON_OBJECT) == on_object
         wrenches[mask] = _uncombined(rows[mask], on_object, surface, body, tip)
     result = wrenches[wanted]
     for place, row in enumerate(wanted):
-        if codes[row, KIND] == COMBINED:
-            first, count = codes[row, FIRST_PART], codes[row, PARTS]
+        if code.kind[row] == COMBINED:
+            first, count = code.first_part[row], code.parts[row]
             signs = np.array([1.0, -1.0])[:count, None, None]
             parts = signs * wrenches[first : first + count]
-            result[place] = geometry[row, WEIGHT] * parts.sum(axis=0)
+            result[place] = weights[row] * parts.sum(axis=0)
     return ContactMatrices(*(np.ascontiguousarray(result[:, k].T) for k in range(4)))
 
 
@@ -126,12 +115,13 @@ def _uncombined(
     rows: np.ndarray, on_object: bool, surface: np.ndarray, body: np.ndarray, tip: np.ndarray
 ) -> np.ndarray:
     """W_m, W_o and their rates of rows that are no combinations, shape (k, 4, 6)."""
-    point, e = rows[:, AT : AT + 3], rows[:, NORMAL : NORMAL + 3]
+    contacts = fields_of(ContactRow, rows)
+    point, e = contacts.point, contacts.normal
     # world rates of the normal and of the point, from those seen from the guiding surface's body
     guiding, sign = fields_of(BodyMotion, surface), -1.0 if on_object else 1.0
-    e_rate = sign * rows[:, NORMAL_RATE : NORMAL_RATE + 3] + np.cross(guiding.spin, e)
+    e_rate = sign * contacts.normal_rate + np.cross(guiding.spin, e)
     turning = np.cross(guiding.spin, point - guiding.origin)
-    point_rate = guiding.velocity + turning + rows[:, POINT_RATE : POINT_RATE + 3]
+    point_rate = guiding.velocity + turning + contacts.point_rate
     out = np.empty((len(rows), 4, 6))
     for column, frame, side in ((0, tip, -1.0), (1, body, 1.0)):
         motion = fields_of(BodyMotion, frame)

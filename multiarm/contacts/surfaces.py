@@ -19,17 +19,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.table import (
-    SHAPE_AXES,
-    SHAPE_FUNCTION,
-    SHAPE_KIND,
-    SHAPE_ORIGIN,
-    SHAPE_SIDE,
-    SHAPE_SIZES,
-)
+from multiarm.contacts.motion import open_body
+from multiarm.contacts.table import open_shape
 from multiarm.geometry.records import (
     CONE,
     CYLINDER,
@@ -41,6 +36,7 @@ from multiarm.geometry.records import (
 )
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.pointers import call_python
+from multiarm.jit.rows import Number, Symmetric, Vector, fields_of, row_of, width
 from multiarm.jit.vectors import (
     add_outer,
     add_symmetric,
@@ -48,44 +44,41 @@ from multiarm.jit.vectors import (
     diagonal,
     dot,
     norm,
-    put,
-    put_symmetric,
     rotate,
     rotate_back,
     rotate_symmetric,
-    rotation,
     scale,
     sub,
-    symmetric,
-    vec,
 )
 
-# Entries of a query: number of the user function and the point (surface's own frame), then the
-# results: signed distance, gradient, second derivatives (xx, xy, xz, yy, yz, zz).
-FUNCTION, PLACE, DISTANCE, GRADIENT, SECOND, QUERY_WIDTH = 0, 1, 4, 5, 8, 14
+
+class Query(NamedTuple):
+    """A point at which a surface is evaluated, and the results."""
+
+    function: Number  # number of a user's function
+    point: Vector  # in the surface's own frame [m]
+    distance: Number  # signed [m]
+    gradient: Vector
+    second: Symmetric  # derivatives [1/m]
+
+
+QUERY_WIDTH, open_query = width(Query), row_of(Query)
 
 _FLAT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def user_surface_callback(functions: list[SmoothShape], query: np.ndarray) -> Callable[[], None]:
     """Function that evaluates the user surfaces at the kernel's queries."""
-    upper = np.triu_indices(3)
+    upper, fields = np.triu_indices(3), fields_of(Query, query)
 
     def evaluate() -> None:
-        surface = functions[int(query[FUNCTION])]
-        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
-        query[DISTANCE] = distance
-        query[GRADIENT : GRADIENT + 3] = gradient
-        query[SECOND : SECOND + 6] = second[upper]
+        surface = functions[int(fields.function)]
+        distance, gradient, second = surface.closest(fields.point.copy())
+        fields.distance[...], fields.gradient[:], fields.second[:] = (
+            distance, gradient, second[upper]
+        )  # fmt: skip
 
     return evaluate
-
-
-@inlined
-def _write_result(query, s, n, H):
-    query[DISTANCE] = s
-    put(query, GRADIENT, n)
-    put_symmetric(query, SECOND, H)
 
 
 @inlined
@@ -96,42 +89,43 @@ def _isotropic(k, n):
 
 @kernel
 def local_distance(shape, query, function_call):
-    """Evaluate the surface ``shape`` (18,) at ``query[PLACE:]``, in its own frame.
+    """Evaluate a surface at the point of a query, in its own frame; both are rows.
 
     Where there is no normal (on an axis, at a centre) the result is not finite.
     """
-    kind = int(shape[SHAPE_KIND])
-    y, (a, b, c) = vec(query, PLACE), vec(shape, SHAPE_SIZES)
+    surface, at = open_shape(shape), open_query(query)
+    kind = int(surface.kind)
+    y, (a, b, c) = at.point, surface.sizes
     height, radial = y[2], _hypotenuse(y[0], y[1])
     r0, r1 = (y[0] / radial, y[1] / radial) if radial > 0.0 else (math.nan, math.nan)
     around = (-r1, r0, 0.0)
     if kind == PLANE:
-        _write_result(query, height, (0.0, 0.0, 1.0), _FLAT)
+        s, n, H = height, (0.0, 0.0, 1.0), _FLAT
     elif kind == SPHERE:
         distance = norm(y)
         n = scale(1.0 / distance, y)
-        _write_result(query, distance - a, n, _isotropic(1.0 / distance, n))
+        s, H = distance - a, _isotropic(1.0 / distance, n)
     elif kind == CYLINDER:
-        _write_result(query, radial - a, (r0, r1, 0.0), add_outer(_FLAT, 1.0 / radial, around))
+        s, n, H = radial - a, (r0, r1, 0.0), add_outer(_FLAT, 1.0 / radial, around)
     elif kind == CONE:
         # outside of the polar cone of the apex
         regular = radial * a + height * b > 0.0
+        s, n = radial * b - height * a if regular else math.nan, (b * r0, b * r1, -a)
         H = add_outer(_FLAT, b / radial, around)
-        _write_result(
-            query, radial * b - height * a if regular else math.nan, (b * r0, b * r1, -a), H
-        )
     elif kind == TORUS:
         out = radial - a
         distance = _hypotenuse(out, height)
         cosine, sine = out / distance, height / distance
+        s, n = distance - b, (cosine * r0, cosine * r1, sine)
         H = add_outer(_FLAT, 1.0 / distance, (-sine * r0, -sine * r1, cosine))
         H = add_outer(H, cosine / radial, around)
-        _write_result(query, distance - b, (cosine * r0, cosine * r1, sine), H)
     elif kind == ELLIPSOID:
-        _ellipsoid(query, y, a, b, c)
+        s, n, H = _ellipsoid(y, a, b, c)
     else:
-        query[FUNCTION] = shape[SHAPE_FUNCTION]
+        at.function = surface.function
         call_python(function_call)
+        return
+    at.distance, at.gradient, at.second = s, n, H
 
 
 @inlined
@@ -152,7 +146,7 @@ def _ratios(a, b):
 
 
 @inlined
-def _ellipsoid(query, y, a, b, c):
+def _ellipsoid(y, a, b, c):
     r"""Foot ``x_i = a_i^2 y_i / (t + a_i^2)`` of a point ``y``, where ``t`` is the largest root of
     ``sum (a_i y_i / (t + a_i^2))^2 = 1`` (D. Eberly, Distance from a Point to an Ellipsoid, 2013).
 
@@ -182,7 +176,7 @@ def _ellipsoid(query, y, a, b, c):
     # S = P diag(1 / a_i^2) P / length, P = I - n n^T; then the offset by s = t length
     d = (1.0 / (a * a * length), 1.0 / (b * b * length), 1.0 / (c * c * length))
     m = (d[0] * n[0], d[1] * n[1], d[2] * n[2])
-    _write_result(query, t * length, n, _offset(t * length, _projected(d, m, n), n))
+    return t * length, n, _offset(t * length, _projected(d, m, n), n)
 
 
 @inlined
@@ -217,18 +211,17 @@ def _offset(s, S, n):
 
 @kernel
 def world_distance(shape, body, d, query, function_call):
-    """Evaluate a surface on a body into ``query[DISTANCE:]``, world axes, hollow side included.
+    """Evaluate a surface on a body, world axes, hollow side included; results in the query.
 
     ``body`` (24,) is a row of body kinematics, ``d`` the point relative to the body's origin, a
     tuple in world axes [m].
     """
-    Q, side = rotation(shape, SHAPE_AXES), shape[SHAPE_SIDE]
-    R = compose(rotation(body, 0), Q)
-    put(query, PLACE, sub(rotate_back(R, d), rotate_back(Q, vec(shape, SHAPE_ORIGIN))))
+    surface, at = open_shape(shape), open_query(query)
+    Q, side = surface.axes, surface.side
+    R = compose(open_body(body).rotation, Q)
+    at.point = sub(rotate_back(R, d), rotate_back(Q, surface.origin))
     local_distance(shape, query, function_call)
-    n = scale(side, rotate(R, vec(query, GRADIENT)))
-    H = rotate_symmetric(R, symmetric(query, SECOND))
-    _write_result(query, side * query[DISTANCE], n, H)
+    n, H = scale(side, rotate(R, at.gradient)), rotate_symmetric(R, at.second)
     if side < 0.0:
-        for i in range(SECOND, QUERY_WIDTH):
-            query[i] = -query[i]
+        H = (-H[0], -H[1], -H[2], -H[3], -H[4], -H[5])
+    at.distance, at.gradient, at.second = side * at.distance, n, H

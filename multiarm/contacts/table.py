@@ -14,27 +14,74 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact, SmoothShape, Surface
-from multiarm.jit.kernels import plain
+from multiarm.jit.kernels import copy, plain
+from multiarm.jit.rows import Number, Rotation, Vector, as_row, fields_of, row_of, width
 from multiarm.jit.structs import Ints1
 
 # Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
 CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
-# Columns of ContactTable.codes: of all rows; of curved surfaces and pairs; of tangents; of combined
-# rows; of joints.
-KIND, SURFACE_BODY, CODE_WIDTH = 0, 1, 4
-FIRST_SHAPE = 2
-TANGENT_NUMBER, NORMAL_PART = 2, 3
-FIRST_PART, PARTS = 2, 3
-JOINT_NUMBER = 2
-# Columns of .geometry: of contacts; of tangents, in place of origin and axis; of joints.
-POINT, ORIGIN, AXIS, GUIDE_RADIUS, SIDE, TIP_RADIUS, WEIGHT, GEOMETRY_WIDTH = (
-    0, 3, 6, 9, 10, 11, 12, 13,
-)  # fmt: skip
-SECOND_DIRECTION, FIRST_DIRECTION = ORIGIN, AXIS
-BOUND, HAS_BOUND = GUIDE_RADIUS, WEIGHT
-# Columns of .shapes.
-SHAPE_KIND, SHAPE_AXES, SHAPE_ORIGIN, SHAPE_SIZES = 0, 1, 10, 13
-SHAPE_SIDE, SHAPE_FUNCTION, SHAPE_WIDTH = 16, 17, 18
+
+
+class Code(NamedTuple):
+    """Kind of a row, the body with its guiding surface, and by kind what else describes it."""
+
+    kind: Number
+    surface_body: Number
+    shape: Number = -1  # the first one in ``shapes``, of curved surfaces and pairs
+    # tangents: which of the two, and a copy of their normal row among the parts, where they do not
+    # follow it
+    tangent: Number = 0
+    normal_part: Number = 0
+    first_part: Number = 0  # of combined rows, and how many there are
+    parts: Number = 0
+    joint: Number = -1  # its number in the arm, of joints
+
+
+class ContactGeometry(NamedTuple):
+    """Geometry of a contact, and of a combined row."""
+
+    tip: Vector  # centre [m]
+    origin: Vector  # of the guide [m]
+    axis: Vector
+    radius: Number  # of the guide [m]
+    side: Number  # 1 outer, -1 hollow
+    tip_radius: Number  # [m]
+    weight: Number
+
+
+class TangentGeometry(NamedTuple):
+    """Directions of the guide's body: the first tangent is orthogonal to the first one (near its
+    poles: to the second).
+    """
+
+    first: Vector
+    second: Vector
+
+
+class JointGeometry(NamedTuple):
+    """Side and bound of a :class:`JointRow`."""
+
+    side: Number
+    bound: Number  # [rad, m]
+    has_bound: Number
+
+
+class Shape(NamedTuple):
+    """A surface that is not in closed form."""
+
+    kind: Number
+    axes: Rotation
+    origin: Vector  # [m]
+    sizes: Vector  # [m]; of a cone sine and cosine of its half angle
+    side: Number  # 1 outer, -1 hollow
+    function: Number  # of a user; -1: none
+
+
+GEOMETRY_WIDTH = width(ContactGeometry)
+open_code, open_shape = row_of(Code), row_of(Shape)
+open_geometry, open_tangent, open_joint = map(
+    row_of, (ContactGeometry, TangentGeometry, JointGeometry)
+)
 
 
 @dataclass(frozen=True)
@@ -68,18 +115,12 @@ class JointRow:
 class ContactTable(NamedTuple):
     """Records packed for the kernel.
 
-    codes : int64 (N + P, 4)
-        The N rows of W, arm after arm, then the P parts of the combined rows.  Columns: kind; the
-        body that carries the guiding surface; then by kind the first row in ``shapes``; the number
-        of the tangent and, where it does not follow its normal row, of a copy of that among the
-        parts; the first part and how many there are; the number of the joint in its arm.
+    codes : int64 (N + P, 8)
+        :class:`Code` of the N rows of W, arm after arm, then of the P parts of the combined rows.
     geometry : float64 (N + P, 13)
-        Tip's centre (3); the guide's origin (3), axis (3), radius, side (+1 outer, -1 hollow); tip
-        radius; weight.  Of a tangent, axis and origin are two directions of the guide's body: the
-        first tangent is orthogonal to the first one (near its poles: to the second).
+        By kind :class:`ContactGeometry`, :class:`TangentGeometry` or :class:`JointGeometry`.
     shapes : float64 (S, 18)
-        All other surfaces: kind, axes (9, row by row), origin (3), sizes (3), side, number of the
-        user function.  A pair has two, the guide first.
+        :class:`Shape` of all other surfaces.  A pair has two, the guide first.
     functions : list of SmoothShape
     """
 
@@ -91,36 +132,40 @@ class ContactTable(NamedTuple):
 
 def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
     """Pack records for the kernel."""
-    codes: list[list[int]] = []
+    codes: list[Code] = []
     geometry: list[np.ndarray] = []
     parts: list[Contact] = []
     shapes: list[np.ndarray] = []
     functions: list[SmoothShape] = []
     for k, contact in enumerate(contacts):
         if isinstance(contact, JointRow):
-            codes.append([JOINT, 0, contact.joint, 0])
+            codes.append(Code(JOINT, 0, joint=contact.joint))
         elif contact.is_combined:
             pieces = [replace(contact, minus=None, weight=1.0)]
             pieces += [] if contact.minus is None else [contact.minus]
             first = len(contacts) + len(parts)
-            codes.append([COMBINED, contact.surface_body, first, len(pieces)])
+            codes.append(Code(COMBINED, contact.surface_body, first_part=first, parts=len(pieces)))
             parts += pieces
         elif contact.tangent:
             normal_part = 0
             if not _follows_its_normal(contact, contacts, k):
                 normal_part = len(contacts) + len(parts)
                 parts.append(replace(contact, tangent=0))
-            codes.append([TANGENT, contact.surface_body, contact.tangent, normal_part])
+            codes.append(
+                Code(
+                    TANGENT, contact.surface_body, tangent=contact.tangent, normal_part=normal_part
+                )
+            )
         else:
-            codes.append(_contact_codes(contact, shapes, functions))
+            codes.append(_code(contact, shapes, functions))
         geometry.append(_geometry_row(contact))
     for part in parts:
-        codes.append(_contact_codes(part, shapes, functions))
+        codes.append(_code(part, shapes, functions))
         geometry.append(_geometry_row(part))
     return ContactTable(
-        np.array(codes, dtype=np.int64).reshape(-1, CODE_WIDTH),
+        np.array(codes, dtype=np.int64).reshape(-1, width(Code)),
         np.array(geometry).reshape(-1, GEOMETRY_WIDTH),
-        np.array(shapes).reshape(-1, SHAPE_WIDTH),
+        np.array(shapes).reshape(-1, width(Shape)),
         functions,
     )
 
@@ -130,7 +175,8 @@ def count_parts(codes: np.ndarray, count: int) -> int:
 
     A tangent without its normal row has a copy of it among the parts.
     """
-    alone = (codes[:count, KIND] == TANGENT) & (codes[:count, NORMAL_PART] == 0)
+    of_rows = fields_of(Code, codes[:count])
+    alone = (of_rows.kind == TANGENT) & (of_rows.normal_part == 0)
     return len(codes) - count + np.count_nonzero(alone)
 
 
@@ -144,20 +190,19 @@ def select_rows(codes, geometry, rows, selected_codes, selected_geometry):
     for k in range(count):
         row = rows[k]
         copy_record(codes, geometry, row, k, selected_codes, selected_geometry)
-        kind = codes[row, KIND]
-        if kind == COMBINED:
-            first = codes[row, FIRST_PART]
-            selected_codes[k, FIRST_PART] = count + parts
-            for piece in range(first, first + codes[row, PARTS]):
+        code, selected = open_code(codes[row]), open_code(selected_codes[k])
+        if code.kind == COMBINED:
+            selected.first_part = count + parts
+            for piece in range(code.first_part, code.first_part + code.parts):
                 copy_record(
                     codes, geometry, piece, count + parts, selected_codes, selected_geometry
                 )
                 parts += 1
-        elif kind == TANGENT:
-            number, part = codes[row, TANGENT_NUMBER], codes[row, NORMAL_PART]
-            at, normal = k - number, part if part > 0 else row - number
-            if part > 0 or at < 0 or rows[at] != normal:
-                selected_codes[k, NORMAL_PART] = count + parts
+        elif code.kind == TANGENT:
+            at, normal = k - code.tangent, row - code.tangent
+            if code.normal_part > 0 or at < 0 or rows[at] != normal:
+                selected.normal_part = count + parts
+                normal = code.normal_part if code.normal_part > 0 else normal
                 copy_record(
                     codes, geometry, normal, count + parts, selected_codes, selected_geometry
                 )
@@ -168,10 +213,8 @@ def select_rows(codes, geometry, rows, selected_codes, selected_geometry):
 @plain
 def copy_record(codes, geometry, source, k, selected_codes, selected_geometry):
     """Copy one record of a table to place ``k`` of another one."""
-    for column in range(CODE_WIDTH):
-        selected_codes[k, column] = codes[source, column]
-    for column in range(GEOMETRY_WIDTH):
-        selected_geometry[k, column] = geometry[source, column]
+    copy(codes[source], selected_codes[k])
+    copy(geometry[source], selected_geometry[k])
 
 
 class JointRows(NamedTuple):
@@ -196,9 +239,10 @@ def select_joint_rows(codes, rows, dofs, joint_rows):
     count = 0
     for i in range(rows.size - 1):
         for row in range(rows[i], rows[i + 1]):
-            if codes[row, KIND] == JOINT:
+            code = open_code(codes[row])
+            if code.kind == JOINT:
                 joint_rows.arm[count], joint_rows.row[count] = i, row
-                joint_rows.joint[count] = dofs[i] + codes[row, JOINT_NUMBER]
+                joint_rows.joint[count] = dofs[i] + code.joint
                 count += 1
 
 
@@ -220,49 +264,50 @@ def _same(a: Surface, b: Surface) -> bool:
     )
 
 
-def _contact_codes(contact: Contact, shapes: list, functions: list) -> list[int]:
+def _code(contact: Contact, shapes: list, functions: list) -> Code:
     guide, follower = contact.guide, contact.follower
     if follower.is_tip and guide.kind in (PLANE, SPHERE, CYLINDER):
-        return [guide.kind, contact.surface_body, -1, 0]
+        return Code(guide.kind, contact.surface_body)
     first = len(shapes)
     shapes.append(_shape_row(guide, functions))
     if follower.is_tip:
-        return [CURVED, contact.surface_body, first, 0]
+        return Code(CURVED, contact.surface_body, shape=first)
     shapes.append(_shape_row(follower, functions))
-    return [PAIR, contact.surface_body, first, 0]
+    return Code(PAIR, contact.surface_body, shape=first)
 
 
 def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
     row = np.zeros(GEOMETRY_WIDTH)
+    fields = as_row(_geometry(contact))
+    row[: fields.size] = fields
+    return row
+
+
+def _geometry(contact: Contact | JointRow) -> ContactGeometry | TangentGeometry | JointGeometry:
     if isinstance(contact, JointRow):
-        row[SIDE], row[HAS_BOUND] = contact.side, float(contact.bound is not None)
-        row[BOUND] = contact.bound or 0.0
-        return row
+        return JointGeometry(contact.side, contact.bound or 0.0, contact.bound is not None)
     guide, follower = contact.guide, contact.follower
-    row[POINT : POINT + 3] = follower.origin
-    row[ORIGIN : ORIGIN + 3] = guide.origin
-    row[AXIS : AXIS + 3] = guide.axes[:, 2]
     if contact.tangent:
         # two directions orthogonal to the first tangent; a plane's normal cannot be one
         first, second = (0, 1) if guide.kind == PLANE else (2, 0)
-        row[FIRST_DIRECTION : FIRST_DIRECTION + 3] = guide.axes[:, first]
-        row[SECOND_DIRECTION : SECOND_DIRECTION + 3] = guide.axes[:, second]
-    row[GUIDE_RADIUS] = guide.sizes[0]
-    row[SIDE] = -1.0 if guide.inside else 1.0
-    row[TIP_RADIUS] = follower.sizes[0] if follower.is_tip else 0.0
-    row[WEIGHT] = contact.weight
-    return row
+        return TangentGeometry(guide.axes[:, first], guide.axes[:, second])
+    return ContactGeometry(
+        tip=follower.origin,
+        origin=guide.origin,
+        axis=guide.axes[:, 2],
+        radius=guide.sizes[0],
+        side=-1.0 if guide.inside else 1.0,
+        tip_radius=follower.sizes[0] if follower.is_tip else 0.0,
+        weight=contact.weight,
+    )
 
 
 def _shape_row(surface: Surface, functions: list) -> np.ndarray:
-    row = np.zeros(SHAPE_WIDTH)
-    row[SHAPE_KIND] = surface.kind
-    row[SHAPE_AXES : SHAPE_AXES + 9] = surface.axes.ravel()
-    row[SHAPE_ORIGIN : SHAPE_ORIGIN + 3] = surface.origin
-    row[SHAPE_SIZES : SHAPE_SIZES + 3] = surface.sizes
-    row[SHAPE_SIDE] = -1.0 if surface.inside else 1.0
-    row[SHAPE_FUNCTION] = -1.0
+    function = -1
     if surface.function is not None:
-        row[SHAPE_FUNCTION] = len(functions)
+        function = len(functions)
         functions.append(surface.function)
-    return row
+    side = -1.0 if surface.inside else 1.0
+    return as_row(
+        Shape(surface.kind, surface.axes, surface.origin, np.array(surface.sizes), side, function)
+    )

@@ -35,7 +35,7 @@ from functools import partial
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP_BIAS
+from multiarm.contacts.kernel import open_contact
 from multiarm.control.command_derivatives import prepare_command_derivatives
 from multiarm.control.null_space import hold_pose, nearest_accelerations
 from multiarm.control.object_derivatives import (
@@ -83,7 +83,7 @@ def computed_torque(address, size, at, t):
     for j in range(control.torque.size):
         control.torque[j] -= data.forces.f_j[j]
     for k in range(target.size):
-        target[k] = -data.rows.kinematics[k, GAP_BIAS]
+        target[k] = -open_contact(data.rows.kinematics[k]).gap_bias
         for a in range(6):
             target[k] -= data.rows.Wo[k, a] * desired[a]
     add_motion_forces(law, command, True, model, data, work)

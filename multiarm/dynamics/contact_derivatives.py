@@ -36,16 +36,9 @@ import math
 from typing import NamedTuple
 
 from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
-from multiarm.contacts.kernel import (
-    AT,
-    COUPLE,
-    GAP_BIAS,
-    GAP_RATE,
-    NORMAL,
-    write_row,
-)
+from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
-from multiarm.contacts.table import AXIS, COMBINED, JOINT, KIND, POINT, SURFACE_BODY
+from multiarm.contacts.table import JOINT, open_code, open_geometry
 from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import clear, inlined, kernel, plain
@@ -165,10 +158,10 @@ def write_column_displacement(columns, c, seen, work):
 def are_flat(model, first, last):
     """Whether all rows are tips on planes of the object, or belong to joints."""
     for k in range(first, last):
-        kind = model.codes[k, KIND]
-        if kind == PLANE and model.codes[k, SURFACE_BODY] != SURFACE_ON_OBJECT:
+        code = open_code(model.codes[k])
+        if code.kind == PLANE and code.surface_body != SURFACE_ON_OBJECT:
             return False
-        if kind not in (PLANE, JOINT):
+        if code.kind not in (PLANE, JOINT):
             return False
     return True
 
@@ -183,9 +176,10 @@ def differentiate_flat_rows(model, first, last, work):
         clear(wrench[i])
     for k in range(first, last):
         clear(slopes[k])
-        if model.codes[k, KIND] == JOINT:
+        if open_code(model.codes[k]).kind == JOINT:
             continue
-        d, n = rotate(R, vec(model.geometry[k], POINT)), vec(model.geometry[k], AXIS)
+        contact = open_geometry(model.geometry[k])
+        d, n = rotate(R, contact.tip), contact.axis
         across = cross(n, w)
         by = open_displacement(slopes[k])
         by.acceleration, by.spin_rate = n, cross(d, n)
@@ -225,20 +219,22 @@ def differentiate_rows(model, data, first, last, work):
     write_rows_at(model, data, first, last, motion, work)
     for k in range(first, last):
         clear(slopes[k])
-        e, couple = vec(rows[k], NORMAL), couple_of(model, rows, k)
-        turn = add(cross(sub(vec(rows[k], AT), open_body(motion).origin), e), couple)
+        contact = open_contact(rows[k])
+        e, lever = contact.normal, sub(contact.point, open_body(motion).origin)
+        turn = add(cross(lever, e), contact.couple)
         by = open_displacement(slopes[k])
         by.acceleration, by.spin_rate = scale(-1.0, e), scale(-1.0, turn)
-    add_wrench(model, rows, first, last, work.force, 1.0, wrench[6])
+    add_wrench(rows, first, last, work.force, 1.0, wrench[6])
     for axis in range(6):
         for point in range(len(CENTRAL_4.offsets)):
             displace(motion, axis, CENTRAL_4.offsets[point] * STEP, moved)
             write_rows_at(model, data, first, last, moved, work)
             weight = CENTRAL_4.weights[point] / STEP
             for k in range(first, last):
-                slopes[k, SHIFT + axis] += weight * rows[k, GAP_BIAS]
-                slopes[k, RATE_BY_POSE + axis] += weight * rows[k, GAP_RATE]
-            add_wrench(model, rows, first, last, work.force, weight, wrench[axis])
+                contact = open_contact(rows[k])
+                slopes[k, SHIFT + axis] += weight * contact.gap_bias
+                slopes[k, RATE_BY_POSE + axis] += weight * contact.gap_rate
+            add_wrench(rows, first, last, work.force, weight, wrench[axis])
         for sign in (-1.0, 1.0):
             displace(motion, axis, 0.0, moved)
             twist = open_body(moved)
@@ -248,7 +244,7 @@ def differentiate_rows(model, data, first, last, work):
                 twist.spin = add_scaled(twist.spin, sign, unit(axis - 3))
             write_rows_at(model, data, first, last, moved, work)
             for k in range(first, last):
-                slopes[k, VELOCITY + axis] += 0.5 * sign * rows[k, GAP_BIAS]
+                slopes[k, VELOCITY + axis] += 0.5 * sign * open_contact(rows[k]).gap_bias
 
 
 @kernel
@@ -259,22 +255,17 @@ def write_rows_at(model, data, first, last, motion, work):
         write_row(
             k, motion, work.scratch[STILL], model.codes, model.geometry, model.shapes,
             data.functions.surface, work.rows, work.parts,
-            pairs.scratch, pairs.starts, pairs.points,
+            pairs.relative, pairs.query, pairs.starts, pairs.points,
         )  # fmt: skip
 
 
 @kernel
-def couple_of(model, rows, k):
-    """The couple that a row has besides the force at its point."""
-    return vec(rows[k], COUPLE) if model.codes[k, KIND] == COMBINED else ZERO
-
-
-@kernel
-def add_wrench(model, rows, first, last, force, weight, out):
+def add_wrench(rows, first, last, force, weight, out):
     """Add the resultant of the forces on the object, times a weight."""
     for k in range(first, last):
-        e, share = vec(rows[k], NORMAL), weight * force[k]
-        turn = add(cross(vec(rows[k], AT), e), couple_of(model, rows, k))
+        contact, share = open_contact(rows[k]), weight * force[k]
+        e = contact.normal
+        turn = add(cross(contact.point, e), contact.couple)
         put(out, 0, add_scaled(vec(out, 0), share, e))
         put(out, 3, add_scaled(vec(out, 3), share, turn))
 

@@ -8,25 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import (
-    AT,
-    GAP,
-    GAP_BIAS,
-    GAP_RATE,
-    LINE_CONTACT,
-    NORMAL,
-    locate_pair,
-    tip_offset,
-)
+from multiarm.contacts.kernel import LINE_CONTACT, ContactRow, locate_pair, tip_offset
 from multiarm.contacts.matrices import (
     ContactTerms,
     RelativeMotion,
     contact_matrices,
     seen_from_object,
 )
-from multiarm.contacts.motion import RELATIVE_WIDTH, BodyMotion
-from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
-from multiarm.contacts.table import FIRST_SHAPE, KIND, PAIR, SURFACE_BODY, TIP_RADIUS
+from multiarm.contacts.motion import BodyMotion
+from multiarm.contacts.surfaces import Query, world_distance
+from multiarm.contacts.table import PAIR, Code, ContactGeometry
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
@@ -56,7 +47,7 @@ def place_state(data: Data, t: float, state: State) -> None:
     """
     data.set_state(t, state)
     constants = data.model.constants
-    if not len(constants.shapes) or not (constants.codes[:, KIND] == PAIR).any():
+    if not len(constants.shapes) or not (fields_of(Code, constants.codes).kind == PAIR).any():
         return
     status = update_kinematics(data.struct)
     if status == OK and np.all(np.isfinite(data.arrays.rows.kinematics)):
@@ -79,7 +70,8 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
         When two surfaces have no common normal near each other, or touch along a line.
     """
     places = np.zeros_like(data.arrays.pairs.starts)
-    pairs = np.flatnonzero(data.model.constants.codes[:, KIND] == PAIR)
+    codes = fields_of(Code, data.model.constants.codes)
+    pairs = np.flatnonzero(codes.kind == PAIR)
     if not pairs.size:
         return places
     data.set_state(0.0, start)
@@ -96,7 +88,7 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
                 f"contacts with spherical tips"
             )
         else:
-            places[data.model.constants.codes[row, FIRST_SHAPE]] = place
+            places[codes.shape[row]] = place
     if faults:
         raise SceneError(faults)
     return places
@@ -122,12 +114,13 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 
     At the kinematics in the data.
     """
-    constants, contacts = data.model.constants, data.arrays.rows.kinematics[rows]
-    normals, count = contacts[:, NORMAL : NORMAL + 3].copy(), data.model.layout.contacts
-    codes, geometry = constants.codes[:count][rows], constants.geometry[:count][rows]
-    tips = zip(codes[:, KIND], codes[:, SURFACE_BODY], geometry[:, TIP_RADIUS], strict=True)
+    constants, count = data.model.constants, data.model.layout.contacts
+    contacts = fields_of(ContactRow, data.arrays.rows.kinematics[rows])
+    codes = fields_of(Code, constants.codes[:count][rows])
+    radii = fields_of(ContactGeometry, constants.geometry[:count][rows]).tip_radius
+    tips = zip(codes.kind, codes.surface_body, radii, strict=True)
     offsets = np.array([tip_offset(*tip) for tip in tips]).reshape(-1, 1)
-    return contacts[:, AT : AT + 3] + offsets * normals, normals
+    return contacts.point + offsets * contacts.normal, contacts.normal.copy()
 
 
 def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
@@ -141,13 +134,13 @@ def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
             constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
             b.bodies.links[i], b.bodies.object, _tip_kinematics(data, name, b.bodies.links[i]),
         )  # fmt: skip
-        contacts = b.rows.kinematics[rows]
+        contacts = fields_of(ContactRow, b.rows.kinematics[rows])
         points, normals = points_and_normals(data, rows)
         terms[name] = ContactTerms(
             *matrices,
-            c=-contacts[:, GAP_BIAS],
-            phi=contacts[:, GAP].copy(),
-            phi_dot=contacts[:, GAP_RATE].copy(),
+            c=-contacts.gap_bias,
+            phi=contacts.gap.copy(),
+            phi_dot=contacts.gap_rate.copy(),
             points=points,
             normals=normals,
         )
@@ -289,10 +282,11 @@ def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
     """Point of the guiding surface, in its body, where two surfaces touch, shape (3,)."""
     constants, arrays = data.model.constants, data.arrays
     link, body = arrays.bodies.links[data.model.arm_names.index(arm)], arrays.bodies.object
-    on_object = constants.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT
+    code = Code(*constants.codes[row].tolist())
+    on_object = code.surface_body == SURFACE_ON_OBJECT
     a, b = (link, body) if on_object else (body, link)
-    first, calls = int(constants.codes[row, FIRST_SHAPE]), arrays.functions.surface
-    query = arrays.pairs.scratch[RELATIVE_WIDTH:]
+    first, calls = code.shape, arrays.functions.surface
+    query, surface = arrays.pairs.query, fields_of(Query, arrays.pairs.query)
     seen_from = fields_of(BodyMotion, b)
     r = fields_of(BodyMotion, a).origin - seen_from.origin
     best, smallest, trouble = None, np.inf, None
@@ -301,9 +295,9 @@ def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
         located = locate_pair(a, b, constants.shapes, first, tuple(r), query, calls, place)
         z = seen_from.rotation @ place
         world_distance(constants.shapes[first + 1], a, tuple(z - r), query, calls)
-        gap, second = query[DISTANCE], query[SECOND : SECOND + 6].copy()
+        gap, second = float(surface.distance), surface.second.copy()
         world_distance(constants.shapes[first], b, tuple(z), query, calls)
-        gap, second = abs(gap + query[DISTANCE]), second + query[SECOND : SECOND + 6]
+        gap, second = abs(gap + surface.distance), second + surface.second
         if arrays.status.failed:  # a user function has no answer there
             trouble = data.callbacks["surface"].error
             data.forgive()

@@ -42,7 +42,7 @@ from functools import partial
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import KIND, TANGENT
+from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.coordinates import state_columns
 from multiarm.dynamics.equation_derivatives import (
@@ -214,8 +214,8 @@ class _Equations:
             part.copy()
             for part in (b.bodies.object_inertia, own.M, self._data.work.W, b.rows.Wo, own.rates)
         )
-        codes = self._data.model.constants.codes[: len(b.rows.Wo)]
-        closed, layout = codes[:, KIND] != TANGENT, self._data.model.layout
+        codes = fields_of(Code, self._data.model.constants.codes[: len(b.rows.Wo)])
+        closed, layout = codes.kind != TANGENT, self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)
 
     def _update(self) -> None:

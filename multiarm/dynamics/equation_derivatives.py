@@ -33,7 +33,7 @@ from multiarm.arms.derivatives import (
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion, open_body
-from multiarm.contacts.table import JOINT, KIND, TANGENT, WEIGHT
+from multiarm.contacts.table import JOINT, TANGENT, open_code, open_joint
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import (
     SCRATCH_ROWS,
@@ -350,9 +350,9 @@ def add_drift_feedback(struct, own, alpha, beta):
 @inlined
 def gap_weight(model, row):
     """1 for a row with a gap, 0 for one with a rate only."""
-    kind = model.codes[row, KIND]
+    kind = open_code(model.codes[row]).kind
     if kind == JOINT:
-        return model.geometry[row, WEIGHT]
+        return open_joint(model.geometry[row]).has_bound
     return 0.0 if kind == TANGENT else 1.0
 
 

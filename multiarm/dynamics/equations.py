@@ -25,9 +25,7 @@ import math
 from multiarm.arms.compiled.tables import energy_of_arms
 from multiarm.arms.terms import open_addresses
 from multiarm.contacts.kernel import (
-    GAP,
-    GAP_BIAS,
-    GAP_RATE,
+    open_contact,
     write_row,
 )
 from multiarm.dynamics.arrays import (
@@ -237,8 +235,8 @@ def call_effects(first, end, struct, model, data):
 def drift_terms(data, alpha, beta):
     """``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2)."""
     for k in range(data.rows.c.size):
-        row = data.rows.kinematics[k]
-        data.rows.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
+        row = open_contact(data.rows.kinematics[k])
+        data.rows.c[k] = -(row.gap_bias + 2.0 * alpha * row.gap_rate + beta * beta * row.gap)
 
 
 @cfunc
@@ -334,7 +332,7 @@ def write_general_row(address, size, row, arm):
     write_row(
         int(row), bodies.links[int(arm)], bodies.object, model.codes, model.geometry, model.shapes,
         data.functions.surface, rows.kinematics, rows.parts,
-        pairs.scratch, pairs.starts, pairs.points,
+        pairs.relative, pairs.query, pairs.starts, pairs.points,
     )  # fmt: skip
     return OK
 

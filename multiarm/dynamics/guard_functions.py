@@ -18,13 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.joint import unwrapped, write_relative
-from multiarm.contacts.kernel import AT, GAP, GAP_RATE, NORMAL, depth_in_patch, tip_offset
+from multiarm.contacts.kernel import PatchRow, depth_in_patch, open_contact, slip_of, tip_offset
 from multiarm.contacts.motion import open_body
-from multiarm.contacts.table import KIND, SURFACE_BODY, TIP_RADIUS
+from multiarm.contacts.table import open_code, open_geometry
 from multiarm.geometry.records import Patch
 from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.rows import as_row
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, floats1, view_at
-from multiarm.jit.vectors import add_scaled, rotate_back, sub, vec
+from multiarm.jit.vectors import add_scaled, rotate_back, sub
 
 # Body of a patch that is not an arm's (with its number).
 ON_OBJECT = -1
@@ -86,7 +87,7 @@ class PatchDepth(NamedTuple):
 
     row: Int
     body: Int  # with the patch: an arm's number, or ``ON_OBJECT``
-    patch: Floats1  # (18,) frame in the body (rotation row by row, origin), and corners
+    patch: Floats1  # :class:`~multiarm.contacts.kernel.PatchRow` in the body
 
 
 PATCH_DEPTH, patch_at = _kind(PatchDepth)
@@ -95,27 +96,27 @@ PATCH_DEPTH, patch_at = _kind(PatchDepth)
 def packed_patch(patch: Patch) -> np.ndarray:
     """Frame and corners of a patch, (18,)."""
     corners = (np.clip(corner, -1e300, 1e300) for corner in (patch.lower, patch.upper))
-    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], *corners])
+    return as_row(PatchRow(patch.pose[:3, :3], patch.pose[:3, 3], *corners))
 
 
 @inlined
 def touch(guard, rows):
     """``allowance - |phi|``."""
-    return guard.allowance - abs(rows.kinematics[guard.row, GAP])
+    return guard.allowance - abs(open_contact(rows.kinematics[guard.row]).gap)
 
 
 @inlined
 def spring_extension(guard, rows):
     """The extension; gap and its rate, since the extension is the gap while the gap falls."""
-    gap, rate = rows.kinematics[guard.row, GAP], rows.kinematics[guard.row, GAP_RATE]
-    return spring_length(gap, rate, guard.lag), gap, rate
+    contact = open_contact(rows.kinematics[guard.row])
+    return spring_length(contact.gap, contact.gap_rate, guard.lag), contact.gap, contact.gap_rate
 
 
 @inlined
 def spring_compression(guard, rows):
     """Minus the extension."""
-    contact = rows.kinematics[guard.row]
-    return -spring_length(contact[GAP], contact[GAP_RATE], guard.lag)
+    contact = open_contact(rows.kinematics[guard.row])
+    return -spring_length(contact.gap, contact.gap_rate, guard.lag)
 
 
 @inlined
@@ -131,9 +132,10 @@ def spring_length(gap, rate, lag):
 @kernel
 def depth_on_body(patch, body, row, model, data):
     """How far inside its patch (18,) on a body the contact of a row is [m]."""
-    contact, code = data.rows.kinematics[row], model.codes[row]
-    offset = tip_offset(code[KIND], code[SURFACE_BODY], model.geometry[row, TIP_RADIUS])
-    touching = add_scaled(vec(contact, AT), offset, vec(contact, NORMAL))
+    contact, code = open_contact(data.rows.kinematics[row]), open_code(model.codes[row])
+    radius = open_geometry(model.geometry[row]).tip_radius
+    offset = tip_offset(code.kind, code.surface_body, radius)
+    touching = add_scaled(contact.point, offset, contact.normal)
     carrier = open_body(data.bodies.object if body == ON_OBJECT else data.bodies.links[body])
     return depth_in_patch(patch, rotate_back(carrier.rotation, sub(touching, carrier.origin)))
 
@@ -237,7 +239,7 @@ JOINT_SPEED, joint_speed_at = _kind(JointSpeed)
 def slip(guard, slides, rows):
     """``d . s``; ``slides`` are the numbers of the sliding contacts, by constraint."""
     t, direction = guard.tangent, guard.directions[slides[guard.constraint]]
-    first, second = rows.kinematics[t, GAP_RATE], rows.kinematics[t + 1, GAP_RATE]
+    first, second = slip_of(rows.kinematics, t)
     return first * direction[0] + second * direction[1]
 
 
@@ -245,7 +247,7 @@ def slip(guard, slides, rows):
 def slip_onset(guard, rows):
     """``still - |s|``."""
     t = guard.tangent
-    first, second = rows.kinematics[t, GAP_RATE], rows.kinematics[t + 1, GAP_RATE]
+    first, second = slip_of(rows.kinematics, t)
     return guard.still - math.sqrt(first * first + second * second)
 
 
@@ -313,8 +315,8 @@ def guard_function(guards, g, struct, data, model, full):
     """
     kind, records, at = guards.kind[g], guards.records, guards.place[g]
     if kind == OPEN_GAP:
-        contact = full.rows.kinematics[gap_at(records, at).row]
-        return contact[GAP], contact[GAP], contact[GAP_RATE]
+        contact = open_contact(full.rows.kinematics[gap_at(records, at).row])
+        return contact.gap, contact.gap, contact.gap_rate
     if kind == SPRING_EXTENSION:
         return spring_extension(extension_at(records, at), full.rows)
     if kind == RANGE_DEPTH:

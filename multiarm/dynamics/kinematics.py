@@ -11,28 +11,14 @@ import ctypes
 import numpy as np
 
 from multiarm.arms.terms import POSE_WIDTH, TermAddresses, open_addresses, open_pose
-from multiarm.contacts.kernel import (
-    AT,
-    COUPLE,
-    GAP,
-    GAP_RATE,
-    NORMAL,
-    write_rows,
-)
+from multiarm.contacts.kernel import open_contact, write_rows
 from multiarm.contacts.motion import open_body
-from multiarm.contacts.table import (
-    BOUND,
-    COMBINED,
-    HAS_BOUND,
-    KIND,
-    SIDE,
-)
+from multiarm.contacts.table import open_joint
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
 from multiarm.jit.vectors import (
-    ZERO,
     add,
     add_cross,
     cross,
@@ -133,9 +119,8 @@ def arm_rows(i, struct, model, data, work):
         data.rows.kinematics, struct, i, data.functions.row,
     )  # fmt: skip
     for k in range(m):
-        row, Wo = data.rows.kinematics[first + k], data.rows.Wo[first + k]
-        e, p = vec(row, NORMAL), vec(row, AT)
-        couple = vec(row, COUPLE) if model.codes[first + k, KIND] == COMBINED else ZERO
+        row, Wo = open_contact(data.rows.kinematics[first + k]), data.rows.Wo[first + k]
+        e, p, couple = row.normal, row.point, row.couple
         put(Wo, 0, e)
         put(Wo, 3, add(cross(sub(p, x_o), e), couple))
         # the arm takes the opposite wrench; its Jacobian is about the world's origin
@@ -183,10 +168,10 @@ def write_joint_rows(model, data, work):
     joint_rows = model.joint_rows
     for k in range(joint_rows.row.size):
         i, row, joint = joint_rows.arm[k], joint_rows.row[k], joint_rows.joint[k]
-        side, geometry = model.geometry[row, SIDE], model.geometry[row]
-        beyond = data.state.joint_positions[joint] - geometry[BOUND]
-        data.rows.kinematics[row, GAP] = geometry[HAS_BOUND] * side * beyond
-        data.rows.kinematics[row, GAP_RATE] = side * data.state.joint_rates[joint]
+        geometry, contact = open_joint(model.geometry[row]), open_contact(data.rows.kinematics[row])
+        side, beyond = geometry.side, data.state.joint_positions[joint] - geometry.bound
+        contact.gap = geometry.has_bound * side * beyond
+        contact.gap_rate = side * data.state.joint_rates[joint]
         work.W[i, joint - work.dofs[i], row - work.rows[i]] = side
 
 

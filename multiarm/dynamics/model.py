@@ -24,13 +24,12 @@ from multiarm.arms.arm import Arm
 from multiarm.arms.backends import ArmBackends, Ground
 from multiarm.arms.terms import Coriolis
 from multiarm.contacts.joint import Joint, JointFrame
-from multiarm.contacts.motion import RELATIVE_WIDTH
+from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import (
-    CODE_WIDTH,
     GEOMETRY_WIDTH,
     JOINT,
-    KIND,
+    Code,
     JointRow,
     count_parts,
     make_joint_rows,
@@ -64,6 +63,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
+from multiarm.jit.rows import fields_of, width
 from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
 from multiarm.scene import ResolvedArm
@@ -247,7 +247,9 @@ class Model:
         }
         codes, geometry = self.constants.codes, self.constants.geometry
         size = len(chosen) + count_parts(codes, self.layout.contacts)
-        selected = np.zeros((size, CODE_WIDTH), dtype=np.int64), np.zeros((size, GEOMETRY_WIDTH))
+        selected = (
+            np.zeros((size, width(Code)), dtype=np.int64), np.zeros((size, GEOMETRY_WIDTH))
+        )  # fmt: skip
         size = len(chosen) + select_rows(codes, geometry, chosen, *selected)
         codes, geometry = (table[:size].copy() for table in selected)
         return replace(
@@ -261,7 +263,8 @@ class Model:
 
 def row_constants(codes: np.ndarray, geometry: np.ndarray, layout: Layout) -> dict[str, Any]:
     """Constants of the rows of a contact table, but for the shapes of its surfaces."""
-    joint_rows = make_joint_rows(int(np.count_nonzero(codes[: layout.contacts, KIND] == JOINT)))
+    of_joints = fields_of(Code, codes[: layout.contacts]).kind == JOINT
+    joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
     select_joint_rows(codes, np.array(layout.rows), np.array(layout.dofs), joint_rows)
     return {"codes": codes, "geometry": geometry, "joint_rows": joint_rows}
 
@@ -361,9 +364,7 @@ class Data:
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         if self.surfaces:
-            answer = user_surface_callback(
-                self.surfaces, self.arrays.pairs.scratch[RELATIVE_WIDTH:]
-            )
+            answer = user_surface_callback(self.surfaces, self.arrays.pairs.query)
             self._add_callback("surface", PythonCallback(answer, self.arrays.status))
         self._connect_rows()
         self._connect_control()
@@ -371,6 +372,11 @@ class Data:
             if kernel.connect is not None:
                 self.callbacks.update(kernel.connect(self, effect.arrays))
         self.hold(None)
+
+    @property
+    def contact_rows(self) -> ContactRow:
+        """Kinematics of all rows: views, an entry of each field for every row."""
+        return fields_of(ContactRow, self.arrays.rows.kinematics)
 
     def view(self, model: Model) -> Data:
         """Data of a model with the same bodies and effects, which shares state and bodies' motion.

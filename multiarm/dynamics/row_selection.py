@@ -17,10 +17,9 @@ import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.table import (
-    CODE_WIDTH,
     GEOMETRY_WIDTH,
     JOINT,
-    KIND,
+    Code,
     JointRows,
     count_parts,
     select_joint_rows,
@@ -39,6 +38,7 @@ from multiarm.dynamics.solver.node import (
 from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.dynamics.variables import Variables, row_shapes
 from multiarm.jit.kernels import INTS, clear, copy, kernel
+from multiarm.jit.rows import fields_of, width
 
 # Selections whose tables and caches are kept.
 MOST_RECENT = 32
@@ -75,7 +75,7 @@ class RowSelection(Data):
         model, layout = full.model, full.model.layout
         self._full, self._bounds = full, np.array(layout.rows)
         self._dofs, counts = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
-        self._of_joints = model.constants.codes[: layout.contacts, KIND] == JOINT
+        self._of_joints = fields_of(Code, model.constants.codes[: layout.contacts]).kind == JOINT
         self._share(full, replace(model.select(range(layout.contacts)), unilateral=None))
         parts = count_parts(model.constants.codes, layout.contacts)
         size = layout.contacts + parts
@@ -84,7 +84,7 @@ class RowSelection(Data):
         grouped, work = make_work(self._dofs, fewer), self.work
         packs = max(grouped.packs, work.packs, key=len)
         constants = self.model.constants._replace(
-            codes=np.zeros((size, CODE_WIDTH), dtype=np.int64),
+            codes=np.zeros((size, width(Code)), dtype=np.int64),
             geometry=np.zeros((size, GEOMETRY_WIDTH)),
         )
         self.replace_arrays(

@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from multiarm.contacts.kernel import GAP_RATE
+from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import Guards
@@ -109,8 +109,8 @@ def write_reactions(data, work, Wr, slides, reactions):
                 reactions.Wr[i, j, a] = work.W[i, j, a]
     for s in range(slides.row.size):
         row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
-        rates = sideways.rows.kinematics[t, GAP_RATE], sideways.rows.kinematics[t + 1, GAP_RATE]
-        write_direction(slides, s, rates[0], rates[1])
+        along, across = slip_of(sideways.rows.kinematics, t)
+        write_direction(slides, s, along, across)
         first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
         for k in range(6):
             Wr[row, k] -= first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
@@ -135,6 +135,7 @@ def follow_slip(slides, contacts):
     """Make the direction at the end of a step that of the next; ``contacts`` are of all rows."""
     for s in range(slides.row.size):
         t = slides.tangent_of_all[s]
-        write_direction(slides, s, contacts[t, GAP_RATE], contacts[t + 1, GAP_RATE])
+        along, across = slip_of(contacts, t)
+        write_direction(slides, s, along, across)
         slides.direction[s, 0] = slides.turning[s, 0]
         slides.direction[s, 1] = slides.turning[s, 1]

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP_RATE
+from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import column_of_state
 from multiarm.dynamics.coordinates import state_columns
@@ -129,7 +129,7 @@ def differentiate_slip(s, struct, own, friction):
     )
     along_0, along_1 = slides.direction[s, 0], slides.direction[s, 1]
     d_0, d_1 = slides.turning[s, 0], slides.turning[s, 1]
-    first, second = beside.rows.kinematics[t, GAP_RATE], beside.rows.kinematics[t + 1, GAP_RATE]
+    first, second = slip_of(beside.rows.kinematics, t)
     a, b = along_0 * first + along_1 * second, along_0 * second - along_1 * first
     smooth = a * a + slow * slow
     size = smooth * smooth + a * a * b * b

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.kernel import greatest_gaps
 from multiarm.dynamics.arrays import open_coupled, open_data, open_system
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.residuals import residual_of_all, write_residuals
@@ -29,7 +29,7 @@ from multiarm.dynamics.solver.bounds import (
 )
 from multiarm.dynamics.solver.solution import DENSE, SPLIT, WHOLE
 from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import INTS, cfunc, greatest, kernel
+from multiarm.jit.kernels import INTS, cfunc, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -48,10 +48,7 @@ def evaluate_and_check(struct: INTS):
     check = data.check
     check.solved = 1 if believable(data.solution, data.solution.residual) else 0
     write_residuals(struct, data.accelerations.a, data.forces.f, data.rows.force, data.rows.c)
-    check.gap, check.gap_rate = (
-        greatest(data.rows.kinematics[:, GAP]),
-        greatest(data.rows.kinematics[:, GAP_RATE]),
-    )
+    check.gap, check.gap_rate = greatest_gaps(data.rows.kinematics)
     return status
 
 

@@ -205,7 +205,8 @@ class SurfacePairs(NamedTuple):
 
     starts: Floats2  # (S, 3) contact points in the frame of the guiding body: start of the search
     points: Floats2  # (S, 3) its result
-    scratch: Floats1  # (29,) a relative motion, and a query of a surface
+    relative: Floats1  # (15,) :class:`~multiarm.contacts.motion.RelativeRow`
+    query: Floats1  # (14,) :class:`~multiarm.contacts.surfaces.Query`
 
 
 class JointMotion(NamedTuple):
@@ -375,7 +376,8 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
         pairs=SurfacePairs(
             starts=np.zeros((pairs, 3)),
             points=np.zeros((pairs, 3)),
-            scratch=np.zeros(RELATIVE_WIDTH + QUERY_WIDTH),
+            relative=np.zeros(RELATIVE_WIDTH),
+            query=np.zeros(QUERY_WIDTH),
         ),
         joint_motion=JointMotion(rates=np.zeros(6), coordinates=np.zeros(9)),
     )

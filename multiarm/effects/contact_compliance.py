@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.kernel import open_contact
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
@@ -67,7 +67,7 @@ def add_contact_compliance(address, size, at, _t):
     _, of_springs, work = update_springs(springs)
     force, power = springs.force, 0.0
     for s in range(force.size):
-        power += force[s] * of_springs.rows.kinematics[s, GAP_RATE]
+        power += force[s] * open_contact(of_springs.rows.kinematics[s]).gap_rate
     add_contact_forces(work, of_springs.rows.Wo, work.W, force, data.forces.f_o, data.forces.f_j)
     set_power(struct, at, power)
     return 0
@@ -89,8 +89,9 @@ def write_spring_forces(springs, contacts):
     for s in range(springs.force.size):
         springs.force[s] = 0.0
         if springs.active[s] != 0:
-            pressed = springs.stiffness[s] * contacts[s, GAP]
-            springs.force[s] = -(pressed + springs.damping[s] * contacts[s, GAP_RATE])
+            contact = open_contact(contacts[s])
+            pressed = springs.stiffness[s] * contact.gap
+            springs.force[s] = -(pressed + springs.damping[s] * contact.gap_rate)
 
 
 @cfunc

@@ -12,7 +12,6 @@ from collections.abc import Set
 
 from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.start import TOUCHING
-from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.contact_geometry import patch_margin
 from multiarm.dynamics.equations import update_kinematics, update_rows
@@ -46,7 +45,7 @@ def touching_constraints(
 
 def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
     """Contacts that cannot open, and contacts and limits whose gaps are closed."""
-    gaps = modes.full.arrays.rows.kinematics[:, GAP]
+    gaps = modes.full.contact_rows.gap
     return {
         u
         for u, constraint in enumerate(modes.unilateral.constraints)
@@ -62,11 +61,11 @@ def pressed_constraints(modes: Modes, before: Mode, fired: Set[int]) -> set[int]
     One whose guard has just ``fired`` is at zero and changes its state.  ``before`` has no states
     at the beginning of a run.
     """
-    pressed = set()
+    pressed, contacts = set(), modes.full.contact_rows
     for u, constraint in enumerate(modes.unilateral.constraints):
         if not constraint.compliant:
             continue
-        gap, rate = modes.full.arrays.rows.kinematics[constraint.row, [GAP, GAP_RATE]]
+        gap, rate = contacts.gap[constraint.row], contacts.gap_rate[constraint.row]
         length = spring_length(gap, rate, constraint.lag)
         pushes = length < 0.0
         if abs(length) <= GAP_THRESHOLD:
@@ -97,7 +96,7 @@ def off_patch_constraints(modes: Modes, before: Mode, crossed: Set[int]) -> froz
 def below_patch_constraints(full: Data, above: Set[int]) -> frozenset[int]:
     """Constraints whose contacts are below their patches; those ``above`` are known not to be."""
     assert full.model.unilateral is not None
-    gaps = full.arrays.rows.kinematics[:, GAP]
+    gaps = full.contact_rows.gap
     return frozenset(
         u
         for u, constraint in enumerate(full.model.unilateral.constraints)

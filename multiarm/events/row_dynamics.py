@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
 from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import retracted
 from multiarm.dynamics.equations import (
@@ -41,7 +40,7 @@ class RowDynamics:
     @property
     def rates(self) -> np.ndarray:
         """Rates of all gaps [m/s, rad/s]."""
-        return self.full.arrays.rows.kinematics[:, GAP_RATE]
+        return self.full.contact_rows.gap_rate
 
     @property
     def rest_rate(self) -> float:
@@ -94,10 +93,8 @@ class RowDynamics:
         try:
             require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
             require_ok(self.full, update_rows(self.full.struct))
-            free = (
-                self.jacobian(rows) @ b.accelerations.a
-                + self.full.arrays.rows.kinematics[rows, GAP_BIAS]
-            )
+            bias = self.full.contact_rows.gap_bias[rows]
+            free = self.jacobian(rows) @ b.accelerations.a + bias
         finally:
             b.time.now, b.state.configuration[:] = now, here
         if ahead > 0.0:

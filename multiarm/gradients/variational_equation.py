@@ -35,8 +35,7 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.loop_closure import projection_tolerance
 from multiarm.assembly.start import project_start
-from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.contacts.table import KIND, TANGENT
+from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
@@ -46,6 +45,7 @@ from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.screws import skew
+from multiarm.jit.rows import fields_of
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
@@ -263,9 +263,9 @@ class Parameter:
         if system.model.unilateral is None:
             with system.borrow() as data:
                 accelerations = evaluation.evaluate(data, t, state).accelerations
-                codes, contacts = data.model.constants.codes, data.arrays.rows.kinematics
-                gaps = contacts[codes[:, KIND] != TANGENT, GAP]
-                return accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
+                contacts, codes = data.contact_rows, fields_of(Code, data.model.constants.codes)
+                gaps = contacts.gap[codes.kind[: contacts.gap.size] != TANGENT]
+                return accelerations, np.concatenate([gaps, contacts.gap_rate])
         evaluated = evaluate(system, t, state)
         if max(evaluated.position_residual, evaluated.velocity_residual) > CLOSED:
             raise SolverError(

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.kernel import greatest_gaps, open_contact
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import solve_constrained, update_kinematics
@@ -98,7 +98,7 @@ def project_positions(
         status = update_kinematics(struct)
         if status != OK:
             return status
-        worst = greatest(data.rows.kinematics[:, GAP])
+        worst, _ = greatest_gaps(data.rows.kinematics)
         if worst <= tolerance:
             if further == 0 or worst > 0.5 * before or not near_loss(data.solution):
                 return OK
@@ -110,7 +110,7 @@ def project_positions(
         before = worst
         clear(data.forces.f)
         for k in range(data.rows.c.size):
-            data.rows.c[k] = -data.rows.kinematics[k, GAP]
+            data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap
         status = solve_constrained(struct)
         if status != OK:
             return status
@@ -149,7 +149,7 @@ def project_velocities(struct):
     _, data, _ = open_system(struct)
     clear(data.forces.f)
     for k in range(data.rows.c.size):
-        data.rows.c[k] = -data.rows.kinematics[k, GAP_RATE]
+        data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap_rate
     status = solve_constrained(struct)
     if status != OK:
         return status

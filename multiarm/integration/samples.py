@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from multiarm.contacts.joint import unwrapped, write_relative
-from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.kernel import greatest_gaps
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import write_wrenches
@@ -17,7 +17,7 @@ from multiarm.dynamics.equations import potential_energy
 from multiarm.dynamics.momenta import kinetic_energy
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.dynamics.variables import TIP_WIDTH
-from multiarm.jit.kernels import copy, greatest, inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec
 from multiarm.results.channels import Channel, Columns, in_sequence
@@ -63,8 +63,7 @@ def write_sample(struct, t, works, row):
     at += 2
     copy(works, row[at : at + works.size])
     at += works.size
-    row[at] = greatest(data.rows.kinematics[:, GAP])
-    row[at + 1] = greatest(data.rows.kinematics[:, GAP_RATE])
+    row[at], row[at + 1] = greatest_gaps(data.rows.kinematics)
     row[at + 2] = data.solution.rank
     row[at + 3] = data.solution.coupled_arms
     row[at + 4] = data.solution.residual

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.contacts.kernel import GAP
+from multiarm.contacts.kernel import greatest_gaps
 from multiarm.dynamics.arrays import open_data, open_reports, open_system
 from multiarm.dynamics.coordinates import (
     chart_places,
@@ -64,7 +64,7 @@ from multiarm.integration.step_control import (
     view_clock,
     view_settings,
 )
-from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, greatest, inlined, kernel, unlocked
+from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -314,7 +314,7 @@ def complete_step(method, step, clock, settings, h, end):
         status = check_solution(struct, clock, settings)
     if status != OK:
         return status
-    gap = greatest(data.rows.kinematics[:, GAP])
+    gap, _ = greatest_gaps(data.rows.kinematics)
     if not gap <= settings.divergence_bound:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope at the end, in this chart for the dense output and below in the next step's chart

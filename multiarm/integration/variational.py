@@ -43,8 +43,8 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.terms import CoriolisCalls, open_matrix
-from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.contacts.table import KIND, TANGENT
+from multiarm.contacts.kernel import open_contact
+from multiarm.contacts.table import TANGENT, open_code
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract
@@ -175,7 +175,7 @@ def find_velocities(step, work, t, h):
         if status != OK:
             return status
         for k in range(work.gap.size):
-            work.gap[k] = -data.rows.kinematics[k, GAP] / h
+            work.gap[k] = -open_contact(data.rows.kinematics[k]).gap / h
         move_in_step(work, data, 0.5 * h, t + 0.5 * h)
         status = midpoint_forces(step, work, h)
         step.stage.evaluations += 2
@@ -183,8 +183,9 @@ def find_velocities(step, work, t, h):
             return status
         momentum_residual(step, work, h)
         for k in range(work.gap.size):
-            rolls = model.codes[k, KIND] == TANGENT
-            data.rows.c[k] = -data.rows.kinematics[k, GAP_RATE] if rolls else work.gap[k]
+            rolls = open_code(model.codes[k]).kind == TANGENT
+            rate = open_contact(data.rows.kinematics[k]).gap_rate
+            data.rows.c[k] = -rate if rolls else work.gap[k]
         status = solve_constrained(step.system)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED

@@ -18,6 +18,8 @@ costs one address.
 
     fields_of(Motion, motions).spin  # in Python: a view of all rows, shape (n, 3)
 
+Python opens a row as kernels do where it runs the source of one itself.
+
 :func:`lanes_of` opens rows of :mod:`~multiarm.jit.simd` packs, whose every number is that of four
 arms.
 """
@@ -35,10 +37,12 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     infer_getattr,
     intrinsic,
+    lower_builtin,
     lower_getattr_generic,
     lower_setattr_generic,
     models,
     register_model,
+    type_callable,
 )
 
 from multiarm.jit.interpretation import INTERPRETED
@@ -90,17 +94,19 @@ def as_row(fields: tuple) -> np.ndarray:
 
 
 def row_of(kind: type) -> Callable[[Any], Any]:
-    """Function of kernels ``array -> row``, which begins with the array."""
-    if INTERPRETED:
-        open_at = _python_row(kind, 1)
-        return lambda array: open_at(array, 0)
+    """Function ``array -> row``, which begins with the array; of kernels and of Python."""
+    open_at = _python_row(kind, 1)
 
-    @intrinsic
-    def open_row(typing_context, array):
-        def generate(context, builder, signature, arguments):
-            return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+    def open_row(array: np.ndarray) -> Any:
+        return open_at(array, 0)
 
-        return Row(kind, array.dtype)(array), generate
+    @type_callable(open_row)
+    def type_row(typing_context):
+        return lambda array: Row(kind, array.dtype)
+
+    @lower_builtin(open_row, types.Array)
+    def lower_row(context, builder, signature, arguments):
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
 
     return open_row
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.start import TOUCHING
-from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.equations import update_kinematics, update_rows
@@ -182,7 +181,7 @@ class EventHandler:
     def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
         constraints = self.modes.unilateral.constraints
-        rates, speeds = self.modes.full.arrays.rows.kinematics[:, GAP_RATE], {}
+        rates, speeds = self.modes.full.contact_rows.gap_rate, {}
         of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
         for u in _constraints(fired, Slip, JointSpeed):
             constraint = constraints[u]
@@ -225,7 +224,7 @@ class EventHandler:
         closing = {
             u for u in closing if constraints[u].kind != DRY_JOINT and not constraints[u].compliant
         }
-        gaps = self.modes.full.arrays.rows.kinematics[:, GAP]
+        gaps = self.modes.full.contact_rows.gap
         depth = max((abs(float(gaps[constraints[u].row])) for u in closing - closed), default=0.0)
         near = closed_constraints(self.modes, max(TOUCHING * self._size, HIT_SHARE * depth))
         return near | closing | closed | pressed

@@ -18,7 +18,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.contacts.kernel import GAP
 from multiarm.control.harmonic import harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -296,7 +295,7 @@ def largest_gap(system: System, state: State) -> float:
     with system.borrow() as data:
         data.set_state(0.0, state)
         require_ok(data, update_kinematics(data.struct))
-        return float(np.max(np.abs(data.arrays.rows.kinematics[:, GAP]), initial=0.0))
+        return float(np.max(np.abs(data.contact_rows.gap), initial=0.0))
 
 
 def joint_damping(system: System) -> np.ndarray:

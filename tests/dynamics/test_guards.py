@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from multiarm.contacts.kernel import CONTACT_WIDTH, GAP, GAP_RATE
+from multiarm.contacts.kernel import CONTACT_WIDTH, ContactRow
 from multiarm.dynamics.guard_functions import (
     FrictionCone,
     OpenGap,
@@ -35,6 +35,7 @@ from multiarm.dynamics.guards import (
     judge_guards,
     make_guards,
 )
+from multiarm.jit.rows import fields_of
 
 NEAR = 0.05  # part of the smaller gap at the ends that counts as touching, as in `dips`
 ROUNDING = 1e-12  # of the cubic's terms
@@ -64,7 +65,8 @@ def test_a_gap_whose_rate_is_unknown_does_not_dip():
 def rows_with(gap: float, rate: float, second: float = 0.0) -> SimpleNamespace:
     """Kinematics of rows: a gap and its rate, and the rate of the row after it."""
     kinematics = np.zeros((2, CONTACT_WIDTH))
-    kinematics[0, [GAP, GAP_RATE]], kinematics[1, GAP_RATE] = (gap, rate), second
+    contacts = fields_of(ContactRow, kinematics)
+    contacts.gap[0], contacts.gap_rate[:] = gap, (rate, second)
     return SimpleNamespace(kinematics=kinematics)
 
 

@@ -7,11 +7,12 @@ import pytest
 from event_scenes import arm, scene
 
 import multiarm as ma
-from multiarm.contacts.table import JOINT, KIND, NORMAL_PART, PAIR, TANGENT
+from multiarm.contacts.table import JOINT, PAIR, TANGENT, Code
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection
 from multiarm.dynamics.status import OK
+from multiarm.jit.rows import fields_of
 
 HALF = [0.3, 0.2, 0.1]  # [m] of the box
 
@@ -51,7 +52,7 @@ def full() -> Data:
     state.velocity[:] = rng.uniform(-1.0, 1.0, state.velocity.size)
     data.set_state(0.0, state)
     assert update_kinematics(data.struct) == OK
-    assert {PAIR, TANGENT, JOINT} <= set(data.model.constants.codes[:, KIND])
+    assert {PAIR, TANGENT, JOINT} <= set(fields_of(Code, data.model.constants.codes).kind)
     return data
 
 
@@ -69,8 +70,8 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
     for rows in subsets(full, 40):
         selection.select(rows)
         assert update_kinematics(selection.struct) == OK
-        codes = selection.model.constants.codes[: len(rows)]
-        alone += np.count_nonzero((codes[:, KIND] == TANGENT) & (codes[:, NORMAL_PART] > 0))
+        codes = fields_of(Code, selection.model.constants.codes[: len(rows)])
+        alone += np.count_nonzero((codes.kind == TANGENT) & (codes.normal_part > 0))
         np.testing.assert_array_equal(selection.arrays.rows.Wo, full.arrays.rows.Wo[rows])
         np.testing.assert_array_equal(
             selection.arrays.rows.kinematics, full.arrays.rows.kinematics[rows]

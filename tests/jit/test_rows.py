@@ -83,6 +83,16 @@ def test_kernels_read_and_write_what_the_fields_are(rng):
     np.testing.assert_array_equal(after.pair, before.pair)
 
 
+def test_python_runs_the_source_of_kernels_on_rows(rng):
+    row = rng.normal(size=width(Every))
+    copied, out = row.copy(), np.zeros_like(row)
+    copy_row.py_func(row, out)
+    np.testing.assert_array_equal(out, row)
+    turn_row(row)
+    turn_row.py_func(copied)
+    np.testing.assert_array_equal(copied, row)
+
+
 def test_lanes_are_copied_where_they_are_and_nowhere_else(rng):
     size = LANES * width(Every)
     row, out = rng.normal(size=3 * size), np.zeros(3 * size)

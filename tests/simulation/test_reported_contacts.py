@@ -13,11 +13,12 @@ from refusals import refused
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.contacts.surfaces import DISTANCE, PLACE, QUERY_WIDTH, SECOND, local_distance
-from multiarm.contacts.table import SHAPE_WIDTH, pack
+from multiarm.contacts.surfaces import QUERY_WIDTH, Query, local_distance
+from multiarm.contacts.table import pack
 from multiarm.errors import SceneError
 from multiarm.geometry.records import Contact as Record
 from multiarm.geometry.records import ellipsoid, point
+from multiarm.jit.rows import fields_of
 
 SLEDGE = """<robot name="sledge"><link name="ground"/>
 <joint name="rail" type="prismatic"><parent link="ground"/><child link="runner"/>
@@ -194,11 +195,12 @@ def test_distance_inside_an_ellipsoid_is_smooth_across_its_planes_of_symmetry(x,
         ]
     )
     query = np.zeros(QUERY_WIDTH)
-    query[PLACE : PLACE + 3] = scale * np.array([x, 1.4, 2.0])
-    assert table.shapes.shape == (1, SHAPE_WIDTH)
+    at = fields_of(Query, query)
+    at.point[:] = scale * np.array([x, 1.4, 2.0])
+    assert len(table.shapes) == 1
     local_distance(table.shapes[0], query, 0)
     angle = np.linspace(0, np.pi / 2, 2_000_001)
     ellipse = np.column_stack([2.0 * np.cos(angle), 3.0 * np.sin(angle)])
     nearest = np.linalg.norm(ellipse - [1.4, 2.0], axis=1).min()
-    assert query[DISTANCE] == pytest.approx(-scale * nearest, abs=1e-9 * scale)
-    assert np.isfinite(query[SECOND : SECOND + 6]).all()
+    assert at.distance == pytest.approx(-scale * nearest, abs=1e-9 * scale)
+    assert np.isfinite(at.second).all()

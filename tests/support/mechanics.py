@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 import multiarm.arms.backends
-from multiarm.contacts.kernel import CONTACT_WIDTH, write_row
+from multiarm.contacts.kernel import CONTACT_WIDTH, ContactRow, write_row
 from multiarm.contacts.matrices import contact_matrices
-from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
-from multiarm.contacts.surfaces import user_surface_callback
-from multiarm.contacts.table import FIRST_SHAPE, KIND, PAIR, pack
+from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
+from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
+from multiarm.contacts.table import PAIR, Code, pack
 from multiarm.dynamics.variables import Status
 from multiarm.geometry.records import (
     CONE,
@@ -320,22 +320,24 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     table, n = pack(contacts), len(contacts)
     arm, body = body_row(X_WT, twist_T), body_row(X_WO, twist_O)
     rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
-    scratch, located = np.zeros(29), np.zeros((len(table.shapes), 3))
+    relative, query = np.zeros(RELATIVE_WIDTH), np.zeros(QUERY_WIDTH)
+    located = np.zeros((len(table.shapes), 3))
     places = np.zeros_like(located)
-    answer = PythonCallback(user_surface_callback(table.functions, scratch[15:]), Status())
+    answer = PythonCallback(user_surface_callback(table.functions, query), Status())
+    codes, columns = fields_of(Code, table.codes), fields_of(ContactRow, rows)
     for k in range(n):
-        if table.codes[k, KIND] == PAIR:
-            places[table.codes[k, FIRST_SHAPE]] = near[k]
+        if codes.kind[k] == PAIR:
+            places[codes.shape[k]] = near[k]
         write_row(
             k, arm, body, table.codes, table.geometry, table.shapes, answer.address, rows, parts,
-            scratch, places, located,
+            relative, query, places, located,
         )  # fmt: skip
     answer.reraise()
     W = contact_matrices(
         table.codes, table.geometry, np.vstack([rows, parts]), np.arange(n), arm, body, arm
     )
     return SimpleNamespace(
-        phi=rows[:, 12], phi_dot=rows[:, 13], c=-rows[:, 14], normals=rows[:, 3:6],
+        phi=columns.gap, phi_dot=columns.gap_rate, c=-columns.gap_bias, normals=columns.normal,
         W_m=W.W_m, W_o=W.W_o, W_m_dot=W.W_m_dot, W_o_dot=W.W_o_dot,
     )  # fmt: skip
 

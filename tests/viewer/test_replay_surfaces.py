@@ -9,11 +9,12 @@ import pytest
 from mechanics import ur5_pair
 
 import multiarm as ma
-from multiarm.contacts.surfaces import DISTANCE, GRADIENT, PLACE, QUERY_WIDTH, local_distance
+from multiarm.contacts.surfaces import QUERY_WIDTH, Query, local_distance
 from multiarm.contacts.table import pack
 from multiarm.geometry import records
 from multiarm.geometry.records import Contact, Patch, Surface
 from multiarm.geometry.smooth_surfaces import ParametricSurface
+from multiarm.jit.rows import fields_of
 from multiarm.viewer.animate import animate
 from multiarm.viewer.contact_tracks import surface_mesh
 
@@ -36,9 +37,10 @@ def distance(surface: Surface, p: np.ndarray) -> tuple[float, np.ndarray]:
     hollow = replace(surface, inside=True)
     shape = pack([Contact("c", egg, hollow)]).shapes[0]
     query = np.zeros(QUERY_WIDTH)
-    query[PLACE : PLACE + 3] = surface.axes.T @ (p - surface.origin)
+    at = fields_of(Query, query)
+    at.point[:] = surface.axes.T @ (p - surface.origin)
     local_distance(shape, query, 0)
-    return query[DISTANCE], surface.axes @ query[GRADIENT : GRADIENT + 3]
+    return float(at.distance), surface.axes @ at.gradient
 
 
 @pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
