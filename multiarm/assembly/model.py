@@ -19,7 +19,7 @@ from multiarm.assembly.joints import Rows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.control.program import ControlProgram
-from multiarm.dynamics.arrays import COUPLED, Constants, FreeMotions
+from multiarm.dynamics.arrays import COUPLED, Constants, FreeMotions, TipFrame
 from multiarm.dynamics.control_laws import NO_CONTROL, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.equations import (
@@ -38,6 +38,7 @@ from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.integration.projection import close_gaps
 from multiarm.integration.reporting_guards import check_reports, reporting_guards
 from multiarm.integration.step import watch_stage
+from multiarm.jit.rows import as_row
 from multiarm.scene import Scene
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -145,7 +146,7 @@ def _constants(
         circular=np.concatenate([arm.circular for arm in arms.values()]).astype(np.int64),
         shapes=table.shapes,
         tip_frames=np.array(
-            [np.append(arm.tip_rotation, arm.tip_translation) for arm in arms.values()]
+            [as_row(TipFrame(arm.tip_rotation, arm.tip_translation)) for arm in arms.values()]
         ),
         object_mass=float(scene.object.mass),
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),

@@ -19,6 +19,7 @@ from multiarm.dynamics.status import CALLBACK_FAILED, KERNEL_FAILED, OK, SINGULA
 from multiarm.dynamics.variables import Rows, Variables
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.rows import Rotation, Vector, row_of
 from multiarm.jit.structs import (
     Flag,
     Float,
@@ -54,6 +55,16 @@ class FreeMotions(NamedTuple):
     coordinate: Ints1  # (m,) its coordinate among those of the relative motion
 
 
+class TipFrame(NamedTuple):
+    """The frame of a tip in the link that carries it."""
+
+    rotation: Rotation
+    origin: Vector  # [m]
+
+
+open_tip_frame = row_of(TipFrame)
+
+
 class Constants(NamedTuple):
     """Constants of all evaluations of a scene."""
 
@@ -66,8 +77,7 @@ class Constants(NamedTuple):
     geometry: Floats2
     shapes: Floats2
     joint_frames: Floats2  # (n, 24), see multiarm.contacts.joint
-    # (n, 12) the tips in the links that carry them: rotation row by row, origin [m]
-    tip_frames: Floats2
+    tip_frames: Floats2  # (n, 12), of :class:`TipFrame`
     free: FreeMotions
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]

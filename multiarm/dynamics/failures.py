@@ -17,7 +17,6 @@ from multiarm.dynamics.status import (
 )
 from multiarm.errors import SolverError
 from multiarm.jit.pointers import address_of
-from multiarm.scene.values import SURROUNDINGS
 
 
 def require_ok(data: Data, status: int) -> None:
@@ -75,7 +74,7 @@ def failure_text(data: Data, status: int) -> str:
 
 
 def _arm_that_failed(data: Data) -> str:
-    return [*data.model.arm_names, SURROUNDINGS][data.arrays.status.arm]
+    return data.model.owners[data.arrays.status.arm]
 
 
 def _kernel_text(data: Data) -> str:
@@ -117,7 +116,7 @@ def ambiguity_text(data: Data) -> str:
     """That the last solution is one of several; empty where it is the only one."""
     if data.arrays.solution.motion_unique:
         return ""
-    owners = zip([*data.model.arm_names, SURROUNDINGS], data.arrays.deficient.loose, strict=False)
+    owners = zip(data.model.owners, data.arrays.deficient.loose, strict=True)
     loose = ", ".join(owner for owner, is_loose in owners if is_loose)
     return (
         "friction leaves the motion open: other accelerations meet the equations, too, with other "

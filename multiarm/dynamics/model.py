@@ -155,15 +155,17 @@ class Model:
         """Names of the unilateral contacts by their owners; None where there is none."""
         if self.unilateral is None:
             return None
-        owners = [*self.arm_names, SURROUNDINGS]
-        return {owner: self.unilateral.contacts_of(owner) for owner in owners}
+        return {owner: self.unilateral.contacts_of(owner) for owner in self.owners}
+
+    @property
+    def owners(self) -> list[str]:
+        """Who has rows of W: the arms, and the surroundings where they have any."""
+        return [*self.arm_names, SURROUNDINGS][: len(self.layout.rows) - 1]
 
     def owner(self, row: int) -> tuple[str, Contact | JointRow]:
         """Arm (or surroundings) and record of a row of W."""
         i = int(np.searchsorted(self.layout.rows, row, side="right")) - 1
-        if i >= len(self.arm_names):
-            return SURROUNDINGS, self.records[row]
-        return self.arm_names[i], self.records[row]
+        return self.owners[i], self.records[row]
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""
@@ -345,7 +347,9 @@ class Data:
             works=len(model.effects.works),
             states=model.effects.states,
             passive=constants.passive_end > 0,
-            contact_states=0 if model.unilateral is None else len(model.unilateral.contacts),
+            contact_states=[
+                len((model.contacts_with_states or {}).get(owner, ())) for owner in model.owners
+            ],
         )
         link_poses = [self._backends.pose_address(*link) for link in model.links]
         self.arrays = b = make_variables(sizes, self._pointers(), link_poses)

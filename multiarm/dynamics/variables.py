@@ -17,10 +17,8 @@ from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.solution import UNSOLVED, Solution
+from multiarm.jit.rows import Pair, Quaternion, Vector, row_of, width
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Ints2, Numbers
-
-# Numbers of a tip in ``Sample.tips``.
-TIP_WIDTH = 13
 
 
 class Time(Numbers):
@@ -216,14 +214,27 @@ class JointMotion(NamedTuple):
     coordinates: Floats1  # (9,) see multiarm.contacts.joint
 
 
+class Tip(NamedTuple):
+    """Motion of a tip, world axes."""
+
+    position: Vector  # [m]
+    quaternion_xyzw: Quaternion
+    twist: Pair  # [m/s, rad/s]
+
+
+open_tip = row_of(Tip)
+
+
 class Sample(NamedTuple):
-    """What the last sample has recorded, beside the state."""
+    """What the last sample has recorded, beside the state, of ``o`` owners of rows."""
 
     # contact forces: those of the rows; with unilateral contacts those of all rows, and the states
     # of all contacts
     forces: Floats1
-    wrenches: Floats2  # (o, 6) on the object, of each owner of rows
-    tips: Floats2  # (n, 13) origin, quaternion (xyzw) and twist of each tip
+    rows: Ints1  # (o + 1,) the first force of each owner
+    states: Ints1  # (o + 1,) the first state of each owner, also in ``forces``
+    wrenches: Floats2  # (o, 6) on the object
+    tips: Floats2  # (n, 13), of :class:`Tip`
 
 
 class Functions(Numbers):
@@ -303,7 +314,7 @@ class Sizes(NamedTuple):
     works: int  # effects that do work
     states: int  # of effects
     passive: bool  # there are passive effects
-    contact_states: int  # unilateral contacts
+    contact_states: Sequence[int]  # unilateral contacts of each owner of rows
 
 
 def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]) -> Variables:
@@ -311,7 +322,8 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
     layout, states, tips, pairs = sizes.layout, sizes.states, sizes.tips, sizes.pairs
     arms, joints = len(pointers), layout.joints
     columns = columns_of_forces(layout.nv, joints, states).end
-    rows, recorded = make_rows(layout.contacts, sizes.parts), layout.contacts + sizes.contact_states
+    rows = make_rows(layout.contacts, sizes.parts)
+    recorded = np.append(layout.rows, layout.contacts + np.cumsum(sizes.contact_states))
     state, forces, accelerations = stacked_vectors(layout)
     return Variables(
         time=Time(),
@@ -357,9 +369,11 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             coordinates=np.full((arms, 6), np.nan),
         ),
         sample=Sample(
-            forces=np.zeros(recorded) if sizes.contact_states else rows.force,
+            forces=np.zeros(recorded[-1]) if recorded[-1] > layout.contacts else rows.force,
+            rows=recorded[: arms + 1],
+            states=recorded[arms:],
             wrenches=np.zeros((arms, 6)),
-            tips=np.zeros((tips, TIP_WIDTH)),
+            tips=np.zeros((tips, width(Tip))),
         ),
         slopes=ForceSlopes(
             torque=np.zeros((joints, columns)),

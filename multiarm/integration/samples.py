@@ -1,4 +1,4 @@
-"""A sample as one row of numbers: its columns, and the kernel that writes it in their order.
+"""A sample as one row of numbers: the kernel that writes it, in the order of the channels.
 
 A quaternion of a tip has the sign with which it continues that of the sample before; the first has
 ``w >= 0``.
@@ -6,101 +6,100 @@ A quaternion of a tip has the sign with which it continues that of the sample be
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from multiarm.contacts.joint import unwrapped, write_relative
 from multiarm.contacts.kernel import greatest_gaps
 from multiarm.contacts.motion import open_body
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_system, open_tip_frame
 from multiarm.dynamics.contact_forces import write_wrenches
 from multiarm.dynamics.equations import potential_energy
 from multiarm.dynamics.momenta import kinetic_energy
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
-from multiarm.dynamics.variables import TIP_WIDTH
-from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.dynamics.variables import open_tip
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.vectors import add, add_cross, compose, put, rotate, rotation, vec
-from multiarm.results.channels import Channel, Columns, in_sequence
+from multiarm.jit.vectors import add, add_cross, compose, rotate
 from multiarm.spatial import quaternion_of
 
 
 @kernel
 def write_sample(struct, t, works, row):
-    """Write an evaluated state as a row with the columns of :func:`sample_columns`.
+    """Write an evaluated state as a row, a channel of
+    :func:`multiarm.results.channels.trajectory_channels` after the other.
 
     Returns a status.
     """
     model, data, work = open_system(struct)
-    status = OK
-    m, at = data.sample.forces.size, 1
-    row[0] = t
-    copy(data.state.configuration, row[at : at + data.state.configuration.size])
-    at += data.state.configuration.size
-    copy(data.state.velocity, row[at : at + data.state.velocity.size])
-    at += data.state.velocity.size
-    copy(data.control.torque, row[at : at + data.control.torque.size])
-    at += data.control.torque.size
-    if model.control.shape[0] > 0:
-        copy(data.control.power, row[at : at + data.control.power.size])
-        at += data.control.power.size
+    state, control, sample, status = data.state, data.control, data.sample, OK
     if data.functions.contact_forces != 0:
         status = call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
-        write_wrenches(data.rows.Wo, work.rows, data.rows.force, data.sample.wrenches)
-    copy(data.sample.forces, row[at : at + m])
-    at += m
-    write_free(model, data, row[at:])
-    at += 2 * model.free.component.size
-    for i in range(data.sample.wrenches.shape[0]):
-        copy(data.sample.wrenches[i], row[at : at + 6])
-        at += 6
+        write_wrenches(data.rows.Wo, work.rows, data.rows.force, sample.wrenches)
     write_tips(model, data)
-    for i in range(data.sample.tips.shape[0]):
-        copy(data.sample.tips[i], row[at : at + TIP_WIDTH])
-        at += TIP_WIDTH
-    row[at] = kinetic_energy(data, work)
-    row[at + 1] = potential_energy(struct)
-    at += 2
-    copy(works, row[at : at + works.size])
-    at += works.size
-    row[at], row[at + 1] = greatest_gaps(data.rows.kinematics)
-    row[at + 2] = data.solution.rank
-    row[at + 3] = data.solution.coupled_arms
-    row[at + 4] = data.solution.residual
+    row[0] = t
+    at = append(row, 1, state.object_pose)
+    at = append(row, at, state.object_twist)
+    for i in range(sample.wrenches.shape[0]):
+        has_tip = i < sample.tips.shape[0]  # else these are the surroundings
+        if has_tip:
+            first, last = work.dofs[i], work.dofs[i + 1]
+            at = append(row, at, state.joint_positions[first:last])
+            at = append(row, at, state.joint_rates[first:last])
+            at = append(row, at, control.torque[first:last])
+            if model.control.shape[0] > 0:
+                at = append(row, at, control.power[i : i + 1])
+        at = append(row, at, sample.forces[sample.rows[i] : sample.rows[i + 1]])
+        at = append(row, at, sample.forces[sample.states[i] : sample.states[i + 1]])
+        if has_tip:
+            at = append_free(model, data, i, row, at)
+        at = append(row, at, sample.wrenches[i])
+        if has_tip:
+            at = append(row, at, sample.tips[i])
+    last = works.size - 1
+    at = append(row, at, works[:last])
+    row[at], row[at + 1] = kinetic_energy(data, work), potential_energy(struct)
+    row[at + 2] = works[last]
+    row[at + 3], row[at + 4] = greatest_gaps(data.rows.kinematics)
+    row[at + 5], row[at + 6] = data.solution.rank, data.solution.coupled_arms
+    row[at + 7] = data.solution.residual
     return CALLBACK_FAILED if data.status.failed else status
 
 
+@inlined
+def append(row, at, numbers):
+    """Write numbers from ``at`` on; returns where they end."""
+    for k in range(numbers.size):
+        row[at + k] = numbers[k]
+    return at + numbers.size
+
+
 @kernel
-def write_free(model, data, out):
-    """Free relative rates of all joints, then their coordinates."""
+def append_free(model, data, i, row, at):
+    """Write free relative rates of a joint, then its coordinates; returns where they end."""
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
-    free, count = model.free, model.free.component.size
-    for i in range(model.joint_frames.shape[0]):
-        first, last = model.free.bounds[i], model.free.bounds[i + 1]
-        if first == last:
-            continue
-        write_relative(
-            model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
-        )
-        for k in range(first, last):
-            out[k] = rates[free.component[k]]
-            out[count + k] = continued(model, data, i, k, coordinates)
+    free, first, last = model.free, model.free.bounds[i], model.free.bounds[i + 1]
+    if first == last:
+        return at
+    write_relative(
+        model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
+    )
+    for k in range(first, last):
+        row[at + k - first] = rates[free.component[k]]
+        row[at + k - first + last - first] = continued(model, data, i, k, coordinates)
+    return at + 2 * (last - first)
 
 
 @kernel
 def write_tips(model, data):
     """Origins, quaternions and twists of the tips, in world axes, into ``data.sample.tips``."""
     for i in range(data.sample.tips.shape[0]):
-        frame, link, tip = model.tip_frames[i], open_body(data.bodies.links[i]), data.sample.tips[i]
-        R, omega = link.rotation, link.spin
-        lever = rotate(R, vec(frame, 9))
-        x, y, z, w = quaternion_of(*compose(R, rotation(frame, 0)))
-        if x * tip[3] + y * tip[4] + z * tip[5] + w * tip[6] < 0.0:
+        frame, link = open_tip_frame(model.tip_frames[i]), open_body(data.bodies.links[i])
+        tip, lever = open_tip(data.sample.tips[i]), rotate(link.rotation, frame.origin)
+        x, y, z, w = quaternion_of(*compose(link.rotation, frame.rotation))
+        before = tip.quaternion_xyzw
+        if x * before[0] + y * before[1] + z * before[2] + w * before[3] < 0.0:
             x, y, z, w = -x, -y, -z, -w
-        put(tip, 0, add(link.origin, lever))
-        tip[3], tip[4], tip[5], tip[6] = x, y, z, w
-        put(tip, 7, add_cross(link.velocity, omega, lever))
-        put(tip, 10, omega)
+        tip.position, tip.quaternion_xyzw = add(link.origin, lever), (x, y, z, w)
+        tip.twist = add_cross(link.velocity, link.spin, lever), link.spin
 
 
 @kernel
@@ -124,23 +123,3 @@ def continued(model, data, i, k, coordinates):
     """Coordinate ``k``, of arm ``i``, as it continues that of the last step."""
     component, place = model.free.component[k], model.free.coordinate[k]
     return unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
-
-
-def sample_columns(channels: Sequence[Channel]) -> Columns:
-    """Where the channels of a run are in a row of :func:`write_sample`."""
-    # names of channels, or their last parts: those of all arms, of the floor and of all effects
-    # stand together, in the order of the channels; those of a tip stand together
-    order = (
-        "time", "object/position", "object/quaternion_xyzw", "joint_position", "object/twist",
-        "joint_velocity", "joint_torque", "control_power", "contact_force", "contact_state",
-        "relative_rate", "relative_position", "wrench", "tip", "energy/kinetic",
-        "energy/potential", "work", "energy/work", "drift/position", "drift/velocity",
-        "solver/rank", "solver/coupled_arms", "solver/residual",
-    )  # fmt: skip
-
-    def place(channel: Channel) -> int:
-        name = channel.name
-        last = name.rpartition("/")[2]
-        return order.index(name if name in order else "tip" if last.startswith("tip_") else last)
-
-    return in_sequence(sorted(channels, key=place))

@@ -52,6 +52,7 @@ from multiarm.jit.simd import LANES, PACK, load_lanes, store_lanes
 # and its shape in NumPy.
 Number = Annotated[Any, 0]
 Vector = Annotated[np.ndarray, (0, 1, 2)]
+Quaternion = Annotated[np.ndarray, (0, 1, 2, 3)]  # x, y, z, w
 Pair = Annotated[np.ndarray, ((0, 1, 2), (3, 4, 5))]  # such as a twist: linear, angular
 Symmetric = Annotated[np.ndarray, (0, 1, 2, 3, 4, 5)]  # xx, xy, xz, yy, yz, zz
 Rotation = Annotated[np.ndarray, ((0, 3, 6), (1, 4, 7), (2, 5, 8))]  # row by row

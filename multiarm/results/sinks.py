@@ -29,7 +29,6 @@ from multiarm.results.trajectory import Outcome, Trajectory, plain
 
 Metadata = dict[str, Any] | Callable[[], dict[str, Any]]
 """Provenance, see :func:`provenance`, or a function that returns it on access."""
-ColumnsOf = Callable[[Sequence[Channel]], Columns]
 
 
 class Sink:
@@ -37,22 +36,15 @@ class Sink:
     `checkpoint`, one `finish`.
     """
 
-    def open(
-        self,
-        channels: Sequence[Channel],
-        metadata: Metadata,
-        columns_of: ColumnsOf = in_sequence,
-    ) -> None:
-        """Prepare for samples of these channels.
-
-        ``columns_of`` gives the place of each channel in a row, and may be called later.
+    def open(self, channels: Sequence[Channel], metadata: Metadata) -> None:
+        """Prepare for samples of these channels, which follow each other in a row.
 
         Raises
         ------
         TrajectoryError
             The folder of a file is missing, or the path cannot be written or holds another file.
         """
-        self._channels, self._metadata, self._columns_of = tuple(channels), metadata, columns_of
+        self._channels, self._metadata = tuple(channels), metadata
         self._width = sum(channel.width for channel in self._channels)
         self._begin()
 
@@ -71,7 +63,7 @@ class Sink:
         if recordable(rows).all():
             self._keep(rows)
             return
-        end, fault = first_fault(self._channels, self._columns_of(self._channels), rows)
+        end, fault = first_fault(self._channels, in_sequence(self._channels), rows)
         self._keep(rows[:end])
         raise TrajectoryError(fault)
 
@@ -120,7 +112,7 @@ class MemorySink(Sink):
                 block = blocks.pop(0)
                 rows[end : end + len(block)] = block
                 end += len(block)
-        store = MemoryStore(self._channels, rows, self._columns_of, self._metadata)
+        store = MemoryStore(self._channels, rows, self._metadata)
         return Trajectory(store, outcome)
 
 
@@ -133,13 +125,12 @@ class MemoryStore:
         self,
         channels: Sequence[Channel],
         rows: np.ndarray,
-        columns_of: ColumnsOf,
         metadata: Metadata,
     ):
         self.channels = {channel.name: channel for channel in channels}
         self.samples = len(rows)
         self._rows: np.ndarray | None = rows
-        self._columns_of, self._metadata = columns_of, metadata
+        self._metadata = metadata
         rows.flags.writeable = False
 
     @cached_property
@@ -149,7 +140,7 @@ class MemoryStore:
 
     @cached_property
     def _columns(self) -> Columns:
-        return self._columns_of(tuple(self.channels.values()))
+        return in_sequence(self.channels.values())
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel, a view."""
@@ -186,7 +177,7 @@ class Hdf5Sink(Sink):
         from multiarm.results.hdf5 import writable_target
         from multiarm.results.trajectory_file import TrajectoryWriter
 
-        self._columns = self._columns_of(self._channels)
+        self._columns = in_sequence(self._channels)
         target = writable_target(self.path)
         self._writer = TrajectoryWriter(target, self._channels, _evaluated(self._metadata))
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 from multiarm.dynamics.system import System
-from multiarm.integration.samples import sample_columns
 from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
@@ -25,7 +24,7 @@ def open_sink(sink: Sink, system: System, spec: RunSpec, with_state: bool, **abo
     TrajectoryError
         When it cannot be opened.
     """
-    sink.open(system.channels, _metadata(system, spec, with_state, about), sample_columns)
+    sink.open(system.channels, _metadata(system, spec, with_state, about))
 
 
 def leave_undone(

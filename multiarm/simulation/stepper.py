@@ -18,9 +18,8 @@ from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
-from multiarm.integration.samples import sample_columns
 from multiarm.public import public_names
-from multiarm.results.channels import channels_of
+from multiarm.results.channels import channels_of, in_sequence
 from multiarm.results.files import COMPLETED
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
@@ -324,7 +323,7 @@ class Stepper:
         """A quantity of each arm, and of the floor where it has one, there; copies."""
         if quantity not in self._places:
             names = channels_of((channel.name for channel in self._channels), quantity)
-            columns = sample_columns(self._channels)
+            columns = in_sequence(self._channels)
             self._places[quantity] = {arm: columns[name] for arm, name in names.items()}
         row = self._observe()
         return {arm: row[place].copy() for arm, place in self._places[quantity].items()}

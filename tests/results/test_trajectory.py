@@ -30,7 +30,7 @@ from sample_run import (
 )
 
 from multiarm.errors import SceneError, TrajectoryError
-from multiarm.results.channels import Channel, in_sequence
+from multiarm.results.channels import Channel
 from multiarm.results.hdf5 import lookup3
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
 from multiarm.results.trajectory import load_trajectory
@@ -363,30 +363,14 @@ def test_a_block_of_the_wrong_shape_is_refused(tmp_path, sink_in):
     assert len(sink.finish("failed", "", {})) == 0
 
 
-@both_sinks
-def test_channels_are_where_the_columns_say(tmp_path, sink_in):
-    def reversed_columns(channels):
-        return in_sequence(channels[::-1])
-
-    sink = sink_in(tmp_path)
-    sink.open(CHANNELS, {"scene": SCENE}, reversed_columns)
-    sink.append(rows_of(CHANNELS[::-1], samples()))
-    assert_same(sink.finish("completed", "", STATISTICS), record(MemorySink()))
-
-
 def test_what_a_run_in_memory_does_not_show_is_not_made():
     calls, sink = [], MemorySink()
-
-    def columns_of(channels):
-        calls.append("columns")
-        return in_sequence(channels)
-
-    sink.open(CHANNELS, lambda: calls.append("metadata") or {"scene": SCENE}, columns_of)
+    sink.open(CHANNELS, lambda: calls.append("metadata") or {"scene": SCENE})
     sink.append(rows_of(CHANNELS, samples()))
     run = sink.finish("completed", "", {})
     assert (len(run), run.status, calls) == (601, "completed", [])
     assert (run.time[-1], run.scene_text, run.scene_text) == (6.0, SCENE, SCENE)
-    assert calls == ["columns", "metadata"]
+    assert calls == ["metadata"]
 
 
 def test_a_run_in_memory_is_pickled_with_its_origin():
