@@ -142,7 +142,7 @@ def begin_command(data, by):
 
     Returns whether the contacts carry any wrench.
     """
-    for l in range(6):
+    for l in range(by.wrench.shape[0]):
         clear(by.wrench[l])
         clear(by.acceleration[l])
     if not factor_wrench_products(data.rows.Wo, by.products, by.scale, by.product_pivots):
@@ -169,14 +169,14 @@ def differentiate_shares(data, work, motion, rest, by):
                     continue  # y is no velocity of the state
                 rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
                 by.forces[k, column] = rate = rate + by.desired[k, column]
-                for l in range(6):
+                for l in range(by.wrench.shape[0]):
                     by.wrench[l, column] -= data.rows.Wo[k, l] * rate
-    for l in range(6):
+    for l in range(by.wrench.shape[0]):
         for c in range(states):
             by.wrench[l, c] = by.scale[l] * (by.wrench[l, c] + motion.dF_o[l, c])
-    solve_rows(by.products, 6, by.product_pivots, by.wrench)
+    solve_rows(by.products, by.wrench.shape[0], by.product_pivots, by.wrench)
     for k in range(data.rows.Wo.shape[0]):
-        for l in range(6):
+        for l in range(by.wrench.shape[0]):
             share = data.rows.Wo[k, l] * by.scale[l]
             for c in range(states):
                 by.forces[k, c] += share * by.wrench[l, c]
@@ -218,7 +218,7 @@ def add_motion_derivatives(data, work, i, motion, excess, by):
     for k in range(m):
         for c in range(own.end):
             X[n + k, c] = -motion.dF[i, n + k, c]
-        for l in range(6):
+        for l in range(by.acceleration.shape[0]):
             for c in range(own.positions):
                 X[n + k, c] -= data.rows.Wo[r0 + k, l] * by.acceleration[l, c]
     if not factor_lu(motion.K[i], n + m, by.pivots) > 0.0:

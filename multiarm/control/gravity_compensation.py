@@ -147,7 +147,7 @@ def write_share_derivatives(address, size, at, _t):
     if status != OK:
         return status
     motion, columns, share = open_equations(by.motion), force_columns(data), data.slopes.share
-    for l in range(6):
+    for l in range(share.shape[0]):
         for c in range(motion.dF_o.shape[1]):
             share[l, c] -= motion.dF_o[l, c]
     for i in range(work.dofs.size - 1):
@@ -158,7 +158,7 @@ def write_share_derivatives(address, size, at, _t):
                 if c < own.twist or c >= own.positions:  # y is no velocity of the state
                     column = column_of_state(columns, own, d0, c)
                     add_share(data, work, i, k, motion.rates[k, c], column)
-            for l in range(6):
+            for l in range(share.shape[0]):
                 add_share(data, work, i, k, data.rows.Wo[k, l], columns.share + l)
     add_inverse_dynamics(data, work, motion)
     return status
@@ -170,7 +170,7 @@ def add_share(data, work, i, k, force, column):
     d0 = work.dofs[i]
     for j in range(work.dofs[i + 1] - d0):
         data.slopes.torque[d0 + j, column] -= work.W[i, j, k - work.rows[i]] * force
-    for l in range(6):
+    for l in range(data.slopes.share.shape[0]):
         data.slopes.share[l, column] += data.rows.Wo[k, l] * force
 
 

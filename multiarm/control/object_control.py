@@ -74,9 +74,9 @@ def computed_torque(address, size, at, t):
     state, control, wrench = data.state, data.control, data.control.object_wrench
     desired, target = command.acceleration, command.target
     write_object_acceleration(t, law, state.object_pose, state.object_twist, desired)
-    for a in range(6):
+    for a in range(wrench.size):
         wrench[a] = -data.forces.f_o[a]
-        for b in range(6):
+        for b in range(desired.size):
             wrench[a] += data.bodies.object_inertia[a, b] * desired[b]
     write_contact_forces(law, data, work)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
@@ -84,7 +84,7 @@ def computed_torque(address, size, at, t):
         control.torque[j] -= data.forces.f_j[j]
     for k in range(target.size):
         target[k] = -open_contact(data.rows.kinematics[k]).gap_bias
-        for a in range(6):
+        for a in range(desired.size):
             target[k] -= data.rows.Wo[k, a] * desired[a]
     add_motion_forces(law, command, True, model, data, work)
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)

@@ -67,8 +67,8 @@ def write_computed_torque_derivatives(address, size, at, t):
     if not begin(law, command, data, work, by):
         return SINGULAR
     differentiate_acceleration(t, law, data, by)
-    for l in range(6):
-        for k in range(6):
+    for l in range(by.wrench.shape[0]):
+        for k in range(by.acceleration.shape[0]):
             for c in range(by.acceleration.shape[1]):
                 by.wrench[l, c] += data.bodies.object_inertia[l, k] * by.acceleration[k, c]
     copy(data.state.joint_rates, motion.v)
@@ -152,7 +152,7 @@ def begin(law, command, data, work, by):
 @inlined
 def subtract_wrench(row, force, wrench):
     """Subtract the wrench of a contact force."""
-    for l in range(6):
+    for l in range(row.size):
         wrench[l] -= row[l] * force
 
 
@@ -172,7 +172,7 @@ def subtract_presses(law, data, work, wrench):
 def force_of(row, y):
     """The force ``W_o^T y`` of one contact."""
     force = 0.0
-    for l in range(6):
+    for l in range(row.size):
         force += row[l] * y[l]
     return force
 
@@ -197,7 +197,7 @@ def differentiate_press(i, law, struct, data, work, by):
     for k in range(r1 - r0):
         excess.force[r0 + k] = force_of(Wo[k], y)
         subtract_wrench(Wo[k], excess.force[r0 + k], left)
-    for l in range(6):
+    for l in range(left.size):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, by.excess, y)
@@ -206,7 +206,7 @@ def differentiate_press(i, law, struct, data, work, by):
         if own.twist <= c < own.positions:
             continue
         column = column_of_state(columns, own, d0, c)
-        for l in range(6):
+        for l in range(left.size):
             left[l] = excess.dF_o[l, column]
         if 3 <= c < own.twist:
             put(left, 0, add_cross(vec(left, 0), unit(c - 3), vec(world, 0)))

@@ -39,6 +39,7 @@ from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_dis
 from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
 from multiarm.contacts.table import JOINT, open_code, open_geometry
+from multiarm.dynamics.layout import TWIST
 from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import clear, inlined, kernel, plain
@@ -60,10 +61,12 @@ from multiarm.jit.vectors import (
 # Displacement of a difference [m, rad]: a hundredth of the smallest radius that a finger has.
 STEP = 1e-4
 # Columns of a row's derivatives: a displacement of the seen motion; the pose again, for gap rates.
-RATE_BY_POSE, SLOPES_WIDTH = DISPLACEMENT_WIDTH, DISPLACEMENT_WIDTH + 6
+RATE_BY_POSE, SLOPES_WIDTH = DISPLACEMENT_WIDTH, DISPLACEMENT_WIDTH + TWIST
 SHIFT, VELOCITY, ACCELERATION = (
     offset_of(Displacement, name) for name in ("shift", "velocity", "acceleration")
 )
+# Row of the wrenches with the value, after its derivatives by the pose that is seen.
+VALUE = TWIST
 # Rows of scratch: displacements of object and link, and of the link as the object sees it; its seen
 # motion, as it is and displaced; the object's, at rest.
 OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
@@ -87,15 +90,21 @@ class ArmColumns(NamedTuple):
 @plain
 def arm_columns(joints, placed):
     """The columns of an arm with this number of joints; ``placed``: with those of placements."""
-    placement = 12 + 2 * joints
-    return ArmColumns(6, 12, 12 + joints, placement, placement + (6 if placed else 0))
+    positions, placement = 2 * TWIST, 2 * TWIST + 2 * joints
+    end = placement + (TWIST if placed else 0)
+    return ArmColumns(TWIST, positions, positions + joints, placement, end)
 
 
 @inlined
 def column_of_state(at, columns, d0, c):
-    """Place among all columns ``at`` of one of an arm whose joints begin at ``d0``."""
-    if c < columns.positions:
+    """Place among all columns ``at`` of one of an arm, whose joints begin at ``d0``.
+
+    The object is the first frame; columns of placements are no columns of the state.
+    """
+    if c < columns.twist:
         return c
+    if c < columns.positions:
+        return at.twists + c - columns.twist
     if c < columns.velocities:
         return at.positions + d0 + c - columns.positions
     return at.rates + d0 + c - columns.velocities
@@ -124,7 +133,7 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
             total = rate = 0.0
             for j in range(DISPLACEMENT_WIDTH):
                 total += slopes[k, j] * by[j]
-            for j in range(6):
+            for j in range(TWIST):
                 rate += slopes[k, RATE_BY_POSE + j] * by[j]
                 rate += slopes[k, ACCELERATION + j] * by[VELOCITY + j]
             gaps[k - first, c], work.rates[k, c] = total, rate
@@ -134,7 +143,7 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
             body, scratch[SEEN], wrench, turn, by, moves, work.on_object[c], work.on_link[c]
         )
     write_wrench_on_bodies(
-        body, scratch[SEEN], wrench[6], work.on_object[columns.end], work.on_link[columns.end]
+        body, scratch[SEEN], wrench[VALUE], work.on_object[columns.end], work.on_link[columns.end]
     )
 
 
@@ -172,7 +181,7 @@ def differentiate_flat_rows(model, first, last, work):
     motion, slopes, wrench = work.scratch[SEEN], work.slopes, work.wrench
     seen = open_body(motion)
     R, x, w, w_rate = seen.rotation, seen.origin, seen.spin, seen.spin_rate
-    for i in range(7):
+    for i in range(wrench.shape[0]):
         clear(wrench[i])
     for k in range(first, last):
         clear(slopes[k])
@@ -187,8 +196,8 @@ def differentiate_flat_rows(model, first, last, work):
         by.spin = add_cross(cross(cross(w, d), n), d, across)
         put(slopes[k], RATE_BY_POSE + 3, cross(d, across))
         force = scale(-work.force[k], n)
-        put(wrench[6], 0, add(vec(wrench[6], 0), force))
-        put(wrench[6], 3, add_cross(vec(wrench[6], 3), add(x, d), force))
+        put(wrench[VALUE], 0, add(vec(wrench[VALUE], 0), force))
+        put(wrench[VALUE], 3, add_cross(vec(wrench[VALUE], 3), add(x, d), force))
         for axis in range(3):
             e = unit(axis)
             put(wrench[axis], 3, add_cross(vec(wrench[axis], 3), e, force))
@@ -214,7 +223,7 @@ def differentiate_rows(model, data, first, last, work):
     """
     slopes, wrench, rows = work.slopes, work.wrench, work.rows
     motion, moved = work.scratch[SEEN], work.scratch[MOVED]
-    for i in range(7):
+    for i in range(wrench.shape[0]):
         clear(wrench[i])
     write_rows_at(model, data, first, last, motion, work)
     for k in range(first, last):
@@ -224,8 +233,8 @@ def differentiate_rows(model, data, first, last, work):
         turn = add(cross(lever, e), contact.couple)
         by = open_displacement(slopes[k])
         by.acceleration, by.spin_rate = scale(-1.0, e), scale(-1.0, turn)
-    add_wrench(rows, first, last, work.force, 1.0, wrench[6])
-    for axis in range(6):
+    add_wrench(rows, first, last, work.force, 1.0, wrench[VALUE])
+    for axis in range(TWIST):
         for point in range(len(CENTRAL_4.offsets)):
             displace(motion, axis, CENTRAL_4.offsets[point] * STEP, moved)
             write_rows_at(model, data, first, last, moved, work)
@@ -370,9 +379,9 @@ def displace_wrenches(body, seen, wrench, turn_o, by, moves, on_object, on_link)
     """
     motion = open_body(seen)
     R_o, R, r = open_body(body).rotation, motion.rotation, motion.origin
-    force, moment = vec(wrench[6], 0), vec(wrench[6], 3)
+    force, moment = vec(wrench[VALUE], 0), vec(wrench[VALUE], 3)
     df, dm = ZERO, ZERO
-    for axis in range(6):
+    for axis in range(TWIST):
         df = add_scaled(df, by[axis], vec(wrench[axis], 0))
         dm = add_scaled(dm, by[axis], vec(wrench[axis], 3))
     put(on_object, 0, add_cross(rotate(R_o, df), turn_o, rotate(R_o, force)))

@@ -13,7 +13,7 @@ def add_contact_forces(work, Wo, W, force, on_object, on_joints):
     of the constraints; ``work`` has the joints and the contacts of each arm.
     """
     for k in range(force.size):
-        for l in range(6):
+        for l in range(on_object.size):
             on_object[l] += Wo[k, l] * force[k]
     add_joint_forces(work, W, force, 1.0, on_joints)
 
@@ -38,5 +38,5 @@ def write_wrenches(rows, bounds, forces, wrenches):
         wrench = wrenches[i]
         clear(wrench)
         for k in range(bounds[i], bounds[i + 1]):
-            for l in range(6):
+            for l in range(wrench.size):
                 wrench[l] += rows[k, l] * forces[k]

@@ -39,11 +39,14 @@ from multiarm.dynamics.contact_derivatives import (
     SCRATCH_ROWS,
     SLOPES_WIDTH,
     STILL,
+    VALUE,
     arm_columns,
+    column_of_state,
     differentiate_joint,
     unit,
 )
 from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
@@ -120,9 +123,9 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         force=np.zeros(N),
         K=np.zeros((n, d + m, d + m)),
         M=np.zeros((n, d, d)),
-        dF=np.zeros((n, d + m, C + d + 6)),
-        dF_o=np.zeros((6, columns)),
-        Wr=np.zeros((N, 6)),
+        dF=np.zeros((n, d + m, C + d + TWIST)),
+        dF_o=np.zeros((TWIST, columns)),
+        Wr=np.zeros((N, TWIST)),
         rates=np.zeros((N, C)),
         body=np.zeros(BODY_WIDTH),
         link=np.zeros(BODY_WIDTH),
@@ -132,13 +135,13 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         rows=np.zeros((N, CONTACT_WIDTH)),
         parts=np.zeros_like(parts),
         slopes=np.zeros((N, SLOPES_WIDTH)),
-        wrench=np.zeros((7, 6)),
-        on_object=np.zeros((C + 1, 6)),
-        on_link=np.zeros((C + 1, 6)),
+        wrench=np.zeros((VALUE + 1, TWIST)),
+        on_object=np.zeros((C + 1, TWIST)),
+        on_link=np.zeros((C + 1, TWIST)),
         by_q=np.zeros((d, d)),
         by_v=np.zeros((d, d)),
-        S=np.zeros((6, 6)),
-        pivots=np.zeros(max(6, d + m), dtype=np.int64),
+        S=np.zeros((TWIST, TWIST)),
+        pivots=np.zeros(max(TWIST, d + m), dtype=np.int64),
     )
     fields_of(BodyMotion, work.scratch[STILL]).rotation[:] = np.eye(3)
     return work
@@ -225,7 +228,7 @@ def differentiate_bodies(struct, own):
     """
     model, data, system = open_system(struct)
     links, work = open_links(own), open_equations(own)
-    for l in range(6):
+    for l in range(work.dF_o.shape[0]):
         clear(work.dF_o[l])
     for i in range(system.dofs.size - 1):
         differentiate_arm(i, model, data, system, links, work)
@@ -270,7 +273,7 @@ def differentiate_arm(i, model, data, system, links, work):
     first, last = system.rows[i], system.rows[i + 1]
     is_arm, dF, link = i < links.first.size - 1, work.dF[i], work.link
     columns = columns_of_arm(i, n, links, work)
-    C = columns.end
+    C, columns_of_state = columns.end, state_columns(data)
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
@@ -289,17 +292,17 @@ def differentiate_arm(i, model, data, system, links, work):
             dF[j, columns.velocities + k] = work.by_v[j, k]
         dF[j, C + j] = -1.0
     for k in range(first, last):
-        for l in range(6):
+        for l in range(work.dF_o.shape[0]):
             dF[n + k - first, C + n + l] = data.rows.Wo[k, l]
     for c in range(C):
         if columns.twist <= c < columns.positions or columns.velocities <= c < columns.placement:
             continue  # wrenches of contacts do not depend on velocities
         if is_arm:
             subtract_torques(n, work.on_link[c], work.links, dF, c)
-        at = c if c < columns.positions else c + d0
+        at = column_of_state(columns_of_state, columns, d0, c)
         if c >= columns.placement:
             at = work.placements + 6 * i + c - columns.placement
-        for l in range(6):
+        for l in range(work.dF_o.shape[0]):
             work.dF_o[l, at] -= work.on_object[c, l]
     write_matrix_of_arm(i, first, last - first, n, data, system, work)
 
@@ -448,7 +451,8 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     _, data, system = open_system(struct)
     links, work = open_links(own), open_equations(own)
     S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
-    for l in range(6):
+    of_frames = S.shape[0]
+    for l in range(of_frames):
         copy(data.bodies.object_inertia[l], S[l])
         row, dF_o = matrix[l], work.dF_o[l]
         for c in range(row.size):
@@ -463,15 +467,15 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
         C = columns.end
         for k in range(first, last):
             forces = X[n + k - first]
-            for l in range(6):
+            for l in range(of_frames):
                 subtract_own(
                     work.Wr[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
                 )
-                for c in range(6):
+                for c in range(of_frames):
                     S[l, c] += work.Wr[k, l] * forces[C + n + c]
-    if not factor_lu(S, 6, work.pivots) > 0.0:
+    if not factor_lu(S, of_frames, work.pivots) > 0.0:
         return SINGULAR
-    solve_rows(S, 6, work.pivots, matrix)
+    solve_rows(S, of_frames, work.pivots, matrix)
     for i in range(system.dofs.size - 1):
         d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
         columns = columns_of_arm(i, n, links, work)
@@ -482,7 +486,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
                 places.joints + d0 + k if k < n else places.velocity + system.rows[i] + k - n
             ]
             clear(row)
-            for l in range(6):
+            for l in range(of_frames):
                 weight, of_object = X[C + n + l], matrix[l]
                 for c in range(row.size):
                     row[c] -= weight * of_object[c]
@@ -493,13 +497,13 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
 @inlined
 def subtract_own(weight, values, i, d0, n, columns, columns_of_state, work, row):
     """Subtract an arm's own columns, times a weight, from a row of all columns."""
-    for c in range(columns.positions):
+    at = columns_of_state
+    for c in range(columns.twist):
         row[c] -= weight * values[c]
-    positions, velocities = columns_of_state.positions + d0, columns_of_state.rates + d0
-    torques = columns_of_state.torques + d0
+        row[at.twists + c] -= weight * values[columns.twist + c]
     for k in range(n):
-        row[positions + k] -= weight * values[columns.positions + k]
-        row[velocities + k] -= weight * values[columns.velocities + k]
-        row[torques + k] -= weight * values[columns.end + k]
+        row[at.positions + d0 + k] -= weight * values[columns.positions + k]
+        row[at.rates + d0 + k] -= weight * values[columns.velocities + k]
+        row[at.torques + d0 + k] -= weight * values[columns.end + k]
     for k in range(columns.end - columns.placement):
         row[work.placements + 6 * i + k] -= weight * values[columns.placement + k]

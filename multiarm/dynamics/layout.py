@@ -23,6 +23,8 @@ import numpy as np
 
 from multiarm.notation import count_of
 
+TWIST = 6
+"""Numbers of a twist, the velocity of a frame."""
 NAMED_ARMS = 4
 """More arms are counted where an object shows itself in a line."""
 
@@ -68,7 +70,7 @@ class Layout:
     @property
     def nv(self) -> int:
         """Numbers of a velocity, 6 F + n."""
-        return 6 * self.frames + self.joints
+        return TWIST * self.frames + self.joints
 
     @property
     def surroundings(self) -> slice:
@@ -93,7 +95,7 @@ class Layout:
 
     def twists(self, velocity: np.ndarray) -> np.ndarray:
         """What a vector like a velocity has of the frames; a view, shape (..., F, 6)."""
-        return velocity[..., self.of_frames].reshape(*velocity.shape[:-1], self.frames, 6)
+        return velocity[..., self.of_frames].reshape(*velocity.shape[:-1], self.frames, TWIST)
 
     def joint_rates(self, velocity: np.ndarray) -> np.ndarray:
         """What a vector like a velocity has of all joints; a view, shape (..., n)."""
@@ -102,16 +104,16 @@ class Layout:
     @property
     def of_frames(self) -> slice:
         """The frames in a velocity."""
-        return slice(6 * self.frames)
+        return slice(TWIST * self.frames)
 
     @property
     def of_joints(self) -> slice:
         """All joints in a velocity."""
-        return slice(6 * self.frames, self.nv)
+        return slice(TWIST * self.frames, self.nv)
 
     def of_arm(self, i: int) -> slice:
         """The joints of an arm in a velocity."""
-        first = 6 * self.frames
+        first = TWIST * self.frames
         return slice(first + self.dofs[i], first + self.dofs[i + 1])
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
@@ -131,7 +133,7 @@ class Layout:
     @property
     def columns(self) -> dict[str, slice]:
         """Where the columns of derivatives by the state are."""
-        sizes = (6 * self.frames, 6 * self.frames, self.joints, self.joints)
+        sizes = (TWIST * self.frames, TWIST * self.frames, self.joints, self.joints)
         return in_sequence(dict(zip(STATE, sizes, strict=True)))
 
     @property

@@ -16,7 +16,7 @@ from multiarm.jit.kernels import INTS, NUMBERS, inlined, kernel
 def times_object_inertia(k, data, x):
     """Entry ``k`` of ``M_o x``."""
     product = 0.0
-    for l in range(6):
+    for l in range(x.size):
         product += data.bodies.object_inertia[k, l] * x[l]
     return product
 
@@ -36,7 +36,7 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
     _, data, work = open_system(struct)
     twist, rates = data.state.object_twist, data.state.joint_rates
     first = momenta.size - rates.size
-    for k in range(6):
+    for k in range(first):
         momenta[k] = times_object_inertia(k, data, twist)
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
@@ -47,7 +47,7 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
 def kinetic_energy(data, work):
     """Kinetic energy of arms and object [J] at the last evaluated state."""
     twist, rates, energy = data.state.object_twist, data.state.joint_rates, 0.0
-    for k in range(6):
+    for k in range(twist.size):
         energy += 0.5 * twist[k] * times_object_inertia(k, data, twist)
     for i in range(work.dofs.size - 1):
         d0 = work.dofs[i]

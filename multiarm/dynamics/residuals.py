@@ -60,7 +60,7 @@ def write_residuals(
 def rate_by_object(row, data, a_o):
     """``W_o^T a_o`` of a row."""
     rate = 0.0
-    for k in range(6):
+    for k in range(a_o.size):
         rate += data.rows.Wo[row, k] * a_o[k]
     return rate
 

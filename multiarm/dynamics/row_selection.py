@@ -202,7 +202,7 @@ def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: I
     for k in range(rows.size):
         clear(data.rows.kinematics[k])
         clear(data.rows.Wo[k])
-    for k in range(6):
+    for k in range(data.rows.arm_wrenches.shape[0]):
         clear(data.rows.arm_wrenches[k])
     for k in range(data.rows.parts.shape[0]):
         clear(data.rows.parts[k])

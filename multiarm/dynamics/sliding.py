@@ -101,7 +101,7 @@ def write_reactions(data, work, Wr, slides, reactions):
     status = update_rows(struct)
     _, sideways, tangents = open_system(struct)
     for k in range(data.rows.Wo.shape[0]):
-        for l in range(6):
+        for l in range(Wr.shape[1]):
             Wr[k, l] = data.rows.Wo[k, l]
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
@@ -112,7 +112,7 @@ def write_reactions(data, work, Wr, slides, reactions):
         along, across = slip_of(sideways.rows.kinematics, t)
         write_direction(slides, s, along, across)
         first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
-        for k in range(6):
+        for k in range(Wr.shape[1]):
             Wr[row, k] -= first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
         column, tangent = row - work.rows[i], t - tangents.rows[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
