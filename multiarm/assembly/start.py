@@ -132,7 +132,7 @@ def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
 
 
 def closed_at_start(data: Data) -> Data:
-    """Data in which the contacts that are closed at the start hold both ways; they share a state."""
+    """Data in which the contacts closed at the start hold both ways; they share a state."""
     unilateral = data.model.unilateral
     if unilateral is None:
         return data

@@ -42,11 +42,12 @@ from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.references import Reference, References
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import Kernel, clear, inlined, kernel
 from multiarm.jit.pointers import address_of, call_cfunc
-from multiarm.jit.structs import Floats1, Floats2, Int, Ints1, Numbers, struct_at, struct_of, view
+from multiarm.jit.structs import Floats1, Floats2, Int, Ints1, struct_at, struct_of, view
 
 
 class CommandDerivatives(NamedTuple):
@@ -72,8 +73,8 @@ class CommandDerivatives(NamedTuple):
     product_pivots: Ints1  # (6,)
 
 
-class PreparedDerivatives(Numbers):
-    """What derivatives of a law need, once they are to be taken; it owns what it has addresses of.
+class PreparedDerivatives(References):
+    """What derivatives of a law need, once they are to be taken.
 
     Each law has its own, also where several have the same kernel.
     """
@@ -81,10 +82,6 @@ class PreparedDerivatives(Numbers):
     function: Int  # address of the kernel that takes them; 0: they are not prepared
     work: Int  # address of the struct of :class:`CommandDerivatives`
     size: Int  # of this struct
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.owners: tuple[Any, ...] = ()  # of the memory at these addresses
 
 
 _open_work = view(CommandDerivatives)
@@ -131,8 +128,9 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
             product_pivots=np.zeros(6, dtype=np.int64),
         )
         struct = struct_of(arrays)
-        prepared.owners = arrays, struct, data  # the data own the work of the equations
-        prepared.work, prepared.size = struct.ctypes.data, struct.size
+        # the data own the work of the equations
+        prepared.refer(work=Reference(struct, (arrays, data)))
+        prepared.size = struct.size
         prepared.function = address_of(derivative)
 
 

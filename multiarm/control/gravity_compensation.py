@@ -179,7 +179,8 @@ def prepare_carrying(data: Data, work: CarryingWork) -> None:
     prepare_command_derivatives(write_gravity_compensation_derivatives, data, work)
     whole, at_fixed_share = work.derivatives, work.share_derivatives
     at_fixed_share.function = address_of(write_share_derivatives)
-    at_fixed_share.work, at_fixed_share.size = whole.work, whole.size
+    at_fixed_share.refer(work=whole.references["work"])
+    at_fixed_share.size = whole.size
 
 
 def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:

@@ -44,6 +44,7 @@ from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.references import Reference
 from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
 from multiarm.dynamics.state import State, require_same_joints
@@ -485,6 +486,11 @@ class Data:
     def struct(self) -> np.ndarray:
         """Struct for compiled code; valid while this lives."""
         return self._struct
+
+    @property
+    def reference(self) -> Reference:
+        """For the numbers of others, whose kernels use this struct."""
+        return Reference(self.struct, self)
 
     def effect(self, name: str) -> Any:
         """Numbers and arrays of an effect's first kernel."""

@@ -16,6 +16,7 @@ from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.references import References
 from multiarm.dynamics.solver.solution import UNSOLVED, Solution
 from multiarm.jit.rows import Pair, Quaternion, Vector, row_of, width
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Ints2, Numbers
@@ -266,7 +267,7 @@ class Functions(Numbers):
     surface: Int
 
 
-class ModeStructs(Numbers):
+class ModeStructs(References):
     """Addresses of further structs, and the mode, of scenes with unilateral contacts."""
 
     active: Flag  # the rows are those of a mode; else there are none of these structs

@@ -35,11 +35,12 @@ from multiarm.dynamics.equation_derivatives import (
 )
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.references import Reference, References
 from multiarm.jit.kernels import cfunc, copy, inlined, kernel
-from multiarm.jit.structs import Floats1, Int, Ints1, Numbers, struct_at
+from multiarm.jit.structs import Floats1, Int, Ints1, struct_at
 
 
-class SpringStructs(Numbers):
+class SpringStructs(References):
     """Addresses of further structs."""
 
     rows: Int  # of the system with the rows of the springs
@@ -150,9 +151,7 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
     def connect(data: Data, arrays: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
         _, derivatives = equation_work(rows, state_columns(data.arrays).torques, masses=False)
-        arrays.structs.rows = rows.struct.ctypes.data
-        arrays.structs.derivatives = derivatives.ctypes.data
-        data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
+        arrays.structs.refer(rows=rows.reference, derivatives=Reference(derivatives, rows))
         # surfaces of the user may fail in these rows
         return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.references import Reference
 from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginnings
 from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
@@ -74,7 +75,8 @@ class Modes:
         self.full, self.unilateral, self.slow = full, unilateral, slow
         self.closed = full.with_contacts_closed()
         self.bare = self._always(unilateral.bilateral)
-        self._structs = ModeStructs(active=True, closed=_address(self.closed), full=_address(full))
+        self._structs = ModeStructs(active=True)
+        self._structs.refer(closed=self.closed.reference, full=full.reference)
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
         self.data.of_laws = self.closed
         self._functions = functions = self.data.arrays.functions
@@ -85,7 +87,7 @@ class Modes:
         if any(constraint.tangents for constraint in unilateral.constraints):
             self._solve_sliding = address_of(solve_sliding)
             self.data.tangents = RowSelection(full)
-            self._structs.tangents = _address(self.data.tangents)
+            self._structs.refer(tangents=self.data.tangents.reference)
             self._reactions = _reactions(full, self.data)
         self.numbers = ModeNumbers()
         self.arrays = self._room_for_rows()
@@ -94,7 +96,8 @@ class Modes:
         self._slides, self._of_slides = self._room_for_slides()
         self._guards = ModeGuards(full.model, slow, self._slides.direction)
         self._struct = mode_struct(self._guards.table, self._slides, self.arrays, self._reactions)
-        self._structs.mode = self._struct.ctypes.data
+        owners = self._guards, self._slides, self.arrays, self._reactions
+        self._structs.refer(mode=Reference(self._struct, owners))
         self._dofs, counts = _counts(full)
         self._sizes = mode_sizes(reaction_shapes(self._dofs, counts))
         everything_open = [
@@ -114,7 +117,9 @@ class Modes:
     def _always(self, rows: Sequence[int]) -> Data:
         """Data with fixed rows, in which control and effects act as in all modes."""
         data = self.full.view(replace(self.full.model.select(rows), unilateral=None))
-        data.replace_arrays(modes=ModeStructs(active=True, closed=_address(self.closed)))
+        modes = ModeStructs(active=True)
+        modes.refer(closed=self.closed.reference)
+        data.replace_arrays(modes=modes)
         data.of_laws = self.closed
         return data
 
@@ -263,10 +268,6 @@ def _counts(data: Data) -> tuple[list[int], list[int]]:
     """Numbers of joints and of rows of each arm."""
     layout = data.model.layout
     return np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
-
-
-def _address(data: Data) -> int:
-    return data.struct.ctypes.data
 
 
 def _power_of_friction(full: Data) -> int:
