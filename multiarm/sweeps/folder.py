@@ -32,7 +32,7 @@ from pyarrow import parquet
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from multiarm.errors import SweepError
-from multiarm.results.files import atomic_file
+from multiarm.results.files import atomic_file, temporary_name
 from multiarm.results.sinks import provenance
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import counted, place
@@ -116,7 +116,7 @@ def create(path: Path, plan: SweepPlan) -> None:
         "sweep.yaml": header.sweep,
         "about.json": header.model_dump_json(indent=1, exclude={"scene", "sweep"}),
     }
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    partial = temporary_name(path)
     with _on_disk(path):
         try:
             (partial / "parts").mkdir(parents=True)
