@@ -92,23 +92,6 @@ def finished(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_help_needs_no_heavy_library():
-    code = (
-        "import sys\n"
-        "from multiarm.cli import app\n"
-        "app(['run', '--help'], standalone_mode=False)\n"
-        "heavy = {'numpy', 'numba', 'pinocchio', 'h5py', 'matplotlib', 'scipy',\n"
-        "         'meshcat'} & set(sys.modules)\n"
-        "sys.exit(f'loaded: {heavy}' if heavy else 0)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
-    assert "--accuracy" in done.stdout
-
-
-@pytest.mark.slow
 def test_module_and_command_are_one_program():
     program = start("--version")
     out, _ = program.communicate(timeout=60)

@@ -6,8 +6,6 @@ Most of them have closed forms on a sledge of 3 kg that carries an object of 1 k
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -407,18 +405,3 @@ def test_a_scene_without_effects_has_nothing_of_them(sledge):
         and data_of(system).arrays.effects.power.size == 1
     )
     assert not system.model.guards
-
-
-@pytest.mark.slow
-def test_effects_that_are_not_named_are_not_imported():
-    code = (
-        "import sys; sys.path.insert(0, 'tests/support')\n"
-        "import multiarm as ma\n"
-        "from mechanics import ur5_pair\n"
-        "scene = ur5_pair({'kind': 'weld'}, {'kind': 'ball'}, effects={'joint_damping': 1.0})\n"
-        "ma.compile_system(scene)\n"
-        "print(*sorted(n for n in sys.modules if n.startswith('multiarm.effects.')))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = {name.rpartition(".")[2] for name in done.stdout.split()}
-    assert loaded == {"building", "joint_damping", "unilateral"}

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 
 import numpy as np
@@ -398,23 +395,6 @@ def test_an_effect_with_usual_parameters_is_a_candidate():
     found = defaults(RING)
     assert found["push"] == {"size": 2.0}
     assert "pull" not in found
-
-
-@pytest.mark.slow
-def test_defining_and_registering_imports_nothing_heavy():
-    code = (
-        "import json, sys, multiarm as ma\n"
-        "class Push(ma.Effect):\n"
-        "    name = 'push'\n"
-        "    def forces(self, t, state): return ma.Loads()\n"
-        "ma.register_effect(Push)\n"
-        "print(json.dumps(sorted({'numba', 'pinocchio', 'scipy'} & set(sys.modules))))"
-    )
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", code]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout) == []
 
 
 # --- the example's package ------------------------------------------------------------------------

@@ -274,6 +274,22 @@ def test_no_other_library_is_imported():
     assert {found.imported for found in imports() if not found.ours} <= known
 
 
+HELP = """
+import contextlib, io
+from multiarm.cli import app
+with contextlib.redirect_stdout(io.StringIO()) as printed:
+    app(["run", "--help"], standalone_mode=False)
+assert "--accuracy" in printed.getvalue()
+"""
+EFFECT = """
+import multiarm as ma
+class Push(ma.Effect):
+    name = "push"
+    def forces(self, t, state): return ma.Loads()
+ma.register_effect(Push)
+"""
+
+
 @pytest.mark.parametrize(
     ("code", "heavy"),
     [
@@ -281,11 +297,24 @@ def test_no_other_library_is_imported():
         ("import multiarm; multiarm.load_scene", HEAVY - {"pydantic"}),
         ("import multiarm; multiarm.load_trajectory", HEAVY),
         ("import multiarm.cli", HEAVY),
+        (HELP, HEAVY - {"pydantic"} | {"numpy", "meshcat"}),
+        ("import multiarm.results.sinks, multiarm.results.trajectory", HEAVY),
+        ("import multiarm.problems", {"scipy", "numba", "pinocchio"}),
+        (EFFECT, {"scipy", "numba", "pinocchio"}),
     ],
-    ids=["multiarm", "load_scene", "load_trajectory", "cli"],
+    ids=[
+        "multiarm",
+        "load_scene",
+        "load_trajectory",
+        "cli",
+        "help",
+        "results",
+        "problems",
+        "effect",
+    ],
 )
 def test_what_is_heavy_is_imported_late(code, heavy):
-    loaded = in_fresh_python(f"{code}; import json, sys; print(json.dumps(list(sys.modules)))")
+    loaded = in_fresh_python(f"{code}\nimport json, sys; print(json.dumps(list(sys.modules)))")
     assert "multiarm" in loaded
     assert heavy.intersection(loaded) == set()
 

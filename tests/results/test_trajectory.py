@@ -590,12 +590,3 @@ def test_a_file_cut_short_never_passes_for_a_whole_one(tmp_path, closed):
             assert not closed
             assert_same(loaded, run)
     assert refused > 20
-
-
-def test_results_are_light_to_import():
-    code = (
-        "import sys, multiarm.results.sinks, multiarm.results.trajectory;"
-        "print([m for m in ('h5py', 'matplotlib', 'pinocchio', 'numba') if m in sys.modules])"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"

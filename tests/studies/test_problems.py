@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -71,19 +67,6 @@ def test_scene_compiles_with_the_solver_it_will_use_and_its_start_is_closed(name
         assert min(gaps.values()) > 1e-3
     elif name != "heavy_object":  # which takes resting arms along
         assert max(system.start_report.gap_rates.values()) <= 1e-11
-
-
-@pytest.mark.slow
-def test_importing_the_problems_loads_no_solver():
-    code = (
-        "import json, sys, multiarm.problems\n"
-        "print(json.dumps([m for m in ('scipy', 'numba', 'pinocchio') if m in sys.modules]))"
-    )
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    result = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
-    assert json.loads(result.stdout) == []
 
 
 # --- criteria bite -----------------------------------------------------------------------------

@@ -211,15 +211,6 @@ def test_another_version_of_the_program_is_refused(plan, monkeypatch):
 
 
 @pytest.mark.slow
-def test_processes_give_the_same_rows(plan, expected):
-    rows = list(run_in_processes(Context.of(plan), jobs_of(plan), 2))
-    assert repeatable(rows) == expected
-    workers = {row["worker"] for row in rows}
-    assert len(workers) == 2
-    assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
-
-
-@pytest.mark.slow
 def test_a_worker_that_ends_as_work_comes_is_no_error_where_warnings_are(plan):
     """It would end the thread of the library that hands out the work; the sweep waited for ever."""
     assert ENDED_EARLY in inspect.getsource(process_executor)
@@ -425,6 +416,8 @@ def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path)
     whole = ma.sweep(scene, OVER, workers=2, **asked)
     for name in ("run", "status", "message", *KEEP):
         assert whole.table[name].tolist() == [row[name] for row in expected]
+    workers = set(whole.table["worker"][1:])
+    assert len(workers) == 2 and not any(name.endswith(f":{os.getpid()}") for name in workers)
     # what was done is not done again
     pandas.testing.assert_frame_equal(whole.table[:1], early)
     assert len((tmp_path / "notes").read_text()) == 12

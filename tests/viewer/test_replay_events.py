@@ -321,18 +321,6 @@ def test_marks_and_surfaces_follow_the_states(view, exported):
 
 
 @pytest.mark.slow
-def test_force_of_an_open_contact_is_not_drawn(view, exported):
-    page = opened(view, exported)
-    arrows = """() => Object.values(
-      viewer.scene_tree.find(["world", "forces", "left", "1"]).children).map(
-      ({object}) => object.scale.z)"""
-    page.evaluate(SEEK, 0.1)
-    assert max(page.evaluate(arrows)) > 1e-3
-    page.evaluate(SEEK, 0.2667)
-    assert max(page.evaluate(arrows)) < 1e-3
-
-
-@pytest.mark.slow
 def test_what_happens_flashes_where_it_happens(view, exported):
     page = opened(view, exported)
     page.click("#events summary")
