@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 # Corners of one face may be off their plane by this part of the largest distance between them: the
 # rounding of coordinates to single precision, as files hold them, with room for some digits.
 PLANE_TOLERANCE = 1e-6
+# Or by this many roundings of a coordinate: a small face far from the origin has coarse corners.
+OFF_PLANE = 8.0
 # A face steeper than this has its y axis up; a flatter one has its x axis along the body's.
 STEEP = 0.9
 
@@ -53,6 +55,8 @@ class Face:
         Corners of holes, clockwise as seen from outside.
     name : str
         Its name in messages and figures.
+    rounding : float
+        Coordinates of the corners may be off by this [m].
 
     Raises
     ------
@@ -63,6 +67,7 @@ class Face:
     vertices: np.ndarray
     holes: tuple[np.ndarray, ...] = ()
     name: str = "the face"
+    rounding: float = 0.0
 
     def __post_init__(self) -> None:
         loops = [_loop(loop, self.name) for loop in (self.vertices, *self.holes)]
@@ -72,7 +77,7 @@ class Face:
         if not np.linalg.norm(self._area_vector) > 1e-12 * spread**2:
             raise GraspError(f"{self.name}: its corners lie in a line, they bound no area")
         off = max(float(np.abs((loop - self.centre) @ self.normal).max()) for loop in loops)
-        if off > PLANE_TOLERANCE * spread:
+        if off > max(PLANE_TOLERANCE * spread, OFF_PLANE * self.rounding):
             raise GraspError(
                 f"{self.name}: its corners are up to {off:.3g} m out of one plane; split it into "
                 f"plane faces"
@@ -102,6 +107,11 @@ class Face:
     def area(self) -> float:
         """Area without the holes [m^2]."""
         return float(np.linalg.norm(self._area_vector))
+
+    @property
+    def tilt(self) -> float:
+        """Angle by which the normal may be off: the rounding over the width of the face [rad]."""
+        return self.rounding * float(np.ptp(self.vertices, axis=0).max()) / self.area
 
     @cached_property
     def frame(self) -> np.ndarray:
