@@ -499,6 +499,34 @@ def test_a_block_from_a_file_is_a_block(tmp_path, shear):
         assert sound(design_grasp(body))
 
 
+@pytest.mark.parametrize("name", [*WIDE, "box", "oblique", "tetrahedron"])
+@pytest.mark.parametrize("factor", [1e-5, 0.01, 300.0])
+def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
+    """design(s R x + p) = s R design(x) + p, of microns and of hundreds of metres, far away."""
+    more = {"box": BOX, "oblique": oblique(3), "tetrahedron": Polyhedron.hull(np.eye(4, 3))}
+    body, pose = {**WIDE, **more}[name], pose_of(4, 100.0 * factor)
+    if name in ("triangle", "tetrahedron"):  # of places that are as good rounding takes one
+        body, pose[:3, :3] = body.placed(pose_of(4, 0.0)), np.eye(3)
+    grasp, moved = design_grasp(body), design_grasp(body.scaled(factor).placed(pose))
+    assert moved.closure.distance == pytest.approx(grasp.closure.distance, rel=1e-6)
+    if name not in ("cut wedge", "hull", "box", "oblique", "tetrahedron"):
+        return  # symmetry leaves equal designs to choose from
+    assert moved.faces == grasp.faces
+    expected = factor * grasp.contacts.points @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(moved.contacts.points, expected, atol=1e-6 * factor * body.size)
+
+
+@pytest.mark.parametrize("name", ["cut wedge", "hexagon", "L", "octahedron", "box", "oblique"])
+@pytest.mark.parametrize(("factor", "reach"), [(0.01, 1.0), (300.0, 1.0), (1.0, 50.0)])
+def test_the_design_of_a_body_from_a_file_is_that_of_the_body(tmp_path, name, factor, reach):
+    body = {**WIDE, "box": BOX, "oblique": oblique(3)}[name]
+    body.scaled(factor).placed(pose_of(4, reach * factor)).save(tmp_path / "body.stl")
+    grasp, moved = design_grasp(body), design_grasp(Polyhedron.mesh(tmp_path / "body.stl"))
+    assert classify(moved.body).kind == classify(body).kind
+    assert sound(moved)
+    assert len(moved.notes) == len(grasp.notes)  # by the same construction
+
+
 # --- searching and choosing ---------------------------------------------------------------------
 
 

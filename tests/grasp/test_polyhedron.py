@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import trimesh
+from grasp_oracles import SQUARE, plate_with_hole
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
@@ -26,20 +27,8 @@ from multiarm.grasp.designs.grippers import convex_corner, corner_frame, shared_
 ROUNDING = 1e-12
 # Coordinates in a file of single precision, relative to the largest.
 SINGLE = 1e-6
-SQUARE = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
 BENT = np.array([[0.0, 0.0, 0.1]] + [[0.0, 0.0, 0.0]] * 7)
 ELL = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
-
-
-def plate_with_hole() -> Polyhedron:
-    """A square plate of side 4 and thickness 1 with a square hole of side 2 through it."""
-    outer, inner = [(2 * x, 2 * y) for x, y in SQUARE], SQUARE
-    vertices = [[x, y, z] for z in (0, 1) for x, y in (*outer, *inner)]
-    loops = [[[8, 9, 10, 11], [15, 14, 13, 12]], [[3, 2, 1, 0], [4, 5, 6, 7]]]
-    for k in range(4):
-        n = (k + 1) % 4
-        loops += [[[k, n, 8 + n, 8 + k]], [[4 + n, 4 + k, 12 + k, 12 + n]]]
-    return Polyhedron(vertices, loops)
 
 
 def round_prism(sides: int, height: float = 3.0) -> Polyhedron:

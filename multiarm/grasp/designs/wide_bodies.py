@@ -286,8 +286,10 @@ def deep_point(body: Polyhedron, faces: Three) -> np.ndarray | None:
         inward /= np.linalg.norm(inward, axis=1)[:, None]
         rows.append(inward)  # inward . normal = 0: the foot counts as the point does
         levels.append(np.sum(inward * (face.vertices - body.centre), axis=1))
-    best = largest_ball(-np.vstack(rows), -np.concatenate(levels), body.size)
-    return None if best.x is None or best.x[3] <= 1e-9 * body.size else best.x[:3] + body.centre
+    best = largest_ball(-np.vstack(rows), -np.concatenate(levels) / body.size, within=1.0)
+    if best.x is None or best.x[3] <= 1e-9:
+        return None
+    return best.x[:3] * body.size + body.centre
 
 
 def _firmest_three(
