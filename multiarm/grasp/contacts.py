@@ -345,7 +345,7 @@ def unit_vectors(vectors: np.ndarray, remedy: str = "") -> np.ndarray:
     wrong = np.argwhere(np.abs(lengths - 1.0) > UNIT_TOLERANCE)
     if len(wrong):
         place = tuple(wrong[0])
-        number = " of set ".join(str(k + 1) for k in reversed(place))
+        number = " of set ".join(str(k + 1) for k in reversed(place)) or "1"
         raise GraspError(
             f"normal {number}, {vectors[place].tolist()}, has length {lengths[place]:.6g}, not "
             f"1{remedy}"

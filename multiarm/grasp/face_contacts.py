@@ -7,6 +7,7 @@ has this corner, which makes small grippers for large objects possible (thesis, 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -49,6 +50,11 @@ class Gripper:
         """Origin of the frame in the body's frame, shape (3,) [m]."""
         return self.frame[:3, 3]
 
+    @property
+    def arm_name(self) -> str:
+        """The name as a scene may name an arm."""
+        return re.sub(r"\W+", "_", self.name)
+
 
 @dataclass(frozen=True, eq=False)
 class FaceContacts:
@@ -69,7 +75,8 @@ class FaceContacts:
     Raises
     ------
     GraspError
-        A contact that is not on its face, or not carried by exactly one gripper.
+        A contact that is not on its face, or not carried by exactly one gripper; grippers whose
+        names are the same for a scene.
     """
 
     body: Polyhedron
@@ -95,6 +102,13 @@ class FaceContacts:
             raise GraspError(
                 f"each of the {len(self.contacts)} contacts is carried by one gripper; the "
                 f"grippers carry {[gripper.contacts for gripper in self.grippers]}"
+            )
+
+        names = [gripper.name for gripper in self.grippers]
+        if len({gripper.arm_name for gripper in self.grippers}) < len(names):
+            raise GraspError(
+                f"names of grippers differ in letters or digits, each is an arm of a scene; they "
+                f"are {names}"
             )
 
     def _repr_html_(self) -> str:

@@ -208,6 +208,11 @@ def test_the_largest_force_is_the_same_over_rows_of_joints_and_over_contacts(nam
     assert judged.carrying.largest_force == pytest.approx(judged.carrying_force, rel=1e-6)
 
 
+def test_without_gravity_there_is_no_weight_to_carry():
+    scene = ma.load_scene(CORNERS).replace({"gravity": [0.0, 0.0, 0.0]})
+    assert judge_grasp(ma.compile_system(scene)).carrying_force is None
+
+
 def test_the_weight_is_carried_in_the_pose_that_the_start_was_assembled_in():
     """An arm that can move one joint only: the object, written with a turn, has to turn back."""
     scene = held_by({"kind": "weld"})

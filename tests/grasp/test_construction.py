@@ -26,6 +26,7 @@ from multiarm.grasp.designs.assembling import (
 )
 from multiarm.grasp.designs.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.designs.construction import design_grasp
+from multiarm.grasp.designs.corner_design import CornerDesign
 from multiarm.grasp.designs.corner_pattern import corner_pattern
 from multiarm.grasp.designs.drawn_contacts import search_grasp
 from multiarm.grasp.designs.grippers import clearest_approach, hands_reach, two_groups
@@ -35,7 +36,7 @@ from multiarm.grasp.designs.parallel_bodies import (
     design_parallel_grasp,
     parallel_design,
 )
-from multiarm.grasp.designs.wide_bodies import design_wide_grasp, wide_design
+from multiarm.grasp.designs.wide_bodies import deep_point, design_wide_grasp, wide_design
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.seventh_contact.contact_region import seventh_contact_region
 
@@ -207,7 +208,10 @@ def test_a_block_is_the_square_case_of_parallel_faces(faces):
     expected = np.array([-(l_x - A), -(l_y - A)]) * (l_z - A)
     np.testing.assert_allclose(pattern.direction * [1.0, np.cos(pattern.beta)], expected, atol=TOL)
     assert pattern.reach == pytest.approx(A - E, abs=TOL)
-    designed = design_block_grasp(BOX, offset=A, seventh=E, faces=faces)
+    as_parallel = CornerDesign(BOX, faces, opposite, pattern, 0.2)
+    assert block_design(A, E).minimum_distance == pytest.approx(as_parallel.minimum_distance)
+    designed = design_block_grasp(BOX, offset=A, seventh=E, distance=0.2, faces=faces)
+    np.testing.assert_array_equal(designed.contacts.points, as_parallel.grasp().contacts.points)
     np.testing.assert_allclose(pattern.points, designed.contacts.points[:3], atol=TOL)
 
 
@@ -497,6 +501,44 @@ def test_a_block_from_a_file_is_a_block(tmp_path, shear):
         body = Polyhedron.mesh(tmp_path / "block.stl")
         assert classify(body).kind == classify(made).kind != "wider class"
         assert sound(design_grasp(body))
+
+
+def test_the_deepest_point_of_three_faces_grows_with_the_body():
+    for triple in classify(WIDE["hull"]).triples[:10]:
+        deepest = deep_point(WIDE["hull"], triple.faces)
+        for factor in (1e-6, 1e6):
+            scaled = deep_point(WIDE["hull"].scaled(factor), triple.faces)
+            assert (deepest is None) == (scaled is None)
+            if deepest is not None:
+                np.testing.assert_allclose(scaled, factor * deepest, atol=TOL * factor)
+
+
+@pytest.mark.parametrize("name", [*WIDE, "box", "oblique", "tetrahedron"])
+@pytest.mark.parametrize("factor", [1e-5, 0.01, 300.0])
+def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
+    """design(s R x + p) = s R design(x) + p, of microns and of hundreds of metres, far away."""
+    more = {"box": BOX, "oblique": oblique(3), "tetrahedron": Polyhedron.hull(np.eye(4, 3))}
+    body, pose = {**WIDE, **more}[name], pose_of(4, 100.0 * factor)
+    if name in ("wedge", "triangle", "tetrahedron"):  # rounding takes one of equally good places
+        body, pose[:3, :3] = body.placed(pose_of(4, 0.0)), np.eye(3)
+    grasp, moved = design_grasp(body), design_grasp(body.scaled(factor).placed(pose))
+    assert moved.closure.distance == pytest.approx(grasp.closure.distance, rel=1e-6)
+    if name not in ("cut wedge", "hull", "box", "oblique", "tetrahedron"):
+        return  # symmetry leaves equal designs to choose from
+    assert moved.faces == grasp.faces
+    expected = factor * grasp.contacts.points @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(moved.contacts.points, expected, atol=1e-6 * factor * body.size)
+
+
+@pytest.mark.parametrize("name", ["cut wedge", "hexagon", "L", "octahedron", "box", "oblique"])
+@pytest.mark.parametrize(("factor", "reach"), [(0.01, 1.0), (300.0, 1.0), (1.0, 50.0)])
+def test_the_design_of_a_body_from_a_file_is_that_of_the_body(tmp_path, name, factor, reach):
+    body = {**WIDE, "box": BOX, "oblique": oblique(3)}[name]
+    body.scaled(factor).placed(pose_of(4, reach * factor)).save(tmp_path / "body.stl")
+    grasp, moved = design_grasp(body), design_grasp(Polyhedron.mesh(tmp_path / "body.stl"))
+    assert classify(moved.body).kind == classify(body).kind
+    assert sound(moved)
+    assert len(moved.notes) == len(grasp.notes)  # by the same construction
 
 
 # --- searching and choosing ---------------------------------------------------------------------

@@ -21,9 +21,9 @@ from scipy.optimize import OptimizeResult, linprog
 from scipy.spatial import ConvexHull
 
 from multiarm.errors import GraspError
-from multiarm.grasp.closure.balances import BAND, LEAST_MARGIN, evenest
+from multiarm.grasp.closure.balances import BAND, LEAST_MARGIN, balance_inverses, evenest
 from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
-from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.contacts import Contacts, unit_vectors, wrenches_of
 
 # Seven contacts on a box: two of them 2e-10 m apart; normals that are off by 1e-7.
 HARD = json.loads((DATA / "hard_contacts.json").read_text())
@@ -610,6 +610,18 @@ def test_many_decisions_are_the_single_ones(count, d, rng):
     assert many.distances == pytest.approx(np.array([s.distance for s in singles]), abs=ROUNDING)
 
 
+def test_a_balance_does_not_depend_on_the_other_sets_of_its_batch(rng):
+    """A small feature has small determinants; that another set is singular does not matter."""
+    points = 1e-6 * rng.normal(size=(50, 7, 3))
+    normals = rng.normal(size=(50, 7, 3))
+    W = np.moveaxis(wrenches_of(points, normals), 0, 2)
+    alone = balance_inverses(W)
+    assert np.all(np.any(alone != 0.0, axis=(1, 2)))
+    W = np.concatenate([W, np.repeat(W[:1, :1], 7, axis=1)])
+    np.testing.assert_array_equal(balance_inverses(W)[:-1], alone)
+    assert not balance_inverses(W)[-1].any()
+
+
 def test_many_decisions_in_parts_are_those_of_the_whole(rng, monkeypatch):
     points = rng.normal(size=(50, 4, 2))
     normals = -points / np.linalg.norm(points, axis=2, keepdims=True)
@@ -707,6 +719,15 @@ def test_words_stay_right_far_from_the_origin(rng):
     assert found.leaving == ()
     assert "turn about the line" in found.message
     assert "body of revolution" in found.message
+
+
+def test_points_are_named_with_digits_of_the_grasp_and_not_of_its_distance(rng):
+    """All normal lines meet in a point 512.3456 m away from the origin, 0.1 m from the contacts."""
+    meeting = np.array([512.3456, -2.5, 33.125])
+    e = rng.normal(size=(7, 3))
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    message = is_form_closure(Contacts(meeting - 0.1 * e, e)).message
+    assert "(512.3456, -2.5, 33.125)" in message
 
 
 def test_a_closed_grasp_says_so():
@@ -880,6 +901,11 @@ def test_contacts_that_never_balance_leave_the_body_movable(rng):
 
 
 # --- borders ------------------------------------------------------------------------------------
+
+
+def test_a_single_normal_of_another_length_has_a_number():
+    with refused(GraspError, "normal 1, [0.0, 0.0, 2.0], has length 2, not 1"):
+        unit_vectors(np.array([0.0, 0.0, 2.0]))
 
 
 def test_what_is_not_contacts_is_refused():

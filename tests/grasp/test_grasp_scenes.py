@@ -14,7 +14,7 @@ from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.errors import GraspError
 from multiarm.grasp import Contacts, Grasp, Gripper, Polyhedron
 from multiarm.grasp.scenes import UnreachableError, grasp_scene, motion_wrenches, needed_squeeze
-from multiarm.grasp.scenes.hands import approach
+from multiarm.grasp.scenes.hands import approach, contacts
 from multiarm.grasp.scenes.judging import read_grasp
 from multiarm.scene import Waypoint, dump_scene, parse_scene
 
@@ -288,6 +288,10 @@ def test_another_number_of_arms_is_refused():
     ("options", "place"),
     [
         ({"path": []}, "path has no pose after the start"),
+        (
+            {"path": [Waypoint(time=0.0, xyz=[0, 0, 0.1]), Waypoint(time=1.0)]},
+            "at 0 s there is none but the start",
+        ),
         ({"path": [Waypoint(time=1.0), Waypoint(time=1.0)]}, "times of the path must increase"),
         ({"path": [Waypoint(time=2.0), Waypoint(time=1.0)]}, "1 s comes after 2 s"),
         ({"mass": -1.0}, "mass is greater than 0, not -1"),
@@ -335,6 +339,24 @@ def test_a_grasp_looks_at_its_contacts():
         replace(made, faces=(99, 1, 2, 3, 4, 5, 2))
     with refused(GraspError, "no gripper is called 'nobody'; grippers are 'left'"):
         made.gripper_size("nobody")
+    left, right = made.grippers
+    for first, second in (("left", "left"), ("a b", "a-b")):
+        with refused(GraspError, "names of grippers differ in letters or digits"):
+            replace(made, grippers=(replace(left, name=first), replace(right, name=second)))
+
+
+def test_faces_of_a_block_from_a_file_have_their_edges_in_a_scene(tmp_path):
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()
+    Polyhedron.box(SIZE).placed(pose).save(tmp_path / "block.stl")
+    grasp = ma.grasp.design_grasp(Polyhedron.mesh(tmp_path / "block.stl"))
+    for gripper in grasp.grippers:
+        for written in contacts(grasp, gripper, 0.01):
+            patch = written["object"]["plane"]["patch"]
+            edges = [
+                b - a for a, b in zip(patch["min"], patch["max"], strict=True) if a is not None
+            ]
+            assert min(abs(edge - length) for edge in edges for length in SIZE) < 1e-6
 
 
 def test_an_object_out_of_reach_is_refused_with_the_gripper():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_oracles import plate_with_hole
 from refusals import refused
 from repository import WORKED
 from scipy.optimize import least_squares
@@ -282,6 +283,17 @@ def test_a_body_tells_its_faces():
     body = Polyhedron.box(given["distances"])  # faces +x, +y, +z, -x, -y, -z
     frame = object_frame_on_body(given["points"], body, [0, 1, 2, 3, 4, 5, 0])
     np.testing.assert_allclose(frame.rotation, expected["R"], atol=1e-10)
+
+
+def test_a_pose_with_a_contact_over_a_hole_is_dropped():
+    body = plate_with_hole()
+    faces = [1, 1, 1, 0, 2, 4, 6]
+    points = [[1.5, 1.5, 0], [-1.5, 1, 0], [0.5, -1.5, 0], [1.5, 0, 1]]
+    points += [body.faces[k].vertices.mean(axis=0) for k in faces[4:]]
+    points = body.on_faces(faces, points)
+    assert object_frame_on_body(points, body, faces).candidates[0].outside < 1e-9
+    points[3] = [0.0, 0.5, 1.0]
+    assert object_frame_on_body(points, body, faces).candidates[0].outside == pytest.approx(0.5)
 
 
 def test_a_free_motion_is_said():

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import trimesh
+from grasp_oracles import SQUARE, plate_with_hole
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
@@ -26,20 +27,8 @@ from multiarm.grasp.designs.grippers import convex_corner, corner_frame, shared_
 ROUNDING = 1e-12
 # Coordinates in a file of single precision, relative to the largest.
 SINGLE = 1e-6
-SQUARE = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
 BENT = np.array([[0.0, 0.0, 0.1]] + [[0.0, 0.0, 0.0]] * 7)
 ELL = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
-
-
-def plate_with_hole() -> Polyhedron:
-    """A square plate of side 4 and thickness 1 with a square hole of side 2 through it."""
-    outer, inner = [(2 * x, 2 * y) for x, y in SQUARE], SQUARE
-    vertices = [[x, y, z] for z in (0, 1) for x, y in (*outer, *inner)]
-    loops = [[[8, 9, 10, 11], [15, 14, 13, 12]], [[3, 2, 1, 0], [4, 5, 6, 7]]]
-    for k in range(4):
-        n = (k + 1) % 4
-        loops += [[[k, n, 8 + n, 8 + k]], [[4 + n, 4 + k, 12 + k, 12 + n]]]
-    return Polyhedron(vertices, loops)
 
 
 def round_prism(sides: int, height: float = 3.0) -> Polyhedron:
@@ -244,13 +233,44 @@ def test_a_body_comes_back_from_its_file(tmp_path, name, ending):
 
 def test_fine_triangles_become_the_faces_they_make_up(tmp_path):
     rng = np.random.default_rng(5)
-    for size, reach in ((1.0, 0.0), (1e-3, 0.2), (10.0, 100.0)):
+    for size, reach in ((1.0, 0.0), (1e-3, 0.2), (1e-3, 5.0), (10.0, 100.0), (0.3, 200.0)):
         fine = trimesh.creation.box(np.array([1.0, 2.0, 3.0]) * size)
         fine = fine.subdivide().subdivide().subdivide()
         fine.apply_transform(random_pose(rng, reach))
         fine.export(tmp_path / "fine.stl")
         body = Polyhedron.mesh(tmp_path / "fine.stl")
         assert [len(face.vertices) for face in body.faces] == [4] * 6
+
+
+@pytest.mark.parametrize("edges", [(1.0, 1.0, 0.01), (0.012, 0.01, 0.008), (300.0, 3.0, 20.0)])
+@pytest.mark.parametrize("reach", [1.0, 100.0])
+def test_a_block_from_a_file_is_a_block_however_thin_and_far_away(tmp_path, edges, reach):
+    """Rounding of corners turns a face by as much more as the face is narrower."""
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        placed = Polyhedron.box(edges).placed(random_pose(rng, reach * max(edges)))
+        placed.save(tmp_path / "plate.stl")
+        assert classify(Polyhedron.mesh(tmp_path / "plate.stl")).kind == "block"
+
+
+def test_a_sheared_block_from_a_file_is_no_block(tmp_path):
+    """A shear by a thousandth is more than the rounding of a plate of 10 mm."""
+    sheared = Polyhedron.hull(
+        BODIES["box"].vertices * [1, 1, 0.0125] @ [[1, 0, 0], [0, 1, 0], [1e-3, 0, 1]]
+    )
+    sheared.placed(random_pose(np.random.default_rng(1), 1.0)).save(tmp_path / "plate.stl")
+    body = Polyhedron.mesh(tmp_path / "plate.stl")
+    assert classify(body).kind == "three pairs of parallel faces"
+
+
+def test_a_small_boss_on_a_large_hull_of_rounded_corners_is_a_plane_face():
+    rng = np.random.default_rng(2)
+    small = Polyhedron.box([0.005, 0.004, 0.003]).vertices + [0.0, 0.0, 0.28]
+    corners = np.vstack([Polyhedron.box([2.0, 1.0, 0.5]).vertices, small])
+    for _ in range(40):
+        placed = corners @ random_pose(rng, 1.0)[:3, :3].T
+        body = Polyhedron.hull(placed.astype(np.float32))
+        assert sum(len(face.vertices) == 4 for face in body.faces) >= 2
 
 
 def test_corners_that_differ_by_rounding_are_one(tmp_path):
@@ -333,6 +353,7 @@ def test_files_that_are_no_meshes_are_refused(tmp_path):
         (lambda: Polyhedron.box([1, 2, np.nan]), "edge lengths"),
         (lambda: Polyhedron.prism([(0, 0), (1, 1), (1, 0), (0, 1)], 1.0), "crosses itself"),
         (lambda: Polyhedron.prism(SQUARE, -1.0), "height of a prism"),
+        (lambda: Polyhedron.prism([*SQUARE, SQUARE[0]], 1.0), "leave out the repeated corner"),
         (lambda: Polyhedron.prism([(0, 0), (1, 0)], 1.0), "three corners"),
         (lambda: Polyhedron.wedge([1, 1, 1], 1.0), "top of a wedge"),
         (lambda: Polyhedron.pyramid(SQUARE, [0, 0, 0]), "apex"),
@@ -360,6 +381,9 @@ def test_files_that_are_no_meshes_are_refused(tmp_path):
         ),
         (lambda: Polyhedron([[0, 0], [1, 1]], [[[0, 1]]]), "shape"),
         (lambda: Polyhedron(BODIES["box"].vertices, [[3]]), "list of loops"),
+        (lambda: Polyhedron(BODIES["box"].vertices, [[[0, 1, 1.7]]]), "list of loops"),
+        (lambda: Polyhedron(BODIES["box"].vertices, [*BODIES["box"].loops, []]), "one loop"),
+        (lambda: Polyhedron(BODIES["box"].vertices, [*BODIES["box"].loops, [[]]]), "three corners"),
         (lambda: Polyhedron(BODIES["box"].vertices, BODIES["box"].loops, ["a"]), "as many names"),
         (lambda: Polyhedron(BODIES["box"].vertices + BENT, BODIES["box"].loops), "plane"),
         (lambda: BODIES["box"].placed(np.eye(3)), "a pose has shape"),
@@ -368,7 +392,11 @@ def test_files_that_are_no_meshes_are_refused(tmp_path):
         (lambda: BODIES["box"].faces[0].contains([0.0, 1.0, np.nan]), "points are finite"),
         (lambda: BODIES["box"].faces[0].contains("here"), "points are finite,"),
         (lambda: BODIES["box"].mass_properties(0.0), "positive number of kilograms"),
+        (lambda: BODIES["box"].mass_properties("5"), "positive number of kilograms"),
         (lambda: BODIES["box"].scaled(-1.0), "positive factor"),
+        (lambda: BODIES["box"].scaled("2"), "positive factor"),
+        (lambda: Polyhedron.mesh("body.stl", "0.001"), "positive factor"),
+        (lambda: roundness([1, 2, 3]), "Polyhedron is needed, not list"),
     ],
 )
 def test_numbers_that_make_no_body_are_refused(make, place):
@@ -426,6 +454,22 @@ def test_half_spaces_that_are_told_twice_make_one_face():
         )
         np.testing.assert_allclose(body.normals, n, atol=1e-15)
         assert body.volume == pytest.approx(6.0, rel=1e-12)
+
+
+def test_faces_of_half_spaces_have_the_numbers_of_theirs():
+    box = Polyhedron.box([1.0, 2.0, 3.0])
+    h = [face.offset for face in box.faces]
+    body = Polyhedron.halfspaces([[1.0, 1.0, 1.0], *box.normals], [9.0, *h])
+    assert body.names == ("face 1", "face 2", "face 3", "face 4", "face 5", "face 6")
+
+
+@pytest.mark.parametrize("reach", [1e4, 1e6, 1e8])
+def test_half_spaces_make_the_same_body_far_from_the_origin(reach):
+    box = Polyhedron.box([1.0, 2.0, 3.0]).placed(random_pose(np.random.default_rng(0), 1.0))
+    away = reach * np.array([0.3, -0.5, 0.8])
+    h = np.array([face.offset for face in box.faces]) + box.normals @ away
+    body = Polyhedron.halfspaces(box.normals, h)
+    assert body.volume == pytest.approx(6.0, rel=1e-15 * reach)
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -560,6 +560,24 @@ def test_region_of_a_contact_is_where_the_others_may_have_it(count):
             assert same_region(region, seventh_contact_region(others, TOP), 1e-12)
 
 
+def test_a_region_of_small_grippers_is_the_same_on_a_face_of_any_size(rng):
+    """Contacts within 1 mm on a body of 1 m and of 300 m: the region is as large as they."""
+    bounded = 0
+    while bounded < 5:
+        contacts = Contacts.along(1e-3 * rng.normal(size=(7, 3)), rng.normal(size=(7, 3)))
+        if not is_form_closure(contacts):
+            continue
+        square = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+        across = np.linalg.svd(contacts.normals[6:])[2][1:]
+        if np.linalg.det([*across, -contacts.normals[6]]) < 0.0:
+            across = across[::-1]
+        faces = [contacts.points[6] + np.array(square) @ (size * across) for size in (0.5, 150.0)]
+        small, large = (region_of(contacts, 6, face) for face in faces)
+        if small.area < 1e-3:
+            bounded += 1
+            assert large.area == pytest.approx(small.area, rel=1e-5)
+
+
 def test_no_region_for_a_contact_whose_others_are_dependent():
     twice = SIX.subset([0, 1, 2, 3, 4, 4]).joined(SIX.subset([5]))
     assert region_of(twice, 6, TOP) is None and region_of(twice, 5, TOP) is not None

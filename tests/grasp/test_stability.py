@@ -360,6 +360,18 @@ def test_open_contacts_have_no_radius_and_eight_have_that_of_seven(rng):
     assert closed_many(eight.points + moves, normals).closed.all()
 
 
+@pytest.mark.slow
+def test_of_many_contacts_some_sets_of_seven_are_drawn(rng):
+    """Thirty contacts have two million sets of seven, a gigabyte of points and normals."""
+    seven = block_grasp()
+    others = random_grasp(rng, 23)
+    many = seven.joined(others)
+    radius = closure_radius(many)
+    assert radius.lower > 0.0 and radius.lower == closure_radius(many).lower
+    for moves in in_discs(rng, many, 0.999 * radius.lower, 50):
+        assert closes_by_program(many, moves)
+
+
 def test_six_opposed_pairs_have_no_seven_that_hold_by_themselves():
     """Twelve contacts close, no seven of them do; the radius says that it does not know."""
     given = WORKED["form_closure_spatial_twelve"]["inputs"]
@@ -451,6 +463,8 @@ def test_unusable_questions_are_refused_by_name():
         with refused(GraspError, "confidence is a number between 0 and 1, not"):
             monte_carlo_stability(contacts, 0.1, 10, confidence=confidence)
     assert monte_carlo_stability(contacts, 0.1, 2e2, 3).samples == 200
+    same = [monte_carlo_stability(contacts, 0.1, 2000).fraction for _ in range(3)]
+    assert same[0] == same[1] == same[2]
     with refused(GraspError, "plane"):
         monte_carlo_stability(flat, 0.1)
 

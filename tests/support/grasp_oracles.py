@@ -1,8 +1,12 @@
-"""Exact arithmetic for claims about grasps."""
+"""Exact arithmetic and a body with a hole, for claims about grasps."""
 
 from __future__ import annotations
 
 from fractions import Fraction
+
+from multiarm.grasp.body.polyhedron import Polyhedron
+
+SQUARE = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
 
 
 def rational_rank(rows):
@@ -18,3 +22,14 @@ def rational_rank(rows):
             rows[i] = [a - factor * b for a, b in zip(rows[i], rows[rank], strict=True)]
         rank += 1
     return rank
+
+
+def plate_with_hole() -> Polyhedron:
+    """A square plate of side 4 and thickness 1 with a square hole of side 2 through it."""
+    outer, inner = [(2 * x, 2 * y) for x, y in SQUARE], SQUARE
+    vertices = [[x, y, z] for z in (0, 1) for x, y in (*outer, *inner)]
+    loops = [[[8, 9, 10, 11], [15, 14, 13, 12]], [[3, 2, 1, 0], [4, 5, 6, 7]]]
+    for k in range(4):
+        n = (k + 1) % 4
+        loops += [[[k, n, 8 + n, 8 + k]], [[4 + n, 4 + k, 12 + k, 12 + n]]]
+    return Polyhedron(vertices, loops)

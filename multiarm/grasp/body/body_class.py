@@ -29,7 +29,7 @@ from multiarm.grasp.body.polyhedron import Polyhedron
 
 Kind = Literal["block", "three pairs of parallel faces", "wider class", "tetrahedron", "none"]
 
-# Faces are parallel or perpendicular within this angle [rad]: rounding of a file's coordinates.
+# Faces are parallel or perpendicular within this angle [rad], and by what rounding tilts them.
 PARALLEL = 1e-6
 # Normals with a smaller determinant are dependent, coefficients below it are zero.
 DEPENDENT = 1e-6
@@ -97,12 +97,13 @@ def as_polyhedron(body: Any) -> Polyhedron:
 def classify(body: Polyhedron) -> BodyClass:
     """To which class of the thesis a body belongs, and by which faces."""
     chosen = _largest(as_polyhedron(body))
+    tilts = np.array([face.tilt for face in body.faces])
     pairs = tuple(
         (i, j)
         for i, j in combinations(chosen, 2)
-        if _same_direction(body.normals[i], -body.normals[j])
+        if np.linalg.norm(body.normals[i] + body.normals[j]) <= PARALLEL + tilts[i] + tilts[j]
     )
-    triples = _triples(body.normals, chosen)
+    triples = _triples(body.normals, tilts, chosen)
     kind = _kind(body, pairs, triples)
     left_out = len(body.faces) - len(chosen)
     words = _words(body, kind, pairs, triples)
@@ -147,7 +148,7 @@ def roundness(body: Polyhedron) -> Roundness:
 
     .. math::  |a \cdot (p \times n)| \, / \, |a \times n| .
     """
-    axes = np.linalg.eigh(body.mass_properties(1.0).inertia)[1].T
+    axes = np.linalg.eigh(as_polyhedron(body).mass_properties(1.0).inertia)[1].T
     candidates = [_roundness(body, axis) for axis in axes]
     return min(candidates, key=lambda candidate: candidate.distance / candidate.radius)
 
@@ -170,19 +171,17 @@ def _largest(body: Polyhedron) -> list[int]:
     return sorted(np.argsort(-areas, kind="stable")[:MOST_FACES].tolist())
 
 
-def _same_direction(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two unit vectors point the same way."""
-    return bool(np.linalg.norm(np.cross(a, b)) <= PARALLEL and a @ b > 0.0)
-
-
-def _triples(normals: np.ndarray, chosen: list[int]) -> tuple[Triple, ...]:
+def _triples(normals: np.ndarray, tilts: np.ndarray, chosen: list[int]) -> tuple[Triple, ...]:
     triples = []
     for three in combinations(chosen, 3):
-        N = normals[list(three)].T
-        if abs(np.linalg.det(N)) <= DEPENDENT:
+        N, turned = normals[list(three)].T, tilts[list(three)]
+        if abs(np.linalg.det(N)) <= DEPENDENT + turned.sum():
             continue
-        kappa = np.linalg.solve(N, normals[chosen].T)  # (3, F)
-        opposed = [m for m, k in zip(chosen, kappa.T, strict=True) if k.max() <= DEPENDENT]
+        inverse = np.linalg.inv(N)
+        kappa = inverse @ normals[chosen].T  # (3, F)
+        zero = np.linalg.norm(inverse, axis=1)[:, None] * (tilts[chosen] + turned @ np.abs(kappa))
+        against = np.all(kappa <= DEPENDENT + zero, axis=0)
+        opposed = [m for m, is_opposed in zip(chosen, against, strict=True) if is_opposed]
         if len(opposed) >= 2:
             triples.append(Triple(three, tuple(opposed)))
     return tuple(triples)
@@ -192,8 +191,11 @@ def _kind(
     body: Polyhedron, pairs: tuple[tuple[int, int], ...], triples: tuple[Triple, ...]
 ) -> Kind:
     if len(body.faces) == 6 and len(pairs) == 3 and body.convex:
-        n1, n2, n3 = (body.normals[i] for i, _ in pairs)
-        square = max(abs(n1 @ n2), abs(n2 @ n3), abs(n3 @ n1)) <= PARALLEL
+        square = all(
+            abs(body.normals[i] @ body.normals[j])
+            <= PARALLEL + body.faces[i].tilt + body.faces[j].tilt
+            for i, j in combinations([i for i, _ in pairs], 2)
+        )
         return "block" if square else "three pairs of parallel faces"
     if triples:
         return "wider class"

@@ -16,10 +16,12 @@ result that is not a closed surface with its normals outward is an error.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,27 +36,38 @@ from multiarm.scene.solids import TOO_THIN, hull_triangles
 # A body of half-spaces is bounded when the origin is inside the hull of their duals by more than
 # this; it has a ball inside that is larger.
 INSIDE = 1e-9
-
+# Faces of triangles are grown within this many roundings of a plane: they add up.
+GROWN = 4.0
 
 Loops = list[list[list[int]]]
 """For each face, loops of the numbers of its corners."""
 
 
-def hull(points: Any) -> tuple[np.ndarray, Loops]:
-    """Corners and faces of the convex hull of points."""
+class Boundary(NamedTuple):
+    """What a `Polyhedron` is made of."""
+
+    vertices: np.ndarray
+    loops: Loops
+    names: list[str] | None
+    rounding: float
+
+
+def hull(points: Any) -> Boundary:
+    """The convex hull of points."""
     cloud = numbers_of(points, "a hull is of four or more rows of three finite numbers", (-4, 3))
     try:
         triangles = hull_triangles(cloud)
     except ValueError as error:
         raise GraspError(str(error)) from error
     middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
-    scaled = (cloud - middle) / np.ptp(cloud, axis=0).max()
+    size = float(np.ptp(cloud, axis=0).max())
+    scaled = (cloud - middle) / size
     used, numbers = np.unique(triangles, return_inverse=True)
     faces = faces_of_triangles(scaled[used], numbers.reshape(triangles.shape), PLANE_TOLERANCE)
-    return _compacted(cloud[used], faces)
+    return Boundary(*_compacted(cloud[used], faces), None, PLANE_TOLERANCE * size / GROWN)
 
 
-def halfspaces(normals: Any, offsets: Any) -> tuple[np.ndarray, Loops]:
+def halfspaces(normals: Any, offsets: Any) -> Boundary:
     """All x with normals[k] . x <= offsets[k]; those that cut nothing, or no more, make no face."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
@@ -77,21 +90,33 @@ def halfspaces(normals: Any, offsets: Any) -> tuple[np.ndarray, Loops]:
     if not bounded:
         raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
     corners = [np.linalg.lstsq(n[k], depths[k], rcond=None)[0] for k in cut.dual_facets]
-    vertices, faces = hull(corners)
+    vertices, faces, _, rounding = hull(corners)
     areas = np.array([area_vector(vertices[face[0]]) for face in faces])
     seen = areas @ n.T / np.linalg.norm(areas, axis=1)[:, None]
-    return vertices + inside, [faces[k] for k in np.argsort(seen.argmax(axis=1), kind="stable")]
+    numbers = seen.argmax(axis=1)
+    order = np.argsort(numbers, kind="stable")
+    names = [f"face {number}" for number in numbers[order]]
+    return Boundary(vertices + inside, [faces[k] for k in order], names, rounding)
 
 
 def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Centre of the largest ball inside the half-spaces, shape (3,)."""
-    unit = float(np.abs(h).max()) or 1.0
-    best = largest_ball(n, h / unit)
-    if best.unbounded:
-        raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
-    if best.x is None or not best.x[3] > INSIDE:
+    """Centre of the largest ball inside the half-spaces, shape (3,).
+
+    Far from the origin the first one is rough; the second is solved for about it.
+    """
+    inside, radius = np.zeros(3), 0.0
+    for _ in range(2):
+        levels = h - n @ inside
+        unit = float(np.abs(levels).max()) or 1.0
+        best = largest_ball(n, levels / unit)
+        if best.unbounded:
+            raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
+        if best.x is None:
+            break
+        inside, radius = inside + best.x[:3] * unit, float(best.x[3])
+    if best.x is None or not radius > INSIDE:
         raise GraspError("no point is inside all half-spaces: turn the normals outward")
-    return best.x[:3] * unit
+    return inside
 
 
 def largest_ball(
@@ -119,6 +144,8 @@ def outline_of(corners: Any) -> np.ndarray:
     from shapely.geometry import Polygon
 
     outline = numbers_of(corners, "a polygon has three corners (x, y) or more", (-3, 2))
+    if np.array_equal(outline[0], outline[-1]):
+        raise GraspError("the polygon closes by itself: leave out the repeated corner at its end")
     shape = Polygon(outline)
     if not shape.is_valid or not shape.area > 0.0:
         raise GraspError("the polygon crosses itself or has no area; list its corners in order")
@@ -132,6 +159,13 @@ def positive(values: Any, count: int, what: str) -> np.ndarray:
     if not np.all(numbers > 0.0):
         raise GraspError(f"{needed}, not {values!r}")
     return numbers
+
+
+def positive_number(value: Any, needed: str) -> float:
+    """A finite number greater than 0; else a GraspError that begins with what is needed."""
+    if not (isinstance(value, Real) and math.isfinite(value) and float(value) > 0.0):
+        raise GraspError(f"{needed}, not {value!r}")
+    return float(value)
 
 
 # --- One solid, and plane faces from its triangles ------------------------------------------------
@@ -148,6 +182,8 @@ def check_one_solid(
     count: int, loops: Sequence[Sequence[Sequence[int]]], what: str, remedy: str = ""
 ) -> None:
     """Raise `GraspError` unless the loops of all faces, over ``count`` corners, bound one solid."""
+    if not all(face and all(len(loop) >= 3 for loop in face) for face in loops):
+        raise GraspError(f"{what}: a face has one loop or more, each of three corners or more")
     runs = Counter(edge for face in loops for loop in face for edge in edges_of(loop))
     used = {v for edge in runs for v in edge}
     if not used or min(used) < 0 or max(used) >= count:
@@ -312,22 +348,20 @@ SINGLE = 2.0 * float(np.finfo(np.float32).eps)
 REPAIR = "; repair the mesh (in Blender: 3D-Print Toolbox, Make Manifold) or rebuild the body"
 
 
-def read_mesh(file: str | Path, scale: float) -> tuple[np.ndarray, Loops]:
-    """Corners and faces of the body in a mesh file; see `Polyhedron.mesh`."""
-    if not (np.isfinite(scale) and scale > 0.0):
-        raise GraspError(f"{file}: a mesh is scaled by a positive factor, not {scale!r}")
+def read_mesh(file: str | Path, scale: float) -> Boundary:
+    """The body in a mesh file; see `Polyhedron.mesh`."""
+    factor = positive_number(scale, f"{file}: a mesh is scaled by a positive factor")
     try:
         points, triangles, _ = meshes.read_mesh(Path(file))
     except ValueError as error:
         raise GraspError(f"{file}: {error}; a body is read from STL or OBJ") from error
-    size = float(np.ptp(points, axis=0).max())
     rounding = SINGLE * float(np.abs(points).max())
-    vertices, triangles = _joined(points, triangles, max(rounding, 1e-9 * size))
+    vertices, triangles = _joined(points, triangles, rounding)
     what = f"the mesh of {Path(file).name}"
     if not len(triangles):
         raise GraspError(f"{file}: {TOO_THIN}")
     check_one_solid(len(vertices), [[tri] for tri in triangles.tolist()], what, REPAIR)
-    tolerance = max(4.0 * rounding, PLANE_TOLERANCE * 0.25 * size)
+    tolerance = GROWN * rounding
     a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
     volume = float(np.sum(a * np.cross(b, c))) / 6.0
     surface = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
@@ -339,7 +373,7 @@ def read_mesh(file: str | Path, scale: float) -> tuple[np.ndarray, Loops]:
             f"them round (in Blender: Mesh, Normals, Recalculate Outside)"
         )
     faces = faces_of_triangles(vertices, triangles, tolerance)
-    return _compacted(vertices * scale, faces)
+    return Boundary(*_compacted(vertices * factor, faces), None, rounding * factor)
 
 
 def write_mesh(vertices: np.ndarray, triangles: np.ndarray, path: str | Path) -> None:

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 # Corners of one face may be off their plane by this part of the largest distance between them: the
 # rounding of coordinates to single precision, as files hold them, with room for some digits.
 PLANE_TOLERANCE = 1e-6
+# Or by this many roundings of a coordinate: a small face far from the origin has coarse corners.
+OFF_PLANE = 8.0
 # A face steeper than this has its y axis up; a flatter one has its x axis along the body's.
 STEEP = 0.9
 
@@ -53,6 +55,8 @@ class Face:
         Corners of holes, clockwise as seen from outside.
     name : str
         Its name in messages and figures.
+    rounding : float
+        Coordinates of the corners may be off by this [m].
 
     Raises
     ------
@@ -63,6 +67,7 @@ class Face:
     vertices: np.ndarray
     holes: tuple[np.ndarray, ...] = ()
     name: str = "the face"
+    rounding: float = 0.0
 
     def __post_init__(self) -> None:
         loops = [_loop(loop, self.name) for loop in (self.vertices, *self.holes)]
@@ -72,7 +77,7 @@ class Face:
         if not np.linalg.norm(self._area_vector) > 1e-12 * spread**2:
             raise GraspError(f"{self.name}: its corners lie in a line, they bound no area")
         off = max(float(np.abs((loop - self.centre) @ self.normal).max()) for loop in loops)
-        if off > PLANE_TOLERANCE * spread:
+        if off > max(PLANE_TOLERANCE * spread, OFF_PLANE * self.rounding):
             raise GraspError(
                 f"{self.name}: its corners are up to {off:.3g} m out of one plane; split it into "
                 f"plane faces"
@@ -102,6 +107,11 @@ class Face:
     def area(self) -> float:
         """Area without the holes [m^2]."""
         return float(np.linalg.norm(self._area_vector))
+
+    @property
+    def tilt(self) -> float:
+        """Angle by which the normal may be off: the rounding over the width of the face [rad]."""
+        return self.rounding * float(np.ptp(self.vertices, axis=0).max()) / self.area
 
     @cached_property
     def frame(self) -> np.ndarray:
@@ -244,8 +254,8 @@ def _fixed(array: np.ndarray) -> np.ndarray:
 
 # --- A face cut by half-planes --------------------------------------------------------------------
 
-# Pieces below this part of the face's area are dropped: no finger could be placed on them.
-NO_AREA = 1e-9
+# Pieces narrower than this part of the face's size are dropped: they may be rounding.
+NO_WIDTH = 1e-9
 # Corners closer than this, in face sizes, are the same.
 SAME_CORNER = 1e-12
 # Rows, with numbers of the size of 1, that agree to this many digits are equal.
@@ -271,11 +281,11 @@ def cut_face(face: Face, half_planes: np.ndarray, middle: np.ndarray) -> Pieces:
     polygon = outline if face.convex else _rectangle(low - size, high + size)
     for row in half_planes:
         polygon = clipped(polygon, row, SAME_CORNER * size)
-    if not _signed_area(polygon) > NO_AREA * face.area:
+    if not len(polygon) or not _wide(_signed_area(polygon), polygon, size):
         return (), ()
     if face.convex:
         return (polygon + middle,), ((),)
-    return _pieces(face, polygon, middle)
+    return _pieces(face, polygon, middle, size)
 
 
 def distinct(rows: np.ndarray) -> np.ndarray:
@@ -304,22 +314,26 @@ def clipped(polygon: np.ndarray, row: np.ndarray, same: float = 0.0) -> np.ndarr
     return np.array(apart).reshape(-1, 2)
 
 
-def _pieces(face: Face, polygon: np.ndarray, y0: np.ndarray) -> Pieces:
+def _pieces(face: Face, polygon: np.ndarray, y0: np.ndarray, size: float) -> Pieces:
     """A convex polygon about y0 cut with a face that is not convex; the largest piece first."""
     from shapely.affinity import translate
     from shapely.geometry import Polygon
     from shapely.geometry.polygon import orient
 
     shape = translate(face.shape, -y0[0], -y0[1]).intersection(Polygon(polygon))
-    pieces = [orient(piece) for piece in getattr(shape, "geoms", [shape]) if _usable(piece, face)]
+    pieces = [
+        orient(piece)
+        for piece in getattr(shape, "geoms", [shape])
+        if piece.geom_type == "Polygon" and _wide(piece.area, piece.exterior.coords, size)
+    ]
     pieces.sort(key=lambda piece: -piece.area)
     outlines = tuple(_ring_corners(piece.exterior.coords) + y0 for piece in pieces)
     holes = tuple(tuple(_ring_corners(hole.coords) + y0 for hole in p.interiors) for p in pieces)
     return outlines, holes
 
 
-def _usable(piece: Polygon, face: Face) -> bool:
-    return bool(piece.geom_type == "Polygon" and piece.area > NO_AREA * face.area)
+def _wide(area: float, corners: Sequence[Any] | np.ndarray, size: float) -> bool:
+    return area > NO_WIDTH * size * float(np.ptp(np.array(corners), axis=0).max())
 
 
 def _ring_corners(ring: Sequence[Any]) -> np.ndarray:

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.body import boundaries
-from multiarm.grasp.body.face import PLANE_TOLERANCE, Face
+from multiarm.grasp.body.face import OFF_PLANE, PLANE_TOLERANCE, Face
 from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
 from multiarm.scene.solids import MassProperties, Moments, moments
@@ -43,6 +44,9 @@ class Polyhedron:
         clockwise loop for each hole.
     names : sequence of str, optional
         Names of the faces in messages and figures; by default ``face 0`` and so on.
+    rounding : float
+        Coordinates of the corners may be off by this [m], as those from a file are.  Faces count as
+        plane, parallel or perpendicular when no more than that keeps them from it.
 
     Raises
     ------
@@ -58,17 +62,19 @@ class Polyhedron:
     vertices: np.ndarray
     loops: tuple[tuple[Loop, ...], ...]
     names: tuple[str, ...]
+    rounding: float
 
     def __init__(
         self,
         vertices: Any,
         loops: Sequence[Sequence[Sequence[int]]],
         names: Sequence[str] | None = None,
+        rounding: float = 0.0,
     ) -> None:
         corners = numbers_of(vertices, "corners are finite, of shape (V, 3)", (-1, 3))
         try:
-            numbers = tuple(tuple(tuple(int(v) for v in loop) for loop in face) for face in loops)
-        except (TypeError, ValueError) as error:
+            numbers = tuple(tuple(tuple(map(index, loop)) for loop in face) for face in loops)
+        except TypeError as error:
             raise GraspError(
                 "a body needs for each face a list of loops of the numbers of its corners"
             ) from error
@@ -83,6 +89,7 @@ class Polyhedron:
         object.__setattr__(self, "vertices", corners)
         object.__setattr__(self, "loops", numbers)
         object.__setattr__(self, "names", called)
+        object.__setattr__(self, "rounding", rounding)
         boundaries.check_one_solid(len(corners), numbers, "the body")
         if not self.volume > 0.0:
             raise GraspError(
@@ -158,9 +165,10 @@ class Polyhedron:
 
     @classmethod
     def halfspaces(cls, normals: Any, offsets: Any) -> Polyhedron:
-        """All x with ``normals[k] . x <= offsets[k]``: face k has the outward normal k.
+        """All x with ``normals[k] . x <= offsets[k]``: "face k" has the outward normal k.
 
-        Normals (F, 3) are of any length.  Half-spaces that bound no face are left out.
+        Normals (F, 3) are of any length.  Half-spaces that bound no face are left out; the names of
+        the faces have the numbers of theirs.
         """
         return cls(*boundaries.halfspaces(normals, offsets))
 
@@ -190,7 +198,7 @@ class Polyhedron:
         """The faces, in the body's frame."""
         v = self.vertices
         return tuple(
-            Face(v[list(loops[0])], tuple(v[list(loop)] for loop in loops[1:]), name)
+            Face(v[list(loops[0])], tuple(v[list(loop)] for loop in loops[1:]), name, self.rounding)
             for loops, name in zip(self.loops, self.names, strict=True)
         )
 
@@ -224,11 +232,16 @@ class Polyhedron:
         """Diagonal of the box around the body [m]: the unit of relative tolerances."""
         return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
 
+    @property
+    def off_plane(self) -> float:
+        """Distance from the plane of a face within which corners of others are on it [m]."""
+        return max(PLANE_TOLERANCE * self.size, OFF_PLANE * self.rounding)
+
     @cached_property
     def convex(self) -> bool:
         """Whether no corner stands out over the plane of a face."""
         heights = self.normals @ self.vertices.T - [[face.offset] for face in self.faces]
-        return bool(heights.max() <= PLANE_TOLERANCE * self.size)
+        return bool(heights.max() <= self.off_plane)
 
     @property
     def volume(self) -> float:
@@ -248,9 +261,8 @@ class Polyhedron:
         GraspError
             A mass that is not a positive number.
         """
-        if not (np.isfinite(mass) and mass > 0.0):
-            raise GraspError(f"the mass of a body is a positive number of kilograms, not {mass!r}")
-        return self._moments.of_mass(float(mass))
+        what = "the mass of a body is a positive number of kilograms"
+        return self._moments.of_mass(boundaries.positive_number(mass, what))
 
     @cached_property
     def _moments(self) -> Moments:
@@ -281,20 +293,19 @@ class Polyhedron:
         X = numbers_of(pose, needed, (4, 4))
         if not _is_rotation(X[:3, :3]):
             raise GraspError(needed)
-        return self._with(self.vertices @ X[:3, :3].T + X[:3, 3])
+        return self._with(self.vertices @ X[:3, :3].T + X[:3, 3], self.rounding)
 
     def centred(self) -> Polyhedron:
         """The body with its centre of mass at the origin."""
-        return self._with(self.vertices - self.centre)
+        return self._with(self.vertices - self.centre, self.rounding)
 
     def scaled(self, factor: float) -> Polyhedron:
         """The body with all lengths multiplied."""
-        if not (np.isfinite(factor) and factor > 0.0):
-            raise GraspError(f"a body is scaled by a positive factor, not {factor!r}")
-        return self._with(self.vertices * factor)
+        times = boundaries.positive_number(factor, "a body is scaled by a positive factor")
+        return self._with(self.vertices * times, self.rounding * times)
 
-    def _with(self, vertices: np.ndarray) -> Polyhedron:
-        return Polyhedron(vertices, self.loops, self.names)
+    def _with(self, vertices: np.ndarray, rounding: float) -> Polyhedron:
+        return Polyhedron(vertices, self.loops, self.names, rounding)
 
     def save(self, path: str | Path) -> None:
         """Write the body as STL (or another format that trimesh knows by its ending).

@@ -52,9 +52,8 @@ BAND = 1e-10
 EQUAL = 1e-6
 # Lower bound of the margin: below it, pushes of sum 1 are differences of nearly equal numbers.
 LEAST_MARGIN = -1.0 / BAND
-# Batches compute no balance of sets with a determinant below the first number, or an inverse with
-# an entry above the second: it would be rounding.
-FLAT, STEEPEST = 1e-14, 1e12
+# Batches compute no balance of sets whose inverse has an entry above this: it would be rounding.
+STEEPEST = 1e12
 # Facets of the hull of this many wrenches are enumerated within milliseconds.
 ENUMERATED = 30
 
@@ -207,14 +206,10 @@ def balance_inverses(W: np.ndarray) -> np.ndarray:
     sets, count, n = W.shape
     square = np.ones((sets, count, count))
     square[:, :n] = np.swapaxes(W, 1, 2)
-    try:
-        G = np.linalg.inv(square)
-        flat = ~(np.abs(G).max(axis=(1, 2), initial=0.0) < STEEPEST)
-    except np.linalg.LinAlgError:  # one of them at least has no inverse at all
-        flat = ~(np.abs(np.linalg.det(square)) > FLAT)
-        square[flat] = np.eye(count)
-        G = np.linalg.inv(square)
-    G[flat] = 0.0
+    singular = np.linalg.det(square) == 0.0  # a pivot is zero: there is no inverse at all
+    square[singular] = np.eye(count)
+    G = np.linalg.inv(square)
+    G[singular | ~(np.abs(G).max(axis=(1, 2), initial=0.0) < STEEPEST)] = 0.0
     return G
 
 

@@ -97,8 +97,7 @@ def motion_in_words(contacts: Contacts, motion: np.ndarray) -> str:
     along = vector_in_words(screw.along)
     if screw.kind == "slide":
         return f"slide along {along}"
-    size = max(float(np.abs(contacts.points).max()), contacts.length)
-    point = vector_in_words(screw.point, size)
+    point = point_in_words(contacts, screw.point)
     if contacts.dimension == 2:
         return f"turn about the point {point}"
     line = f"the line through {point} along {along}"
@@ -129,10 +128,16 @@ def explanation(contacts: Contacts, motion: np.ndarray, rank: int, borderline: b
     return ". ".join(sentences)
 
 
-def vector_in_words(vector: np.ndarray, size: float = 1.0) -> str:
-    """Components with four digits; those that are negligible next to ``size`` are 0."""
+def vector_in_words(vector: np.ndarray, size: float = 1.0, digits: int = 4) -> str:
+    """Components with some digits; those that are negligible next to ``size`` are 0."""
     shown = np.where(np.abs(vector) > STILL * size, vector, 0.0)
-    return "(" + ", ".join(f"{value:.4g}" for value in shown) + ")"
+    return "(" + ", ".join(f"{value:.{digits}g}" for value in shown) + ")"
+
+
+def point_in_words(contacts: Contacts, point: np.ndarray) -> str:
+    """A point with four digits of the size of the grasp, and more where this is far away."""
+    size = max(float(np.abs(contacts.points).max()), contacts.length)
+    return vector_in_words(point, size, 4 + int(np.log10(size / contacts.length)))
 
 
 def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
@@ -145,7 +150,7 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
     meeting, off = nearest_to_lines(arms, e)
     if np.abs(off).max() <= _still(contacts) * contacts.length:
         kind = "sphere" if d == 3 else "circle"
-        at = vector_in_words(meeting + contacts.centre, float(np.abs(p).max()))
+        at = point_in_words(contacts, meeting + contacts.centre)
         return (
             f"All normal lines meet at {at}: no contact with such a normal stops a turn about that "
             f"point, and a {kind} around it cannot be held"

@@ -28,8 +28,6 @@ from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.closure.balances import balance_inverses
 from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts, wrenches_of
-from multiarm.grasp.designs.corner_pattern import CornerPattern
-from multiarm.grasp.designs.grippers import Three, gripper_frame
 from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.seventh_contact.contact_region import ContactRegion
@@ -78,48 +76,6 @@ def assembled(
         for k, (numbers, frame) in enumerate(zip(split, frames, strict=True))
     )
     return Grasp(body, contacts, tuple(faces), grippers, tuple(notes))
-
-
-def at_two_corners(
-    body: Polyhedron,
-    first: Three,
-    second: Three,
-    six: np.ndarray,
-    pattern: CornerPattern,
-    top: int,
-    distance: float,
-    bound: float,
-    notes: Sequence[str],
-) -> Grasp:
-    """A grasp of grippers at two corners, which opens where contact 7 comes nearer than its bound.
-
-    The gripper with the pattern carries contact 7, too.
-
-    Parameters
-    ----------
-    body : Polyhedron
-    first, second : (int, int, int)
-        Faces of contacts 1, 2, 3 and of 4, 5, 6.
-    six : ndarray, shape (6, 3)
-        These contacts [m].
-    pattern : CornerPattern
-        The contacts 1, 2, 3 or 4, 5, 6.
-    top : int
-        The face of the pattern's third contact and of contact 7.
-    distance, bound : float
-        Of contact 7 from the pattern's third contact, and the one at which the grasp opens [m].
-    notes : sequence of str
-
-    Raises
-    ------
-    GraspError
-        A contact outside its face; a grasp that hangs on rounding.
-    """
-    points = np.vstack([six, pattern.last_point(distance)])
-    split = [(0, 1, 2, 6), (3, 4, 5)] if top == first[2] else [(0, 1, 2), (3, 4, 5, 6)]
-    frames = [gripper_frame(body, first, points[:3]), gripper_frame(body, second, points[3:6])]
-    grasp = assembled(body, points, (*first, *second, top), split, frames, notes)
-    return proven(grasp, crosses(grasp, pattern.last_point, bound))
 
 
 def proven(grasp: Grasp, crosses_bound: bool, remedy: str = OTHER_LENGTHS) -> Grasp:
@@ -201,9 +157,8 @@ def sized(at_depth: Callable[[float], Grasp], depth: float, gripper_size: float 
     Raises
     ------
     GraspError
-        A size that is not positive, one that does not fit, or one that no depth was found for.
+        A size that does not fit, or one that no depth was found for.
     """
-    gripper_size = size_of_gripper(gripper_size)
     if gripper_size is None:
         return at_depth(depth)
     deep = BEGINNING * depth

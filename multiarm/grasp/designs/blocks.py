@@ -22,7 +22,8 @@ and 7, gripper 2 contacts 4, 5 and 6.  They hold every block on whose faces all 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -31,15 +32,16 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.body.body_class import classify
 from multiarm.grasp.body.polyhedron import Polyhedron
-from multiarm.grasp.designs.assembling import at_two_corners, length_of
+from multiarm.grasp.designs.assembling import length_of
+from multiarm.grasp.designs.corner_design import USUAL_DISTANCE, CornerDesign
 from multiarm.grasp.designs.corner_pattern import CornerPattern, corner_pattern
 from multiarm.grasp.designs.grippers import Three, opposite_corner
 from multiarm.grasp.designs.parallel_bodies import centred_corner
 from multiarm.grasp.grasp import Grasp
 
-# By default: A as a part of the shortest edge, E as a part of A, and the last contact at
-# this multiple of its bound.  Contact 7 is then 2.5 A from the edge, less than half an edge.
-USUAL_OFFSET, USUAL_SEVENTH, USUAL_DISTANCE = 0.15, 0.5, 2.0
+# By default: A as a part of the shortest edge, E as a part of A.  Contact 7, at twice its bound, is
+# then 2.5 A from the edge, less than half an edge.
+USUAL_OFFSET, USUAL_SEVENTH = 0.15, 0.5
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,8 @@ class BlockDesign:
 
     @property
     def minimum_distance(self) -> float:
-        """``D_x = 2 |A - E|``: the grasp is closed beyond it, whatever the block [m]."""
-        return 2.0 * abs(self.offset - self.seventh_offset)
+        """``D_x = 2 |Q| = 2 |A - E|``: the grasp is closed beyond it, whatever the block [m]."""
+        return 2.0 * abs(self._pattern.reach)
 
     @cached_property
     def smallest(self) -> np.ndarray:
@@ -109,8 +111,7 @@ class BlockDesign:
     @property
     def gripper_size(self) -> float:
         """Largest distance between two contacts of gripper 1, the larger one [m]."""
-        pattern = self._at(corner_pattern(np.eye(3), np.zeros(3), np.zeros(3)))
-        places = np.vstack([pattern.points, pattern.last_point(self.distance)])
+        places = np.vstack([self._pattern.points, self._pattern.last_point(self.distance)])
         return float(np.linalg.norm(places[:, None] - places[None], axis=-1).max())
 
     def fits(self, lengths: Any) -> bool:
@@ -138,17 +139,13 @@ class BlockDesign:
         chosen, opposite = _faces(block, faces)
         pattern = self._at(centred_corner(block, chosen, opposite))
         self._check(2.0 * pattern.normals @ pattern.corner)
-        return at_two_corners(
-            block,
-            chosen,
-            opposite,
-            pattern.with_mirror_images,
-            pattern,
-            chosen[2],
-            self.distance,
-            self.minimum_distance,
-            self._notes(),
-        )
+        grasp = CornerDesign(block, chosen, opposite, pattern, self.distance).grasp()
+        return replace(grasp, notes=self._notes())
+
+    @cached_property
+    def _pattern(self) -> CornerPattern:
+        """Contacts 1, 2, 3 at a square corner in the origin."""
+        return self._at(corner_pattern(np.eye(3), np.zeros(3), np.zeros(3)))
 
     def _at(self, corner: CornerPattern) -> CornerPattern:
         """Contacts 1, 2, 3 at a corner."""
@@ -216,12 +213,13 @@ def design_block_grasp(
     block = body if isinstance(body, Polyhedron) else Polyhedron.box(body)
     chosen, opposite = _faces(block, faces)
     if offset is None:
-        edges = [
-            block.faces[i].offset + block.faces[j].offset
-            for i, j in zip(chosen, opposite, strict=True)
-        ]
-        offset = USUAL_OFFSET * min(edges)
+        offset = usual_offset(block, zip(chosen, opposite, strict=True))
     return block_design(offset, seventh, distance).grasp(block, chosen)
+
+
+def usual_offset(block: Polyhedron, pairs: Iterable[tuple[int, int]]) -> float:
+    """A by default, for the pairs of faces of a block [m]."""
+    return USUAL_OFFSET * min(block.faces[i].offset + block.faces[j].offset for i, j in pairs)
 
 
 def block_design(

@@ -27,7 +27,7 @@ from multiarm.grasp.designs.assembling import (
     size_of_gripper,
     sized,
 )
-from multiarm.grasp.designs.blocks import USUAL_OFFSET, design_block_grasp
+from multiarm.grasp.designs.blocks import design_block_grasp, usual_offset
 from multiarm.grasp.designs.drawn_contacts import search_grasp
 from multiarm.grasp.designs.parallel_bodies import design_parallel_grasp
 from multiarm.grasp.designs.wide_bodies import design_wide_grasp
@@ -75,7 +75,7 @@ def design_grasp(
     nearly_round = _refuse_round(body)
     body_class = classify(body)
     if body_class.kind == "block":
-        grasp = _block_grasp(body, gripper_size, offset, seventh)
+        grasp = _block_grasp(body, body_class.pairs, gripper_size, offset, seventh)
     elif offset is not None or seventh is not None:
         raise GraspError(
             f"offset and seventh are lengths of the construction for blocks; this body is "
@@ -107,18 +107,21 @@ def _refuse_round(body: Polyhedron) -> tuple[str, ...]:
 
 
 def _block_grasp(
-    body: Polyhedron, gripper_size: float | None, offset: float | None, seventh: float | None
+    body: Polyhedron,
+    pairs: tuple[tuple[int, int], ...],
+    gripper_size: float | None,
+    offset: float | None,
+    seventh: float | None,
 ) -> Grasp:
     if gripper_size is None or offset is not None:
         if gripper_size is not None:
             raise GraspError("give the size of the grippers or the offset, not both")
         return design_block_grasp(body, offset=offset, seventh=seventh)
-    edges = [body.faces[i].offset + body.faces[j].offset for i, j in classify(body).pairs]
 
     def with_offset(A: float) -> Grasp:
         return design_block_grasp(body, offset=A, seventh=seventh)
 
-    return sized(with_offset, USUAL_OFFSET * min(edges), gripper_size)
+    return sized(with_offset, usual_offset(body, pairs), gripper_size)
 
 
 def _general_grasp(

@@ -178,9 +178,9 @@ class CornerPattern:
         return self.in_body(self._in_frame)
 
     @property
-    def with_mirror_images(self) -> np.ndarray:
-        """The contacts, then their images in the origin of Sigma_0, body's frame, (6, 3) [m]."""
-        return np.vstack([self.points, 2.0 * self.frame[:3, 3] - self.points])
+    def mirror_images(self) -> np.ndarray:
+        """Images of the contacts in the origin of Sigma_0, in the body's frame, (3, 3) [m]."""
+        return 2.0 * self.frame[:3, 3] - self.points
 
     @cached_property
     def _in_frame(self) -> np.ndarray:

@@ -24,7 +24,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.body.body_class import BodyClass
-from multiarm.grasp.body.face import PLANE_TOLERANCE, frame_of
+from multiarm.grasp.body.face import frame_of
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.programs import least_distance
@@ -41,12 +41,11 @@ def convex_corner(body: Polyhedron, vertex: int) -> bool:
     meeting = body.corners[vertex]
     if len(meeting) != 3:
         return False
-    tolerance = PLANE_TOLERANCE * body.size
     for number in meeting:
         loop = next((loop for loop in body.loops[number] if vertex in loop), ())
         at = loop.index(vertex)
         ends = body.vertices[[loop[at - 1], loop[(at + 1) % len(loop)]]] - body.vertices[vertex]
-        if (ends @ body.normals[list(meeting)].T).max() > tolerance:
+        if (ends @ body.normals[list(meeting)].T).max() > body.off_plane:
             return False
     return True
 

@@ -25,7 +25,7 @@ Blocks are the square case, with other offsets (:mod:`multiarm.grasp.designs.blo
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -34,12 +34,8 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.body.body_class import classify
 from multiarm.grasp.body.polyhedron import Polyhedron
-from multiarm.grasp.designs.assembling import (
-    at_two_corners,
-    length_of,
-    size_of_gripper,
-    sized,
-)
+from multiarm.grasp.designs.assembling import length_of, size_of_gripper, sized
+from multiarm.grasp.designs.corner_design import USUAL_STEPS, CornerDesign, usual_distance
 from multiarm.grasp.designs.corner_pattern import (
     CornerPattern,
     Offsets,
@@ -50,38 +46,15 @@ from multiarm.grasp.designs.grippers import Three, opposite_corner
 from multiarm.grasp.grasp import Grasp
 
 # By default: depth of the pattern below its faces as a part of the smallest distance of a face from
-# the centre, G1 - G2 as parts of the depth, and the last contact at this multiple of its bound, or
-# half way from the bound to the edge if that is nearer.
-USUAL_DEPTH, USUAL_STEPS, USUAL_DISTANCE = 0.3, (0.5, -0.5), 2.0
+# the centre.
+USUAL_DEPTH = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class ParallelDesign:
+class ParallelDesign(CornerDesign):
     """Two fixed grippers for a body with three pairs of parallel faces.
 
-    Attributes
-    ----------
-    body : Polyhedron
-    faces : (int, int, int)
-        Front, side and top: of contacts 1, 2 and 3.
-    opposite : (int, int, int)
-        Of contacts 4, 5 and 6.
-    pattern : CornerPattern
-        About the centre of the body.
-    distance : float
-        Of contact 7 from contact 3 [m].
+    The pattern, of contacts 1, 2 and 3, is about the centre of the body.
     """
-
-    body: Polyhedron
-    faces: Three
-    opposite: Three
-    pattern: CornerPattern
-    distance: float
-
-    @property
-    def minimum_distance(self) -> float:
-        """``D_x = 2 |Q|``: the grasp is closed beyond it [m]."""
-        return 2.0 * abs(self.pattern.reach)
 
     @property
     def smallest_height(self) -> float:
@@ -94,42 +67,22 @@ class ParallelDesign:
         G2 = p.corner[2] - g2
         return float(G2 + (2.0 * numerator / self.distance + constant) / (ct * cb * cg))
 
-    def grasp(self) -> Grasp:
-        """The grasp, verified.
-
-        Raises
-        ------
-        GraspError
-            No contact on the line y = f closes; contacts outside their faces; a distance that is
-            not beyond its bound.
-        """
-        self.pattern.require_reach()
-        if not self.distance > self.minimum_distance:
-            raise GraspError(
-                f"contact 7 is {self.distance:.6g} m from contact 3, but the grasp is closed only "
-                f"beyond 2 |Q| = {self.minimum_distance:.6g} m; more height (over "
-                f"{self.smallest_height:.6g} m) or a smaller G1 - G2 lowers the bound"
-            )
-        return at_two_corners(
-            self.body,
-            self.faces,
-            self.opposite,
-            self.pattern.with_mirror_images,
-            self.pattern,
-            self.faces[2],
-            self.distance,
-            self.minimum_distance,
-            self._notes(),
-        )
-
-    def _notes(self) -> tuple[str, ...]:
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Where contact 7 is, its bound, and which bodies the same grippers hold."""
         return (
-            f"contact 7 is {self.distance:.6g} m from contact 3; the grasp is closed beyond "
-            f"2 |Q| = {self.minimum_distance:.6g} m",
+            *super().notes,
             f"the same grippers hold bodies with these angles, Lx = {self.pattern.corner[0]:.6g} m "
             f"and Ly = {self.pattern.corner[1]:.6g} m whose corner is higher than "
             f"{max(self.smallest_height, 0.0):.6g} m over the centre, as long as the contacts stay "
             f"on their faces",
+        )
+
+    @property
+    def _remedy(self) -> str:
+        return (
+            f"; more height (over {self.smallest_height:.6g} m) or a smaller G1 - G2 lowers the "
+            f"bound"
         )
 
 
@@ -207,10 +160,9 @@ def parallel_design(
         Faces that are not right-handed, or have no common corner; offsets that are no lengths.
     """
     pattern = _right_handed_corner(body, faces, opposite).stepped(*_four(offsets))
-    if distance is None:
-        distance = usual_distance(body, faces[2], pattern, 2.0)
-    length = length_of(distance, "the distance of contact 7")
-    return ParallelDesign(body, faces, opposite, pattern, length)
+    length = np.nan if distance is None else length_of(distance, "the distance of contact 7")
+    design = ParallelDesign(body, faces, opposite, pattern, length)
+    return design if distance is not None else replace(design, distance=usual_distance(design))
 
 
 def centred_corner(body: Polyhedron, faces: Three, opposite: Three) -> CornerPattern:
@@ -219,22 +171,6 @@ def centred_corner(body: Polyhedron, faces: Three, opposite: Three) -> CornerPat
     levels, beyond = ([body.faces[k].offset for k in three] for three in (faces, opposite))
     centre = np.linalg.solve(n, 0.5 * np.subtract(levels, beyond))
     return corner_pattern(n, np.array(levels), centre)
-
-
-def usual_distance(body: Polyhedron, top: int, pattern: CornerPattern, factor: float) -> float:
-    """A distance of the last contact beyond the bound ``factor |Q|``, with room before the edge."""
-    bound = factor * abs(pattern.reach)
-    if pattern.obstacle is not None:
-        return USUAL_DISTANCE * bound
-    direction = -np.sign(pattern.reach) * pattern.frame[:3, 0]
-    end = body.faces[top].room_along(pattern.points[2], direction)
-    if end <= bound:
-        raise GraspError(
-            f"the grippers are too large for the object: the last contact must be {bound:.4g} m "
-            f"from the other on {body.faces[top].name}, whose edge is only {end:.4g} m away; "
-            f"choose smaller offsets"
-        )
-    return min(USUAL_DISTANCE * bound, 0.5 * (bound + end))
 
 
 def _four(offsets: Any) -> Offsets:

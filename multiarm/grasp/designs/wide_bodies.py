@@ -28,7 +28,7 @@ those that balance most evenly (see `smallest_pushes`); only a few such choices 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -40,13 +40,13 @@ from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.designs.assembling import (
     assembled,
-    at_two_corners,
     crosses_border,
     size_of_gripper,
     sized,
     smallest_pushes,
 )
-from multiarm.grasp.designs.corner_pattern import CornerPattern, corner_pattern
+from multiarm.grasp.designs.corner_design import USUAL_STEPS, CornerDesign, usual_distance
+from multiarm.grasp.designs.corner_pattern import corner_pattern
 from multiarm.grasp.designs.grippers import (
     Three,
     convex_corner,
@@ -56,79 +56,16 @@ from multiarm.grasp.designs.grippers import (
     shared_corner,
     two_groups,
 )
-from multiarm.grasp.designs.parallel_bodies import right_handed, usual_distance
+from multiarm.grasp.designs.parallel_bodies import right_handed
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.seventh_contact.contact_region import seventh_contact_region
 from multiarm.grasp.seventh_contact.wrench_cones import is_independent
 from multiarm.terminal.progress import Progress, displayed
 
-# Depth of the patterns as a part of the shortest edge at their corners, and G1 - G2 as parts of it.
-USUAL_DEPTH, USUAL_STEPS = 0.2, (0.5, -0.5)
+# Depth of the patterns as a part of the shortest edge at their corners.
+USUAL_DEPTH = 0.2
 # Triples that are tried, at most; those whose three faces share a corner come first.
 MOST_TRIPLES = 24
-
-
-@dataclass(frozen=True, eq=False)
-class WideDesign:
-    """A grasp of the wider class with two grippers at corners.
-
-    Attributes
-    ----------
-    body : Polyhedron
-    triple : (int, int, int)
-        Faces of contacts 1, 2, 3; they share a corner.
-    faces : (int, int, int)
-        Front, side and top: of contacts 4, 5 and 6; contact 7 is on the top.
-    pattern : CornerPattern
-        Contacts 4, 5, 6, about O.
-    distance : float
-        Of contact 7 from contact 6 [m].
-    """
-
-    body: Polyhedron
-    triple: Three
-    faces: Three
-    pattern: CornerPattern
-    distance: float
-
-    @property
-    def minimum_distance(self) -> float:
-        """``D_x = |Q|``: the grasp is closed beyond it [m]."""
-        return abs(self.pattern.reach)
-
-    def grasp(self) -> Grasp:
-        """The grasp, verified.
-
-        Raises
-        ------
-        GraspError
-            No contact on the line y = f closes; contacts outside their faces; a distance that is
-            not beyond its bound.
-        """
-        p, body = self.pattern, self.body
-        p.require_reach()
-        if not self.distance > self.minimum_distance:
-            raise GraspError(
-                f"contact 7 is {self.distance:.6g} m from contact 6, but the grasp is closed only "
-                f"beyond |Q| = {self.minimum_distance:.6g} m"
-            )
-        first = feet(body, self.triple, p.frame[:3, 3])
-        note = (
-            f"contact 7 is {self.distance:.6g} m from contact 6; the grasp is closed beyond "
-            f"|Q| = {self.minimum_distance:.6g} m"
-        )
-        six = np.vstack([first, p.points])
-        return at_two_corners(
-            body,
-            self.triple,
-            self.faces,
-            six,
-            p,
-            self.faces[2],
-            self.distance,
-            self.minimum_distance,
-            (note,),
-        )
 
 
 def design_wide_grasp(
@@ -181,7 +118,7 @@ def design_wide_grasp(
 
 def wide_design(
     body: Polyhedron, triple: Three, faces: Three, depth: float, step: float
-) -> WideDesign:
+) -> CornerDesign:
     """The design with both patterns equally deep below their faces.
 
     Parameters
@@ -198,8 +135,8 @@ def wide_design(
     planes = np.array([body.faces[k].offset for k in faces])
     corner = corner_pattern(body.normals[list(faces)], planes, origin)
     pattern = corner.stepped(*corner.even_offsets(depth, step * depth))
-    distance = usual_distance(body, faces[2], pattern, 1.0)
-    return WideDesign(body, triple, faces, pattern, distance)
+    design = CornerDesign(body, faces, triple, pattern, np.nan, mirrored=False)
+    return replace(design, distance=usual_distance(design))
 
 
 def _told(
@@ -286,8 +223,11 @@ def deep_point(body: Polyhedron, faces: Three) -> np.ndarray | None:
         inward /= np.linalg.norm(inward, axis=1)[:, None]
         rows.append(inward)  # inward . normal = 0: the foot counts as the point does
         levels.append(np.sum(inward * (face.vertices - body.centre), axis=1))
-    best = largest_ball(-np.vstack(rows), -np.concatenate(levels), body.size)
-    return None if best.x is None or best.x[3] <= 1e-9 * body.size else best.x[:3] + body.centre
+    unit = 2.0 ** np.round(np.log2(body.size))  # of lengths; division by it rounds nothing
+    best = largest_ball(-np.vstack(rows), -np.concatenate(levels) / unit, body.size / unit)
+    if best.x is None or best.x[3] <= 1e-9:
+        return None
+    return best.x[:3] * unit + body.centre
 
 
 def _firmest_three(

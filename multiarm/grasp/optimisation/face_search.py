@@ -103,8 +103,7 @@ class Search:
     @property
     def bound(self) -> float:
         """No placement at all has a larger margin."""
-        elsewhere = 0.0 if self.choices.complete else LARGEST_MARGIN
-        return max(float(self.tops.max(initial=elsewhere)), self.value)
+        return max(float(self.tops.max(initial=0.0)), self.value)
 
     @property
     def gap(self) -> float:
@@ -113,7 +112,7 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """Whether no choice but those already looked at, or not drawn, can be better."""
+        """Whether no choice but those already looked at can be better."""
         return not bool((self.tops[~self.looked_at] > self.value).any())
 
     def run(self) -> None:
@@ -135,7 +134,8 @@ class Search:
             open_end = "" if self.settled else " within the budget; allow more nodes"
             raise GraspError(
                 f"no grasp that closes and keeps the distances and the floor of the conditioning "
-                f"was found{open_end}; larger grippers, smaller tips or other places may help"
+                f"was found{open_end}; larger grippers, smaller tips, other places or a lower "
+                f"conditioning than {self.limits.conditioning:.3g} may help"
             )
         self._condition()
         self._tell("done")

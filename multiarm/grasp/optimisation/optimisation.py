@@ -13,8 +13,8 @@ bound comes next. So at any time
 .. math:: \text{value} \le \text{optimum} \le \text{bound} .
 
 The search ends when they are within ``gap``, when no other choice can be better, or when its budget
-of choices is used up; then the gap is larger. Of bodies with many faces and corners some choices
-are drawn instead; for the others the bound is 1/7, and the message says so.
+of choices is used up; then the gap is larger. Of bodies with many faces and corners there may be
+too many choices to bound them all, which is refused.
 
 The margin alone says nothing about leverage: contacts can share the load evenly and yet hardly
 resist a rotation. So there is a floor on the conditioning of the scaled wrenches, and among
@@ -23,18 +23,21 @@ placements whose margin is good enough the best conditioned is taken.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.body_class import as_polyhedron
 from multiarm.grasp.body.face import across, frame_of
 from multiarm.grasp.contacts import Contacts, numbers_of
 from multiarm.grasp.optimisation.face_search import Limits, Search
-from multiarm.grasp.optimisation.placements import FaceChoices, face_choices, touch_regions
+from multiarm.grasp.optimisation.placements import face_choices, touch_regions
 from multiarm.terminal.progress import Progress, displayed
 
 if TYPE_CHECKING:
@@ -43,8 +46,11 @@ if TYPE_CHECKING:
 
 # Choices of faces that are bounded before the search gives up, by default.
 NODES = 300
-# Smallest over largest singular value of the scaled wrenches, at least, by default.
-CONDITIONING = 1e-3
+# Smallest over largest singular value of the scaled wrenches, at least, by default; small grippers
+# on a large body have about their size over that of the body, so this part of it at most.
+CONDITIONING, CONDITIONING_OF_SIZE = 1e-3, 1e-2
+# Contacts of the two grippers.
+SPLITS = [[count, 7 - count] for count in range(1, 7)]
 # Of gaps.
 ROUNDING = 1e-12
 
@@ -67,7 +73,7 @@ class OptimisedGrasp:
     conditioning : float
         Smallest over largest singular value of the grasp's scaled wrenches.
     choices : int
-        Choices of faces that can close, of those that were listed or drawn.
+        Choices of faces that can close.
     nodes : int
         Choices of faces that were bounded.
     seconds : float
@@ -95,7 +101,7 @@ def optimise_grasp(
     faces: Iterable[int] | dict[int, Any] | None = None,
     tip_radius: float = 0.0,
     spacing: float | None = None,
-    conditioning: float = CONDITIONING,
+    conditioning: float | None = None,
     gap: float = 0.05,
     nodes: int = NODES,
     seconds: float | None = None,
@@ -120,8 +126,9 @@ def optimise_grasp(
         Of a fingertip: contacts keep this distance from the edges of their faces [m].
     spacing : float, optional
         Contacts keep this distance from each other [m]; by default twice ``tip_radius``.
-    conditioning : float
-        Floor of the smallest over the largest singular value of the scaled wrenches.
+    conditioning : float, optional
+        Floor of the smallest over the largest singular value of the scaled wrenches; by default
+        1e-3, or a hundredth of ``gripper_size`` over the size of the body if that is less.
     gap : float
         The search ends when this is reached.
     nodes : int
@@ -141,13 +148,21 @@ def optimise_grasp(
     Raises
     ------
     GraspError
-        Unusable limits; no two places from which seven contacts can close; no grasp found.
+        Unusable limits; no two places from which seven contacts can close, or too many choices of
+        faces from which they may; no grasp found.
     """
     started = time.perf_counter()
-    _check_limits(fingers, gripper_size, tip_radius, gap, nodes)
+    body = as_polyhedron(body)
+    _check_fingers(fingers)
+    _check_numbers(
+        {"gripper_size": gripper_size, "gap": gap, "nodes": nodes, "tip_radius": tip_radius},
+        {"spacing": spacing, "conditioning": conditioning, "seconds": seconds},
+    )
     needed = "places have shape (M, 3), two at least, and are finite"
     where = body.vertices if places is None else numbers_of(places, needed, (-2, 3))
     size, middle = body.size, np.asarray(body.centre, dtype=float)
+    if conditioning is None:
+        conditioning = min(CONDITIONING, CONDITIONING_OF_SIZE * gripper_size / size)
     regions = touch_regions(body, where, gripper_size, clearance=tip_radius, faces=faces)
     limits = Limits(
         spacing=(2.0 * tip_radius if spacing is None else spacing) / size,
@@ -158,9 +173,13 @@ def optimise_grasp(
     )
     generator = np.random.default_rng(rng)
     with displayed(progress, Progress) as show:
-        choices = face_choices(regions, fingers, generator)
+        choices = face_choices(regions, fingers)
         if not len(choices):
-            raise GraspError(_none_can_close(choices))
+            raise GraspError(
+                "no two places from which seven contacts can close: the normals within reach do "
+                "not span space, or no hand reaches them from one side; take larger grippers, "
+                "other places or more faces"
+            )
         search = Search(choices, limits, middle, size, generator, show)
         search.run()
     grasp, conditioned = _grasp(body, search, where, fingers)
@@ -178,17 +197,24 @@ def optimise_grasp(
     )
 
 
-def _check_limits(
-    fingers: tuple[int, int], reach: float, tip_radius: float, gap: float, nodes: int
-) -> None:
-    if len(fingers) != 2 or sum(fingers) != 7 or min(fingers) < 1:
-        raise GraspError(f"two grippers carry seven contacts together, not {fingers}")
-    if not (np.isfinite(reach) and reach > 0.0 and np.isfinite(tip_radius) and tip_radius >= 0.0):
+def _check_fingers(fingers: Any) -> None:
+    if list(fingers if isinstance(fingers, tuple | list) else ()) not in SPLITS:
+        raise GraspError(f"two grippers carry seven contacts together, not {fingers!r}")
+
+
+def _check_numbers(required: dict[str, Any], chosen: dict[str, Any]) -> None:
+    """Finite numbers that are not negative; ``chosen`` ones may be left out."""
+    numbers = {**required, **{name: value for name, value in chosen.items() if value is not None}}
+    for name, value in numbers.items():
+        if not (isinstance(value, Real) and math.isfinite(value) and float(value) >= 0.0):
+            raise GraspError(f"{name} is a finite number and not negative, not {value!r}")
+    if not required["gripper_size"] > 0.0:
+        raise GraspError(f"gripper_size is a length, not {required['gripper_size']!r}")
+    if not 0.0 < required["gap"] < 1.0 or required["nodes"] < 1:
         raise GraspError(
-            f"gripper_size is a length and tip_radius not negative; given: {reach} and {tip_radius}"
+            f"gap lies between 0 and 1, nodes is positive; given: {required['gap']}, "
+            f"{required['nodes']}"
         )
-    if not 0.0 < gap < 1.0 or nodes < 1:
-        raise GraspError(f"gap lies between 0 and 1, nodes is positive; given: {gap}, {nodes}")
 
 
 def _grasp(
@@ -221,30 +247,13 @@ def _frame(place: np.ndarray, inward: np.ndarray) -> np.ndarray:
     return frame_of(z, across(z), place)
 
 
-def _none_can_close(choices: FaceChoices) -> str:
-    tried = "" if choices.complete else f" (of {choices.total} choices of faces some were drawn)"
-    return (
-        f"no two places from which seven contacts can close{tried}: the normals within reach do "
-        f"not span space, or no hand reaches them from one side; take larger grippers, other "
-        f"places or more faces"
-    )
-
-
 def _message(search: Search, gap: float) -> str:
-    choices = search.choices
     text = (
         f"margin {search.value:.4g}, at most {search.bound:.4g} is possible: within "
-        f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(choices)} choices "
-        f"of faces"
+        f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(search.choices)} "
+        f"choices of faces"
     )
-    if not choices.complete:
-        text += (
-            f", drawn at random from {choices.total}; for those not drawn the bound is the 1/7 of "
-            f"any seven contacts"
-        )
-    if search.gap > gap + ROUNDING and not choices.complete:
-        text += "; smaller grippers, or named faces or places, leave fewer choices"
-    elif search.gap > gap + ROUNDING and search.settled:
+    if search.gap > gap + ROUNDING and search.settled:
         text += "; no sharper bound is known"
     elif search.gap > gap + ROUNDING:
         text += "; the budget ended before the gap was reached, more nodes narrow it"

@@ -12,7 +12,7 @@ circumscribed one, which is larger by half a per cent; so a bound holds for the 
 from one side (:mod:`multiarm.grasp.designs.grippers`). It can close only if the normals span space
 positively, which needs on both sides of every plane through two of them another one; and no more
 than three normals are parallel (thesis, 2.2.1: of seven contacts that close any six are
-independent). Where there are too many choices to look at them all, some are drawn.
+independent).
 
 **Coordinates.**  A placement is seven pairs of face coordinates y, shape (7, 2), in units of the
 body's size from the middle of each region. On a face the wrench is affine in them,
@@ -120,12 +120,15 @@ def _shapes(
     """The part of each face that may be touched, in face coordinates."""
     from shapely.geometry import Polygon
 
-    allowed = faces if isinstance(faces, dict) else dict.fromkeys(_numbers(body, faces))
+    numbers = range(len(body.faces)) if faces is None else faces
+    if not isinstance(numbers, Iterable):
+        raise GraspError(f"faces are the numbers of some, not {faces!r}")
+    allowed = numbers if isinstance(numbers, dict) else dict.fromkeys(sorted(set(numbers)))
     shapes = {}
     for number, corners in allowed.items():
-        if not 0 <= number < len(body.faces):
-            raise GraspError(f"the body has faces 0 to {len(body.faces) - 1}, not {number}")
-        face = body.faces[number]
+        if number not in range(len(body.faces)):
+            raise GraspError(f"the body has faces 0 to {len(body.faces) - 1}, not {number!r}")
+        face = body.faces[int(number)]
         shape = face.shape.buffer(-clearance, join_style="mitre") if clearance else face.shape
         if corners is not None:
             needed = f"face {number}: the part to be touched has corners (K, 3)"
@@ -135,10 +138,6 @@ def _shapes(
             shape = shape.intersection(part)
         shapes[number] = shape
     return shapes
-
-
-def _numbers(body: Polyhedron, faces: Iterable[int] | None) -> list[int]:
-    return list(range(len(body.faces))) if faces is None else sorted(set(faces))
 
 
 def _regions(
@@ -199,8 +198,8 @@ def _ring(polygon: Polygon) -> np.ndarray:
 PARALLEL = 1e-9
 # Most normals that may be parallel, either sense.
 MOST_PARALLEL = 3
-# Choices that are looked at one by one, and how many are drawn where there are more.
-MOST_CHOICES, DRAWN_CHOICES = 500_000, 50_000
+# Choices that are looked at one by one, at most.
+MOST_CHOICES = 500_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,16 +211,10 @@ class FaceChoices:
     regions : list of TouchRegion
     numbers : ndarray, shape (K, 7)
         The regions of each choice, the first gripper's in front; in a fixed order.
-    total : int
-        So many choices of faces there are, closing or not.
-    complete : bool
-        All of them were looked at; otherwise some that were drawn.
     """
 
     regions: list[TouchRegion]
     numbers: np.ndarray
-    total: int
-    complete: bool
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -230,11 +223,7 @@ class FaceChoices:
         return [self.regions[k] for k in self.numbers[number]]
 
 
-def face_choices(
-    regions: Sequence[Sequence[TouchRegion]],
-    fingers: tuple[int, int],
-    rng: np.random.Generator | None = None,
-) -> FaceChoices:
+def face_choices(regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]) -> FaceChoices:
     """Choices of two places, and of regions there, from which seven contacts may close.
 
     Parameters
@@ -243,33 +232,33 @@ def face_choices(
         Of each place.
     fingers : (int, int)
         Contacts of the first and of the second gripper.
-    rng : numpy.random.Generator, optional
-        For the draws, where there are more than ``MOST_CHOICES``; always the same ones otherwise.
+
+    Raises
+    ------
+    GraspError
+        There are too many of them.
     """
     flat = [region for at_place in regions for region in at_place]
     ends = np.cumsum([0, *map(len, regions)]).tolist()
     places = [range(*limits) for limits in pairwise(ends)]
     spanning = _OfFaces(flat, positively_spanning)
-    pairs = [(a, b) for a, b in permutations(places, 2) if a and b and spanning([*a, *b])]
-    counts = [_multisets(len(a), fingers[0]) * _multisets(len(b), fingers[1]) for a, b in pairs]
-    total = sum(counts)
-    if total <= MOST_CHOICES:
-        blocks = [_all_choices(a, b, fingers) for a, b in pairs]
-    else:
-        draw = np.random.default_rng(0) if rng is None else rng
-        quotas = draw.multinomial(DRAWN_CHOICES, np.array(counts) / total)
-        blocks = [
-            np.hstack([_drawn(a, fingers[0], quota, draw), _drawn(b, fingers[1], quota, draw)])
-            for (a, b), quota in zip(pairs, quotas.tolist(), strict=True)
-        ]
-        blocks = [np.unique(block, axis=0) for block in blocks]
+    pairs, total = [], 0
+    for a, b in permutations(places, 2):
+        if a and b and spanning([*a, *b]):
+            pairs.append((a, b))
+            total += _multisets(len(a), fingers[0]) * _multisets(len(b), fingers[1])
+        if total > MOST_CHOICES:
+            raise GraspError(
+                f"there are more than {MOST_CHOICES:,} choices of faces, too many to bound them "
+                f"all; smaller grippers, or named faces or places, leave fewer"
+            )
+    blocks = [_all_choices(a, b, fingers) for a, b in pairs]
     numbers = np.concatenate([np.zeros((0, 7), dtype=int), *blocks])
-    normals = np.array([region.normal for region in flat]).reshape(-1, 3)
-    numbers = numbers[_few_parallel(normals, numbers)]
+    numbers = numbers[_few_parallel(spanning.directions[numbers])]
     reachable = _OfFaces(flat, hand_reaches)
     for hand in (slice(0, fingers[0]), slice(fingers[0], 7)):
         numbers = numbers[reachable.of_rows(numbers[:, hand])]
-    return FaceChoices(flat, numbers[spanning.of_rows(numbers)], total, total <= MOST_CHOICES)
+    return FaceChoices(flat, numbers[spanning.of_rows(numbers)])
 
 
 def positively_spanning(normals: np.ndarray) -> bool:
@@ -300,20 +289,9 @@ def _all_choices(a: range, b: range, fingers: tuple[int, int]) -> np.ndarray:
     return np.hstack([np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1))])
 
 
-def _drawn(place: range, count: int, rows: int, rng: np.random.Generator) -> np.ndarray:
-    """Multisets (rows, count) of numbers, all equally likely.
-
-    Subsets of ``size + count - 1`` numbers less 0, 1, ... are the multisets of ``size`` numbers.
-    """
-    order = rng.random((rows, len(place) + count - 1)).argsort(axis=1)
-    return place.start + np.sort(order[:, :count], axis=1) - np.arange(count)
-
-
-def _few_parallel(normals: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Whether each row of regions has no more than ``MOST_PARALLEL`` of one direction, (K,)."""
-    i, j = np.nonzero(np.abs(normals @ normals.T) > 1.0 - PARALLEL)
-    directions = j[np.unique(i, return_index=True)[1]]  # the first region of this direction
-    rows = np.sort(directions[numbers], axis=1)
+def _few_parallel(directions: np.ndarray) -> np.ndarray:
+    """Whether each row (K, 7) has no more than ``MOST_PARALLEL`` of one direction, (K,)."""
+    rows = np.sort(directions, axis=1)
     return np.all(rows[:, MOST_PARALLEL:] != rows[:, :-MOST_PARALLEL], axis=1)
 
 
@@ -327,6 +305,16 @@ class _OfFaces:
         self.normals = {region.face: region.normal for region in regions}
         self.question = question
         self.answers: dict[frozenset[int], bool] = {}
+
+    @property
+    def directions(self) -> np.ndarray:
+        """For each region the first face whose normal is parallel to its own, shape (R,)."""
+        faces = np.array(list(self.normals), dtype=int)
+        n = np.array(list(self.normals.values())).reshape(-1, 3)
+        first = np.argmax(np.abs(n @ n.T) > 1.0 - PARALLEL, axis=1) if len(n) else faces
+        place = np.zeros(faces.max(initial=-1) + 1, dtype=int)
+        place[faces] = faces[first]
+        return place[self.faces]
 
     def __call__(self, numbers: Sequence[int]) -> bool:
         return self._of(frozenset(self.faces[numbers].tolist()))

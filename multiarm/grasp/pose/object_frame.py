@@ -135,8 +135,8 @@ def object_frame_from_faces(
         Row k: outward unit normal of the face that contact k touches, in object axes.
     offsets : array-like, shape (N,)
         ``n_k . b`` for points b of that face, in the object's frame [m].
-    polygons : sequence of array-like, shape (K, 3) each, optional
-        Corners of that face in the object's frame.
+    polygons : sequence of Face or array-like, shape (K, 3) each, optional
+        That face, or its corners in order, in the object's frame.
     convex : bool
         The body is convex: no contact lies beyond a face that another one touches.
     point_covariance : float or array-like, optional
@@ -197,7 +197,7 @@ def object_frame_on_body(
         points,
         [face.normal for face in touched],
         [face.offset for face in touched],
-        polygons=[face.vertices for face in touched],
+        polygons=touched,
         convex=body.convex,
         point_covariance=point_covariance,
         previous=previous,

@@ -42,6 +42,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.face import Face, as_face
 from multiarm.grasp.contacts import numbers_of, unit_vectors
 from multiarm.notation import count_of
 
@@ -69,8 +70,8 @@ class ContactData:
         The point of the body, in its own frame, that offsets count from [m].
     length : float
         Root mean square distance of the points from their mean [m].
-    polygons : tuple of ndarray, shape (K, 3), or None
-        Corners of each contact's face less ``origin``.
+    faces : tuple of Face, or None
+        That each contact touches, in the body's frame.
     convex : bool
         Whether the body lies on the inner side of all its faces.
     covariance : ndarray, shape (N, 3, 3), or None
@@ -83,7 +84,7 @@ class ContactData:
     centre: np.ndarray
     origin: np.ndarray
     length: float
-    polygons: tuple[np.ndarray, ...] | None
+    faces: tuple[Face, ...] | None
     convex: bool
     covariance: np.ndarray | None
 
@@ -168,7 +169,7 @@ def contact_data(
         centre=centre,
         origin=origin,
         length=length,
-        polygons=_polygons(polygons, len(p), origin),
+        faces=_faces(polygons, len(p)),
         convex=convex,
         covariance=_covariances(point_covariance, len(p)),
     )
@@ -180,9 +181,9 @@ def outside(data: ContactData, R: np.ndarray, x: np.ndarray) -> float:
     worst = 0.0
     if data.convex:
         worst = max(worst, float((at @ data.normals.T - data.offsets).max()))
-    if data.polygons is not None:
-        for point, polygon, normal in zip(at, data.polygons, data.normals, strict=True):
-            worst = max(worst, _beyond(point, polygon, normal))
+    if data.faces is not None:
+        for point, face in zip(at + data.origin, data.faces, strict=True):
+            worst = max(worst, -float(face.room(point)))
     return worst
 
 
@@ -191,24 +192,14 @@ def table_of(values: Any, what: str) -> np.ndarray:
     return numbers_of(values, f"{what} are finite vectors of three numbers", (-1, 3))
 
 
-def _beyond(point: np.ndarray, polygon: np.ndarray, normal: np.ndarray) -> float:
-    """Distance of a point of a plane from a simple polygon in it; 0 inside."""
-    from shapely.geometry import Point, Polygon
-
-    across = np.linalg.svd(normal[None])[2][1:]
-    return float(Polygon((polygon - point) @ across.T).distance(Point(0.0, 0.0)))
-
-
-def _polygons(
-    polygons: Sequence[Any] | None, count: int, origin: np.ndarray
-) -> tuple[np.ndarray, ...] | None:
+def _faces(polygons: Sequence[Any] | None, count: int) -> tuple[Face, ...] | None:
     if polygons is None:
         return None
     if len(polygons) != count:
         raise GraspError(
             f"{count_of(count, 'contact')} must have as many polygons, not {len(polygons)}"
         )
-    return tuple(table_of(polygon, "corners of a face") - origin for polygon in polygons)
+    return tuple(map(as_face, polygons))
 
 
 def _covariances(deviations: Any, count: int) -> np.ndarray | None:

@@ -17,7 +17,6 @@ the wrenches; the smallest squeeze ``s`` with which every force is at least ``f`
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from itertools import pairwise
 from numbers import Real
@@ -60,7 +59,6 @@ USUAL_PATH = (
 STIFFNESS, DAMPING = 100.0, 20.0
 # The weakest contact shall press with so much of the object's weight, shared by the contacts.
 LEAST_SHARE = 0.25
-SIDES = ("left", "right")
 
 
 def grasp_scene(
@@ -140,7 +138,7 @@ def grasp_scene(
         wrenches = motion_wrenches(way, mass, inertia, np.array(GRAVITY))
         least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
         squeeze = needed_squeeze(upright.contacts, wrenches, least)
-    names = _arm_names(grasp)
+    names = [gripper.arm_name for gripper in grasp.grippers]
     arms_of_scene = {
         arm: _arm(upright, k, specs[k], start.arms[k], tip_radius, hand_mass)
         for k, arm in enumerate(names)
@@ -202,11 +200,6 @@ def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
             raise GraspError(f"squeeze is at least 0, not {value!r}")
 
 
-def _arm_names(grasp: FaceContacts) -> list[str]:
-    """The grippers' names, as a scene may name arms."""
-    return [re.sub(r"\W+", "_", gripper.name) for gripper in grasp.grippers]
-
-
 def _centred(grasp: FaceContacts) -> FaceContacts:
     """The grasp with the origin of its frame at the centre of mass, as that of an object."""
     shift = np.eye(4)
@@ -228,7 +221,12 @@ def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
             for part, xyz, rpy in USUAL_PATH
         ]
         return [Waypoint(time=0.0), *usual]
-    way = [Waypoint(time=0.0), *(waypoint for waypoint in path if waypoint.time != 0.0)]
+    start, later = Waypoint(time=0.0), [waypoint for waypoint in path if waypoint.time != 0.0]
+    if any(np.any(w.matrix() != start.matrix()) for w in path if w.time == 0.0):
+        raise GraspError(
+            "poses of the path are relative to the start: at 0 s there is none but the start itself"
+        )
+    way = [start, *later]
     if len(way) < 2:
         raise GraspError("the path has no pose after the start; leave it out for the usual one")
     for before, after in pairwise(way):

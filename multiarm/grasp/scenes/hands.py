@@ -29,7 +29,7 @@ from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.assembly.robots import arm_files
 from multiarm.errors import GraspError
-from multiarm.grasp.body.face import across, frame_of
+from multiarm.grasp.body.face import OFF_PLANE, across, frame_of
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.designs.grippers import clearest_approach
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
@@ -42,6 +42,9 @@ SHORTEST, SLENDER = 0.1, 0.6
 LEAST_CLEARANCE = 0.05
 # Clearance of the palm from every face that the gripper touches, in radii of a fingertip.
 CLEAR = 6.0
+# A rectangle is along axes when its edges are off by less than this part of its size, and so is the
+# cosine of its normal.
+ALONG_AXES = 1e-9
 # Digits of lengths in a scene, and of directions.
 DIGITS, DIRECTION_DIGITS = 12, 15
 
@@ -135,7 +138,7 @@ def contacts(grasp: FaceContacts, gripper: Gripper, tip_radius: float) -> list[d
             "point": _rounded(corners[0]),
             "normal": _rounded(outward, DIRECTION_DIGITS),
         }
-        patch = _patch(corners, outward)
+        patch = _patch(corners, outward, grasp.body.rounding)
         if patch is not None:
             plane["patch"] = patch
         written.append(
@@ -183,14 +186,14 @@ def _tips(grasp: FaceContacts, gripper: Gripper, tip_radius: float) -> np.ndarra
     return (centres - gripper.corner) @ gripper.frame[:3, :3]
 
 
-def _patch(corners: np.ndarray, normal: np.ndarray) -> dict[str, Any] | None:
+def _patch(corners: np.ndarray, normal: np.ndarray, rounding: float) -> dict[str, Any] | None:
     """The face as a box in the corner's axes, where it is a rectangle along them."""
     axis = int(np.argmax(np.abs(normal)))
-    if abs(normal[axis]) < 1.0 - 1e-9 or len(corners) != 4:
+    if abs(normal[axis]) < 1.0 - ALONG_AXES or len(corners) != 4:
         return None
     low, high = corners.min(axis=0), corners.max(axis=0)
-    at_low, at_high = np.abs(corners - low) < 1e-9, np.abs(corners - high) < 1e-9
-    if not np.all(at_low | at_high):
+    off = np.minimum(corners - low, high - corners).max()
+    if off > max(ALONG_AXES * np.ptp(corners, axis=0).max(), OFF_PLANE * rounding):
         return None
     bounds = [
         [None if k == axis else round(float(end[k]), DIGITS) for k in range(3)]

@@ -433,7 +433,7 @@ def _stability(grasp: SceneGrasp) -> StabilityFacts | None:
 
 def _carrying_force(system: System, grasp: SceneGrasp, evaluation: Evaluation) -> float | None:
     scene = system.scene
-    if scene.gravity is None:
+    if scene.gravity is None or not any(scene.gravity):
         return None
     R = quaternion_to_matrix(evaluation.state.object_quaternion_xyzw.copy())
     weight = np.append(-scene.object.mass * R.T @ np.array(scene.gravity), np.zeros(3))

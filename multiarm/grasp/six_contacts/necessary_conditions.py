@@ -29,6 +29,7 @@ import numpy as np
 
 from multiarm.geometry.screws import skew
 from multiarm.grasp.closure.balances import rounding
+from multiarm.grasp.closure.motions import point_in_words
 from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space
 
 # Sine of an angle, or distance over the spread of the contacts, that counts as none.
@@ -94,7 +95,7 @@ class _Lines:
     """Normal lines in scaled coordinates, and common points and planes of sets of them."""
 
     def __init__(self, contacts: Contacts) -> None:
-        self.centre, self.length = contacts.centre, contacts.length
+        self.contacts, self.centre, self.length = contacts, contacts.centre, contacts.length
         self.tolerance = incidence(contacts.points, contacts.length)
         points = (contacts.points - contacts.centre) / contacts.length
         self.through, self.within = [], []
@@ -125,8 +126,7 @@ class _Lines:
         """Where a common point is, in words."""
         if self.at_infinity(point):
             return "at infinity"
-        at = self.centre + self.length * point[:3] / point[3]
-        return "(" + ", ".join(f"{x:.4g}" for x in np.round(at, 12) + 0.0) + ")"
+        return point_in_words(self.contacts, self.centre + self.length * point[:3] / point[3])
 
 
 def _crowds(contacts: Contacts, lines: _Lines) -> Iterator[Violation]:

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -41,8 +42,9 @@ from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space,
 
 # Sides of the polygons that stand for a disc.
 SIDES = 8
-# Subsets of seven of more contacts that are examined, the most firmly closed ones.
-SUBSETS = 40
+# Subsets of seven of more contacts that are examined, the most firmly closed ones; of so many sets
+# at most, which are drawn where there are more: those of 21 contacts.
+SUBSETS, MOST_SETS = 40, 120_000
 # Corners of a square of half width 1 for each of six contacts.
 SQUARE = np.tile([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]], (6, 1, 1))
 
@@ -91,7 +93,8 @@ def closure_radius(
     -------
     ClosureRadius
         For seven contacts squares are exact and discs are between two bounds.  For more the lower
-        bound is that of the best subset of seven (any subset is enough), and there is no upper one.
+        bound is that of the best subset of seven (any subset is enough; of more than 21 contacts
+        some are drawn, always the same), and there is no upper one.
 
     Raises
     ------
@@ -199,7 +202,12 @@ def _polygon(turned: np.ndarray) -> np.ndarray:
 
 def _of_subsets(contacts: Contacts, tangents: np.ndarray, shape: str) -> ClosureRadius:
     """Lower bound for more than seven contacts: any seven of them that close are enough."""
-    sets = np.array(list(combinations(range(contacts.count), 7)))
+    drawn = comb(contacts.count, 7) > MOST_SETS
+    if drawn:
+        order = np.random.default_rng(0).random((MOST_SETS, contacts.count)).argsort(axis=1)
+        sets = np.unique(np.sort(order[:, :7], axis=1), axis=0)
+    else:
+        sets = np.array(list(combinations(range(contacts.count), 7)))
     verdicts = closed_many(contacts.points[sets], contacts.normals[sets])
     order = np.argsort(-verdicts.distances, kind="stable")[:SUBSETS]
     best = 0.0
@@ -209,7 +217,8 @@ def _of_subsets(contacts: Contacts, tangents: np.ndarray, shape: str) -> Closure
         best = max(best, radius.lower)
     words = f"seven of the contacts hold the body while all slide by {best:.4g} m or less"
     if best == 0.0:
-        words = "no seven of these contacts hold the body by themselves, so no radius is known"
+        which = f"none of {len(sets)} drawn sets of seven" if drawn else "no seven"
+        words = f"{which} of these contacts hold the body by themselves, so no radius is known"
     return ClosureRadius(best, float("inf"), None, shape, words)
 
 

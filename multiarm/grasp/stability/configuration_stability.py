@@ -323,7 +323,7 @@ def monte_carlo_stability(
     contacts: Contacts | HeldByContacts,
     displacement: Any,
     samples: int = 2000,
-    rng: np.random.Generator | int | None = None,
+    rng: np.random.Generator | int | None = 0,
     *,
     confidence: float = 0.95,
 ) -> DrawnStability:
