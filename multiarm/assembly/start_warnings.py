@@ -4,32 +4,58 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.postures import overlapping_links
+from multiarm.control.gravity_compensation import uncarried_weight
 from multiarm.dynamics.system import System
+from multiarm.notation import number, numbers
 from multiarm.scene import JointSpec
 from multiarm.scene.faults import place
 
 # A joint may be off the object's shape by a fingertip [m], beside the surface that it states.
 FINGERTIP = 0.02
+# Part of the weight that contacts may leave: joints are closed to roundings of the scene's size.
+UNCARRIED = 1e-6
 
 
 def start_warnings(system: System) -> list[str]:
     """What a start has that is possible but probably not meant.
 
-    Joints off the object's shape, written postures that assembly pushed into a limit, and links of
-    arms without a written posture that overlap the object or other arms.
+    Weight that the control is to carry and the contacts cannot, joints off the object's shape,
+    written postures that assembly pushed into a limit, and links of arms without a written posture
+    that overlap the object or other arms.
     """
     return [
+        *_weight_not_carried(system),
         *_joints_off_the_object(system),
         *_joints_at_limits(system),
         *_links_in_the_way(system),
     ]
 
 
+def _weight_not_carried(system: System) -> list[str]:
+    scene = system.scene
+    if scene.gravity is None or not scene.control.carries:
+        return []
+    with system.borrow() as data:
+        closed = data.with_contacts_closed()
+        left, size = uncarried_weight(closed, system.initial_state()), scene_size(closed)
+    weight = scene.object.mass * float(np.linalg.norm(scene.gravity))
+    if np.linalg.norm([*left[:3], *left[3:] / size]) <= UNCARRIED * weight:
+        return []
+    arms = ", ".join(map(repr, system.arm_names))
+    return [
+        f"{place(('control',))}: the contacts of {arms} cannot carry all of the object's weight, "
+        f"{number(weight, 'N')}: {numbers(left[:3], 'N')} and {numbers(left[3:], 'N m')} about its "
+        "centre of mass, world axes, are left, and it gives way there; add an arm, or join one "
+        "with fewer free motions (`uncarried_wrench` of an evaluation has what is left)"
+    ]
+
+
 def _joints_off_the_object(system: System) -> list[str]:
     """Of joints whose kind states the contacts; listed contacts have surfaces of their own."""
     warnings = []
-    for number, joint in enumerate(system.scene.joints):
+    for place_of_joint, joint in enumerate(system.scene.joints):
         point = system.frames[joint.arm].on_object[:3, 3]
         solid = None if joint.as_listed else system.scene.object.shape.solid
         nearest = None if solid is None else solid.nearest(point)
@@ -38,7 +64,7 @@ def _joints_off_the_object(system: System) -> list[str]:
         distance = float(np.linalg.norm(point - nearest))
         if distance <= FINGERTIP + _own_size(joint):
             continue
-        where, remedy = place(("joints", number)), "'at'"
+        where, remedy = place(("joints", place_of_joint)), "'at'"
         if joint.at is None:
             remedy = "the posture or the base, since without 'at' the joint is where the tip is"
         there = ", ".join(f"{x:.3g}" for x in nearest)

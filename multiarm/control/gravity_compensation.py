@@ -4,7 +4,9 @@ r"""Gravity compensation: the torques that hold arms and object at rest.
     \tau_i = g_i(q_i) - W_i\lambda_i, \qquad \lambda = W_o^T y, \quad A y = w, \quad A = W_o W_o^T,
 
 with the contact forces of least norm that carry the weight of the object, :math:`w = [-m g; 0]`
-(thesis, 3.4 and 3.10 at rest).  Their derivatives are
+(thesis, 3.4 and 3.10 at rest).  Where contacts cannot carry all of it, as those of a single hinge,
+they carry what is nearest in the sense of least squares; the rest is said at the start
+(:func:`uncarried_weight`) and by every evaluation.  Their derivatives are
 
 .. math::
     d\tau &= \big(dg - dW\,\lambda\big) - W\,d\lambda, \qquad
@@ -39,7 +41,7 @@ from multiarm.control.command_derivatives import (
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, open_system
 from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
-from multiarm.dynamics.contact_forces import add_joint_forces
+from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
 from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
@@ -221,6 +223,15 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     )
     write_holding_torque(data.struct)
     return b.control.torque.copy()
+
+
+def uncarried_weight(data: Data, start: State) -> np.ndarray:
+    """What the contacts leave of the object's weight at a start, a wrench (6,) [N, N m].
+
+    About its centre of mass, world axes.
+    """
+    holding_torque(data, start)
+    return uncarried_wrench(data)
 
 
 @kernel

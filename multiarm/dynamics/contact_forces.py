@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import clear, kernel
 
 
@@ -40,3 +43,12 @@ def write_wrenches(rows, bounds, forces, wrenches):
         for k in range(bounds[i], bounds[i + 1]):
             for l in range(wrench.size):
                 wrench[l] += rows[k, l] * forces[k]
+
+
+def uncarried_wrench(data: Data) -> np.ndarray:
+    """What the contacts leave of the wrench on the object that the control commands, shape (6,).
+
+    After the laws have been evaluated in these data; zeros where none commands one.
+    """
+    rows = data.arrays.rows
+    return data.arrays.control.object_wrench - rows.Wo.T @ rows.static_force

@@ -22,6 +22,7 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
+from multiarm.dynamics.contact_forces import uncarried_wrench
 from multiarm.dynamics.contact_geometry import (
     constraint_matrix,
     contact_terms,
@@ -176,11 +177,17 @@ class Evaluation:
         hardly move, or not at all.
     message : str
         Empty when accelerations and forces solve the equations; else the residual and its reason.
+    uncarried_wrench : ndarray, shape (6,)
+        What the contacts cannot put on the object of the wrench that the control commands, such as
+        its weight: force [N] and moment [N m] about its centre of mass, world axes.
     effect_state_rates : ndarray, shape (e,)
         Rates of the states of effects, such as the torques of lagging drives, at a run's start.
     contact_states : mapping arm -> tuple of str
         Of unilateral contacts: the state of each ("open", "touching", "sticking", ...).  Contacts
         with a floor have the key ``floor``, here and among forces, wrenches, points and normals.
+    contradictions : tuple of str
+        Contacts and joints whose gap, force or speed contradicts their state, as no contact mode
+        holds at this one: such as a box below the floor.
     """
 
     time: float
@@ -197,8 +204,10 @@ class Evaluation:
     rank: int
     coupled_arms: tuple[str, ...]
     message: str
+    uncarried_wrench: np.ndarray
     effect_state_rates: np.ndarray
     contact_states: Mapping[str, tuple[str, ...]]
+    contradictions: tuple[str, ...]
     _held: Snapshot  # of the contacts of the joints, all closed
     _all: Snapshot  # of all rows that can have forces
     _unique: Callable[[], np.ndarray]
@@ -433,8 +442,10 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         rank=b.solution.rank,
         coupled_arms=coupled,
         message=ambiguity_text(data) if check.solved else contradiction_text(data),
+        uncarried_wrench=uncarried_wrench(data.of_laws),
         effect_state_rates=b.effects.state_rates.copy(),
         contact_states={},
+        contradictions=(),
         _held=snapshot,
         _all=snapshot,
         _unique=partial(_unique_forces, snapshot),

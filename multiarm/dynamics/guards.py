@@ -192,10 +192,16 @@ def follow_stage(guards, struct, force):
 
 @kernel
 def judge_guards(guards, h):
-    """Results of all guards for a step of length ``h``; returns how many are not quiet."""
-    events = 0
+    """Write the results of all guards for a step of length ``h``."""
     for g in range(guards.kind.size):
         guards.result[g] = judge_guard(guards, g, h)
+
+
+@kernel
+def count_events(guards):
+    """How many guards were not quiet in the last step."""
+    events = 0
+    for g in range(guards.kind.size):
         events += 1 if guards.result[g] != QUIET else 0
     return events
 

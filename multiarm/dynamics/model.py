@@ -516,7 +516,8 @@ class Data:
         b = self.arrays
         b.time.now = t
         self.move_to(state)
-        b.control.torque[:] = 0.0  # those of another control
+        b.control.torque[:] = b.control.object_wrench[:] = 0.0  # those of another control
+        b.rows.static_force[:] = 0.0
         b.control.sampling.due, b.control.sampling.samples = b.control.sampling.mode, 0
         b.effects.states[:] = b.effects.state_rates[:] = 0.0
         b.pairs.starts[:] = self.model.pair_places

@@ -85,18 +85,18 @@ def believable(solution, residual):
 
 @cfunc
 def compare_solution(address, size, _a, _b):
-    """Compare the recorded solution with that of the previous step; returns the changes' number."""
+    """Compare the recorded solution with that of the previous step, and count the changes."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    solution, step, changes = data.solution, data.last_step, 0
-    step.solution.margin = solution.margin
+    solution, step = data.solution, data.last_step
+    step.solution.margin, step.solution.changes = solution.margin, 0
     if not step.solution.known or step.solution.rank != solution.rank:
         step.solution.known, step.solution.rank = 1, solution.rank
-        changes += 1
+        step.solution.changes += 1
     for i in range(step.sign_changes.size):
         step.sign_changes[i] = 0
     if solution.elimination != WHOLE and solution.elimination != SPLIT:  # no directions of arms
-        return changes
+        return OK
     coupled = open_coupled(struct)
     for i in range(step.lost_directions.size):
         lost = 0
@@ -108,12 +108,12 @@ def compare_solution(address, size, _a, _b):
             sign = determinant_sign(i, work, coupled)
             if sign * step.determinant_signs[i] < 0.0:
                 step.sign_changes[i] = 1
-                changes += 1
+                step.solution.changes += 1
             step.determinant_signs[i] = sign
         if lost != step.lost_directions[i]:
             step.lost_directions[i] = lost
-            changes += 1
-    return changes
+            step.solution.changes += 1
+    return OK
 
 
 @kernel

@@ -115,6 +115,7 @@ class LastSolution(Numbers):
     known: Flag  # there is one: a run has begun
     rank: Int
     margin: Float  # from a loss of rank, as in `Solution`
+    changes: Int  # of the rank, of lost directions and of signs, since the step before it
 
 
 class LastStep(NamedTuple):

@@ -12,7 +12,7 @@ from multiarm.dynamics.sensitivity import Derivatives, rows_of
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
-from multiarm.events.evaluation import enter_mode_at, in_all_rows
+from multiarm.events.evaluation import enter_mode_at, in_all_rows, with_contradictions
 
 
 def derivatives(
@@ -81,7 +81,7 @@ def derivatives(
                 matrix[forces + modes.slides.tangent_of_all + k] = friction[:, k]
         return replace(
             of_held_rows,
-            evaluation=in_all_rows(modes, evaluated),
+            evaluation=with_contradictions(modes, in_all_rows(modes, evaluated)),
             matrix=matrix,
             rows=rows,
             layout=layout,

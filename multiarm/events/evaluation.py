@@ -74,7 +74,8 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
     """:func:`evaluate` with a Data at hand."""
     if data.model.unilateral is None:
         return evaluation.evaluate(data, t, state)
-    return evaluate_mode(enter_mode_at(data, t, state), t, state)
+    modes = enter_mode_at(data, t, state)
+    return with_contradictions(modes, evaluate_mode(modes, t, state))
 
 
 def enter_mode_at(data: Data, t: float, state: State) -> Modes:
@@ -105,6 +106,20 @@ def modes_of(data: Data, slow: float) -> Modes:
 def evaluate_mode(modes: Modes, t: float, state: State) -> Evaluation:
     """The evaluation of the mode that has been entered, in the rows of the whole system."""
     return in_all_rows(modes, evaluation.evaluate(modes.data, t, state))
+
+
+def with_contradictions(modes: Modes, result: Evaluation) -> Evaluation:
+    """An evaluation at the state at which the mode was entered, with what contradicts this mode."""
+    names = modes.contradictions
+    if not names:
+        return result
+    other = f"{result.message}; " if result.message else ""
+    message = (
+        f"{other}no contact mode holds at this state: the gap, the force or the speed of "
+        f"{', '.join(names)} contradicts what it does in `contact_states`, for which this is the "
+        "solution; correct the state, or take less friction"
+    )
+    return replace(result, contradictions=names, message=message)
 
 
 def in_all_rows(modes: Modes, of_held_rows: Evaluation) -> Evaluation:

@@ -20,6 +20,7 @@ from multiarm.dynamics.guards import (
     SHARED,
     Guards,
     accept_guards,
+    count_events,
     judge_guards,
     open_guards,
     write_values,
@@ -284,7 +285,8 @@ def check_guards(address, size, begin, end):
     of_mode = struct_at(data.modes.mode, 0)
     numbers = open_mode(of_mode).numbers
     numbers.begin, numbers.end = begin, end
-    data.modes.event = judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted
+    judge_guards(open_guards(of_mode), end - begin)
+    data.modes.event = count_events(open_guards(of_mode)) > 0 and not numbers.muted
     if data.modes.event:
         return OK
     numbers.muted = False

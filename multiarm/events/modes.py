@@ -128,7 +128,21 @@ class Modes:
     @property
     def contradicted(self) -> bool:
         """Whether a guard is violated at the state at which the guards were started."""
-        return not np.all(self.guards.value >= -self.guards.level)
+        return bool(np.any(self._violated))
+
+    @property
+    def _violated(self) -> np.ndarray:
+        return ~(self.guards.value >= -self.guards.level)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Constraints whose guards are violated there, as ``arm/contact`` or ``arm/joint``."""
+        numbers = (self.watched[g].constraint for g in np.flatnonzero(self._violated))
+        constraints = [self.unilateral.constraints[u] for u in dict.fromkeys(numbers)]
+        return tuple(
+            self.full.model.joint_name(c.joint) if c.joint >= 0 else f"{c.arm}/{c.name}"
+            for c in constraints
+        )
 
     def set_prestress(self, forces: Mapping[int, float]) -> None:
         """Set the forces, by row, to which those of the mode are nearest."""

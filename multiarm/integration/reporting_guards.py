@@ -21,9 +21,17 @@ from multiarm.dynamics.guard_functions import (
     RangeDepth,
     packed_patch,
 )
-from multiarm.dynamics.guards import FORCES, Guard, accept_guards, judge_guards, write_values
+from multiarm.dynamics.guards import (
+    FORCES,
+    Guard,
+    accept_guards,
+    count_events,
+    judge_guards,
+    write_values,
+)
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.status import OK
 from multiarm.geometry.records import Contact
 from multiarm.jit.kernels import INTS, cfunc, kernel
 from multiarm.jit.pointers import call_cfunc
@@ -93,22 +101,25 @@ def write_reports(struct: INTS):
 
 @cfunc
 def check_reports(address, size, h, _b):
-    """Check these guards at the end of a step of length ``h``; returns how many report an event.
+    """Check these guards at the end of a step of length ``h``.
 
     ``data.last_step.coordinates`` has the joints' coordinates at that end.
     """
     struct = struct_at(address, size)
     write_reports(struct)
     guards = open_reports(struct)
-    events = judge_guards(guards, h)
+    judge_guards(guards, h)
     accept_guards(guards)
-    return events
+    return OK
 
 
 @kernel
 def count_reports(struct, functions, h):
-    """Call :func:`check_reports` where there are such guards."""
-    return 0 if functions.reports == 0 else call_cfunc(functions.reports, struct, h, 0.0)
+    """Call :func:`check_reports` where there are such guards; returns how many report an event."""
+    if functions.reports == 0:
+        return 0
+    call_cfunc(functions.reports, struct, h, 0.0)
+    return count_events(open_reports(struct))
 
 
 def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:

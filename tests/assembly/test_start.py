@@ -315,6 +315,35 @@ def test_a_joint_off_the_object_is_told(joint, words):
         assert re.search(words, text), text
 
 
+HOLD = {"kind": "harmonic", "hold": True, "frequency": 1.0, "amplitude": {"arm": 0.0}}
+
+
+@pytest.mark.parametrize("control", [{"kind": "gravity_compensation"}, HOLD])
+def test_weight_that_the_contacts_cannot_carry_is_told(control):
+    """A ball joint beside the centre of mass, at d: of forces F there and the moment d x F, over d,
+    half the weight is nearest to the weight.  A weld carries all of it.
+    """
+    arms, d, weight = {"arm": {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE}}, 0.2, 19.62
+    tip = ma.compile_system(scene_of(arms, [{"arm": "arm", "kind": "weld"}]))
+    centre = tip.arms["arm"].tip_pose(np.array(UR5_POSTURE))[:3, 3] + [d, 0.0, 0.0]
+    body = {"shape": {"box": [0.5] * 3}, "mass": 2.0, "pose": {"xyz": centre.tolist()}}
+    left = {"ball": [0, 0, 0.5 * weight, 0, -0.5 * d * weight, 0], "weld": np.zeros(6)}
+    for kind, wrench in left.items():
+        joint = {"arm": "arm", "kind": kind}  # where the tip is
+        system = ma.compile_system(
+            scene_of(arms, [joint], object=body, gravity=[0, 0, -9.81], control=control)
+        )
+        warnings = start_warnings(system)
+        assert len(warnings) == (kind == "ball")
+        if kind == "ball":
+            words = "of 'arm' cannot carry all of the object's weight, 19.6 N: 0, 0, 9.81 N and 0, "
+            assert words in warnings[0] and warnings[0].startswith("$.control: ")
+        if control["kind"] == "harmonic":  # commands nothing afterwards
+            wrench = np.zeros(6)
+        found = ma.evaluate(system).uncarried_wrench
+        np.testing.assert_allclose(found, wrench, rtol=0, atol=1e-8)
+
+
 @pytest.mark.slow
 def test_a_posture_that_assembly_pushes_into_a_limit_is_told(tmp_path):
     posture = [0.0, -0.4015, 0.0, -2.362, 0.0, 2.7459, 2.89]

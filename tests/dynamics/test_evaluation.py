@@ -264,3 +264,16 @@ def test_without_friction_all_forces_are_normal():
         np.testing.assert_array_equal(ev.normal_forces[name], force)
         assert ev.tangential_forces[name].shape == (force.size, 2)
         assert not ev.tangential_forces[name].any()
+
+
+def test_a_state_at_which_no_contact_mode_holds_is_told():
+    """A box a millimetre below the floor: every corner would have to be closed, and is not."""
+    system = compiled(on_floor(box(), mu=0.3), "node")
+    assert ma.evaluate(system).contradictions == () and not ma.evaluate(system).message
+    state = system.initial_state()
+    state.position[2] -= 1e-3
+    for ev in (ma.evaluate(system, 0.0, state), ma.derivatives(system, 0.0, state).evaluation):
+        below = [f"floor/corner {k}" for k in (1, 3, 5, 7)]
+        assert list(ev.contradictions) == below
+        assert ev.message.startswith("no contact mode holds at this state: ")
+        assert all(name in ev.message for name in below)

@@ -17,6 +17,7 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.solution import Elimination, Solution
 from multiarm.dynamics.status import OK
 from multiarm.events.evaluation import enter_mode_at
+from multiarm.jit.pointers import function_at
 
 # The monitor of a step writes these, not the solver.
 OF_MONITOR = {"least_margin", "residual"}
@@ -86,6 +87,15 @@ def test_the_record_is_that_of_the_system(scene, solver):
     if scene == "wrist aligned" and not dense:
         assert b.deficient.coupled.tolist() == [1, 0]
     assert solution.motion_unique == (scene != "sliding")
+
+
+def test_a_step_counts_what_has_changed_and_answers_that_it_succeeded():
+    """The first solution of a run is a change; the same one again is none."""
+    data = data_at_start("regular", "node")
+    compare = function_at(data.arrays.functions.compare)
+    for changes in (1, 0):
+        assert compare(data.struct.ctypes.data, data.struct.size, 0.0, 0.0) == OK
+        assert data.arrays.last_step.solution.changes == changes
 
 
 def test_both_solvers_name_the_contacts_that_leave_the_motion_open():
