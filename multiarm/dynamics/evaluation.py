@@ -37,7 +37,7 @@ from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, 
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.residuals import write_residuals
-from multiarm.dynamics.solver.bounds import PART_TOLERANCE
+from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.singular import loose_rows
 from multiarm.dynamics.solver.solution import Elimination
@@ -486,5 +486,5 @@ def _unique_forces(snapshot: Snapshot) -> np.ndarray:
     if snapshot.regular:
         return np.ones(snapshot.model.layout.contacts, dtype=bool)
     if snapshot.dense:
-        return null_space(constraint_matrix(snapshot)).untouched
+        return null_space(constraint_matrix(snapshot), COUPLED_RANK_TOLERANCE).untouched
     return loose_rows(snapshot.work, snapshot.coupled) < PART_TOLERANCE

@@ -15,6 +15,7 @@ import numpy as np
 
 from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.layout import STATE, Layout, in_sequence
+from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
@@ -208,7 +209,9 @@ def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
     if all(own.independent for own in motions):
         whole = np.linalg.qr(constraints.transpose(0, 2, 1), mode="complete").Q
         return list(whole[:, :, constraints.shape[1] :])
-    return [null_space(own[np.any(own, axis=1)]).basis for own in constraints]
+    return [
+        null_space(own[np.any(own, axis=1)], COUPLED_RANK_TOLERANCE).basis for own in constraints
+    ]
 
 
 @dataclass(frozen=True)

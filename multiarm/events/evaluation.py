@@ -26,6 +26,7 @@ from multiarm.dynamics.evaluation import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guards import forget_forces
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
@@ -162,7 +163,7 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
         reactions[:, row] += columns[:, first : first + 2] @ drag
     forces[modes.arrays.springs] = modes.arrays.spring_force
     if held.size:
-        unique[held] = null_space(of_unit_length(reactions)).untouched
+        unique[held] = null_space(of_unit_length(reactions), COUPLED_RANK_TOLERANCE).untouched
     for row, first in zip(slides.row, slides.tangent_of_all, strict=True):
         unique[first : first + 2] = unique[held[row]]
     return forces, unique

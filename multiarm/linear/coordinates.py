@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from multiarm.dynamics.sensitivity import Motions
-from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 
 # Weight of the object's coordinates against joints.
@@ -82,7 +82,7 @@ def _free(rows: np.ndarray, L: np.ndarray) -> np.ndarray:
     if not rows.size:
         return np.linalg.inv(L).T
     _, scaled = _scaled(rows, L)
-    return np.linalg.solve(L.T, null_space(scaled, SYSTEM_TOLERANCE).basis)
+    return np.linalg.solve(L.T, null_space(scaled, COUPLED_RANK_TOLERANCE).basis)
 
 
 def _scaled(rows: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ def _solved(rows: np.ndarray, right: np.ndarray, L: np.ndarray) -> np.ndarray:
     if not rows.size:
         return np.zeros((len(L), right.shape[1]))
     scale, scaled = _scaled(rows, L)
-    least = np.linalg.lstsq(scaled, scale * right, rcond=SYSTEM_TOLERANCE)[0]
+    least = np.linalg.lstsq(scaled, scale * right, rcond=COUPLED_RANK_TOLERANCE)[0]
     return np.linalg.solve(L.T, least)
 
 

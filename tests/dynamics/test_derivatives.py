@@ -44,6 +44,7 @@ from multiarm.errors import ModelError, SolverError
 from multiarm.events.evaluation import enter_mode_at, evaluate_mode
 from multiarm.jit.ahead import argument_types
 from multiarm.jit.pointers import function_at
+from multiarm.problems import HARD_CASES
 from multiarm.spatial import retract
 
 STEP = 1e-4
@@ -645,6 +646,24 @@ def test_friction_that_leaves_the_motion_open_is_refused_with_the_reason():
     state.velocity[[0, 1, 5]] = 0.3, 0.2, 0.5
     with pytest.raises(SolverError, match="leave the motion open at this state"):
         ma.derivatives(system, 0.0, state)
+
+
+def test_dependent_constraints_stay_dependent_beside_the_joints(rng):
+    """Off its joints a loop of Bricard's is rigid; roundings and steps of 1e-6 must not stop it."""
+    node = ma.compile_system(HARD_CASES["bricard"].scene())
+    state = node.initial_state()
+    beside = state.copy()
+    beside.position[7:] += 1e-6 * rng.normal(size=beside.position.size - 7)
+    for system in (node, node.with_solver("dense")):
+        on, off = (ma.derivatives(system, 0.0, x) for x in (state, beside))
+        assert on.evaluation.rank == off.evaluation.rank == on.layout.contacts - 1
+        assert np.linalg.matrix_rank(off.motions.admissible(), tol=1e-3) == 2
+        np.testing.assert_allclose(off.matrix, on.matrix, rtol=0, atol=1e-4)
+        unique = (x.evaluation.contact_forces_unique for x in (on, off))
+        for expected, found in zip(*(own.values() for own in unique), strict=True):
+            np.testing.assert_array_equal(found, expected)
+        of_motion = (ma.linearise(system, 0.0, x).A for x in (state, beside))
+        np.testing.assert_allclose(*of_motion, rtol=0, atol=1e-4)
 
 
 def test_what_is_no_system_or_state_is_said():
