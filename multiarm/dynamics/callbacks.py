@@ -197,13 +197,14 @@ class DenseSolver:
     Attributes
     ----------
     reactions : tuple of ndarray, optional
-        The object's rows (N, 6) and the arms' matrices (n, d, m) of the contact forces where these
-        differ from the constraints.
+        With sliding friction: the object's rows (N, 6) and the arms' matrices (n, d, m) of the
+        contact forces.  None: contact forces act along the constraints, as in projections.
     """
+
+    reactions: tuple[np.ndarray, np.ndarray] | None = None
 
     def __init__(self, data: Solved) -> None:
         self._data = weakref.proxy(data)  # which has this
-        self.reactions: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(self) -> None:
         """Solve once."""

@@ -264,6 +264,7 @@ class Functions(Numbers):
     pinocchio_energy: Int
     control: Int
     dense: Int
+    dense_with_friction: Int  # the same for a mode with sliding contacts
     surface: Int
 
 

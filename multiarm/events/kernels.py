@@ -180,7 +180,7 @@ def solve_sliding(address, size, _a, _b):
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
     if model.dense:
-        call_python(data.functions.dense)
+        call_python(data.functions.dense_with_friction)
         if data.status.failed:
             return CALLBACK_FAILED
         data.solution.imbalance = imbalance(data, mode.Wr)

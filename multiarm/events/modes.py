@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
+from multiarm.dynamics.callbacks import DenseSolver
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.references import Reference
 from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginnings
@@ -35,7 +36,7 @@ from multiarm.events.kernels import (
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import ModeGuards
 from multiarm.integration.step import watch_stage
-from multiarm.jit.pointers import address_of
+from multiarm.jit.pointers import PythonCallback, address_of
 from multiarm.results.contact_states import ContactState
 
 # Effects whose arrays a mode writes.
@@ -89,6 +90,9 @@ class Modes:
             self.data.tangents = RowSelection(full)
             self._structs.refer(tangents=self.data.tangents.reference)
             self._reactions = _reactions(full, self.data)
+            self._dense = DenseSolver(self.data)
+            answer = PythonCallback(self._dense, self.data.arrays.status)
+            self.data.add_callback("dense_with_friction", answer)
         self.numbers = ModeNumbers()
         self.arrays = self._room_for_rows()
         kinds = [constraint.kind for constraint in unilateral.constraints]
@@ -189,7 +193,6 @@ class Modes:
     def _choose_solver(self, sliding: list[int]) -> None:
         """Solve with friction where contacts slide."""
         self._functions.solve, self._structs.slides = self._solve_held, bool(sliding)
-        self.data.dense_solver.reactions = None
         if not sliding:
             return
         assert self._reactions is not None
@@ -197,9 +200,8 @@ class Modes:
         sizes = [size for shape in shapes.values() for size in shape]
         self._struct[self._sizes.reactions] = sizes
         self._functions.solve = self._solve_sliding
-        if self.full.model.constants.dense:
-            Wr = beginnings(self._reactions, {"Wr": shapes["Wr"]}).Wr
-            self.data.dense_solver.reactions = self.arrays.Wr[: self.data.rows.size], Wr
+        Wr = beginnings(self._reactions, {"Wr": shapes["Wr"]}).Wr
+        self._dense.reactions = self.arrays.Wr[: self.data.rows.size], Wr
 
     # --- arrays -----------------------------------------------------------------------------------
 
