@@ -185,10 +185,15 @@ def call_controller(address, size, _at, _t):
 
 
 class Solved(Protocol):
-    """A Data that is solved: its arrays, and the workspace of its solver."""
+    """A Data that is solved."""
 
-    arrays: Variables
-    work: NodeWork
+    @property
+    def arrays(self) -> Variables:
+        """Its variables."""
+
+    @property
+    def work(self) -> NodeWork:
+        """The workspace of its solver."""
 
 
 class DenseSolver:

@@ -332,7 +332,7 @@ def write_general_row(address, size, row, arm):
     write_row(
         int(row), bodies.links[int(arm)], bodies.object, model.codes, model.geometry, model.shapes,
         data.functions.surface, rows.kinematics, rows.parts,
-        pairs.relative, pairs.query, pairs.starts, pairs.points,
+        pairs.relative, pairs.query, data.last_step.points, pairs.points,
     )  # fmt: skip
     return OK
 

@@ -104,7 +104,7 @@ class Model:
     lazy_functions: Mapping[str, Kernel]
     # times at which control or effects are not smooth, so that steps end there [s]
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    # ``Variables.pairs.starts`` at the start, (S, 3)
+    # ``StepEnd.points`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     laws: tuple[ControlLaw, ...] = ()  # of a compiled control
     python_control: PythonControl | None = None  # None: control is compiled
@@ -518,7 +518,7 @@ class Data:
         b.control.torque[:] = 0.0  # those of another control
         b.control.sampling.due, b.control.sampling.samples = b.control.sampling.mode, 0
         b.effects.states[:] = b.effects.state_rates[:] = 0.0
-        b.pairs.starts[:] = self.model.pair_places
+        b.last_step.points[:] = self.model.pair_places
         b.last_step.coordinates[:] = np.nan
         b.sample.tips[:] = 0.0
         reset_guards(self.guards)

@@ -31,7 +31,7 @@ from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import Guards
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import (
     Float,
     Floats1,
@@ -65,6 +65,7 @@ class Slides(NamedTuple):
     direction: Floats2
     turning: Floats2
     speed: Floats1  # along the latter [m/s]
+    at_end: Floats2  # (s, 2) direction of slip at the end of this step, until it is accepted
 
 
 # In the struct of a mode they follow its guards.
@@ -132,10 +133,16 @@ def friction_power(slides, force):
 
 @kernel
 def follow_slip(slides, contacts):
-    """Make the direction at the end of a step that of the next; ``contacts`` are of all rows."""
+    """Write the direction at the end of a step; ``contacts`` are of all rows."""
     for s in range(slides.row.size):
         t = slides.tangent_of_all[s]
         along, across = slip_of(contacts, t)
         write_direction(slides, s, along, across)
-        slides.direction[s, 0] = slides.turning[s, 0]
-        slides.direction[s, 1] = slides.turning[s, 1]
+        copy(slides.turning[s], slides.at_end[s])
+
+
+@kernel
+def accept_slip(slides):
+    """Begin the next step with the direction at the end of this one."""
+    for s in range(slides.row.size):
+        copy(slides.at_end[s], slides.direction[s])

@@ -27,6 +27,7 @@ from multiarm.dynamics.guards import (
 from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.sliding import (
     Slides,
+    accept_slip,
     follow_slip,
     friction_power,
     open_slides,
@@ -40,6 +41,7 @@ from multiarm.dynamics.solver.reactions import (
     solve_for_reactions,
 )
 from multiarm.dynamics.solver.solution import FRICTION, write_solution
+from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.jit.kernels import INTS, cfunc, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -285,29 +287,37 @@ def check_guards(address, size, begin, end):
     numbers = open_mode(of_mode).numbers
     numbers.begin, numbers.end = begin, end
     data.modes.event = judge_guards(open_guards(of_mode), end - begin) > 0 and not numbers.muted
-    if data.modes.event:
-        return OK
-    numbers.muted = False
-    begin_mode_step(of_mode, open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    follow_slip(open_slides(of_mode), open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    return OK
+
+
+@cfunc
+def accept_mode_step(address, size, _a, _b):
+    """Make the end of a step that has been checked the beginning of the next one."""
+    of_mode = struct_at(open_data(struct_at(address, size)).modes.mode, 0)
+    open_mode(of_mode).numbers.muted = False
+    begin_mode_step(of_mode)
     return OK
 
 
 @kernel
-def begin_mode_step(of_mode, contacts):
-    """Make the end of a step the beginning of the next one."""
+def begin_mode_step(of_mode):
+    """Let guards and slip begin where they have been written last."""
     accept_guards(open_guards(of_mode))
-    follow_slip(open_slides(of_mode), contacts)
+    accept_slip(open_slides(of_mode))
 
 
 @kernel
 def start_guards(struct: INTS):
     """Begin guards and solver monitor at the state evaluated last; returns a status."""
     data = open_data(struct)
+    of_mode = struct_at(data.modes.mode, 0)
     status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
     if status != OK:
         return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
+    accept_solution(data)
     status = write_mode_guards(struct)
-    full = open_data(struct_at(data.modes.full, 0))
-    begin_mode_step(struct_at(data.modes.mode, 0), full.rows.kinematics)
+    follow_slip(open_slides(of_mode), open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    begin_mode_step(of_mode)
     return status

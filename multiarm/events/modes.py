@@ -25,6 +25,7 @@ from multiarm.dynamics.variables import ModeStructs
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
+    accept_mode_step,
     check_guards,
     mode_sizes,
     mode_struct,
@@ -82,7 +83,8 @@ class Modes:
         self.data.of_laws = self.closed
         self._functions = functions = self.data.arrays.functions
         functions.contact_forces = address_of(record_forces)
-        functions.guards, functions.watch = address_of(check_guards), address_of(watch_stage)
+        functions.guards, functions.accept = address_of(check_guards), address_of(accept_mode_step)
+        functions.watch = address_of(watch_stage)
         self._solve_held, self._solve_sliding = address_of(solve_held), 0
         self._reactions = None
         if any(constraint.tangents for constraint in unilateral.constraints):
@@ -232,6 +234,7 @@ class Modes:
             mu=np.array([constraint.mu for constraint in constraints]),
             direction=np.zeros((count, 2)),
             turning=np.zeros((count, 2)),
+            at_end=np.zeros((count, 2)),
             speed=np.zeros(count),
         )
         return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all

@@ -21,7 +21,7 @@ from multiarm.dynamics.guard_functions import (
     RangeDepth,
     packed_patch,
 )
-from multiarm.dynamics.guards import FORCES, Guard, accept_guards, judge_guards, write_values
+from multiarm.dynamics.guards import FORCES, Guard, judge_guards, write_values
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.geometry.records import Contact
@@ -93,16 +93,10 @@ def write_reports(struct: INTS):
 
 @cfunc
 def check_reports(address, size, h, _b):
-    """Check these guards at the end of a step of length ``h``; returns how many report an event.
-
-    ``data.last_step.coordinates`` has the joints' coordinates at that end.
-    """
+    """Check these guards at the end of a step of length ``h``; returns how many report an event."""
     struct = struct_at(address, size)
     write_reports(struct)
-    guards = open_reports(struct)
-    events = judge_guards(guards, h)
-    accept_guards(guards)
-    return events
+    return judge_guards(open_reports(struct), h)
 
 
 @kernel

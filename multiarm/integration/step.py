@@ -83,11 +83,19 @@ class Stage(Numbers):
         self.gap, self.latest, self.evaluations = -1.0, math.inf, 0
 
 
+class Outcome(Numbers):
+    """What the end of a step has shown, until the step is accepted."""
+
+    reports: Int  # guards that report an event in it
+    limited: Flag  # it is as long as stability allows
+
+
 class Step(NamedTuple):
     """Arrays of one step for ``D`` numbers of a chart's vector, ``w`` of them works."""
 
     system: Ints1  # struct of the system
     stage: Stage
+    outcome: Outcome
     # state at the beginning, at the end before projection, at a stage, after projection: (D,)
     z: Floats1
     z_new: Floats1
@@ -156,6 +164,7 @@ def make_step(
     return Step(
         system=system,
         stage=stage,
+        outcome=Outcome(),
         z=np.zeros(size),
         z_new=np.zeros(size),
         z_stage=np.zeros(size),

@@ -285,7 +285,7 @@ def check_solution(struct, clock, settings):
 
 
 @kernel
-def accept_step(struct, method, clock, settings, h, end, error):
+def move_clock(struct, method, clock, settings, h, end, error):
     """Move the clock to the end of an accepted step, and choose the next length."""
     if settings.adaptive:
         proposal = next_length(method, h, error, clock.error_before)
@@ -302,18 +302,25 @@ def accept_step(struct, method, clock, settings, h, end, error):
 
 
 @kernel
-def detect_stiffness(method, step, clock, h, end):
-    r"""Count steps that are as long as stability allows.
+def limited_by_stability(method, step, z_end, h):
+    r"""Whether a step is as long as stability allows.
 
     The last stage and the end of the step belong to the same time; their difference estimates the
-    largest eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.
+    largest eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.  The slope at
+    the end is that at ``z_end``, after projection, in the chart of the step.
     """
     last, end_slope = method.stages - 1, method.stages
     rates = states = 0.0
     for i in range(step.tolerance.size):
         rates += (step.k[end_slope, i] - step.k[last, i]) ** 2
-        states += (step.z_new[i] - step.z_stage[i]) ** 2
-    if states > 0.0 and h * h * rates > method.stability**2 * states:
+        states += (z_end[i] - step.z_stage[i]) ** 2
+    return states > 0.0 and h * h * rates > method.stability**2 * states
+
+
+@inlined
+def count_stiff_steps(clock, limited, end):
+    """Count the accepted steps that stability has limited."""
+    if limited:
         clock.stiff_steps += 1
         clock.smooth_steps = 0
         if clock.stiff_steps == STIFF_AFTER:

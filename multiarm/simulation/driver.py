@@ -8,7 +8,7 @@ for stiffness.
 
 *Stiffness switching.*  Damping, stiff springs or stiff gains make motions that die out at once but
 keep the steps of an explicit method short.  The loop detects that
-(:func:`multiarm.integration.step_control.detect_stiffness`).  If the user named no method, the
+(:func:`multiarm.integration.step_control.limited_by_stability`).  If the user named no method, the
 linearly implicit one then takes over, on trial: each of its steps takes many evaluations, and it
 stays only if it advances further with each of them.
 """
