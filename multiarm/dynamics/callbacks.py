@@ -239,8 +239,8 @@ class DenseSolver:
         write_solution(
             b, DENSE, 0, b.rows.force.size - solution.rank, math.inf, solution.motion_unique
         )
-        b.deficient.loose[:] = 0
-        b.deficient.loose[list(solution.loose_arms)] = 1
+        b.deficient.undetermined[:] = 0
+        b.deficient.undetermined[list(solution.undetermined_arms)] = 1
 
 
 def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:

@@ -26,6 +26,7 @@ from multiarm.dynamics.solver.bounds import (
     MOST_ROUNDED_RESIDUAL,
     REGAINED,
     RESIDUAL_BOUND,
+    ROUNDED_RESIDUAL,
 )
 from multiarm.dynamics.solver.solution import DENSE, SPLIT, WHOLE
 from multiarm.dynamics.status import OK
@@ -66,7 +67,7 @@ def record_solution(address, size, _a, _b):
     repeatable = solution.elimination != DENSE and not data.modes.active
     solved = believable(solution, solution.residual)
     if not solved and repeatable and solution.coupled_arms < arms:
-        if call_cfunc(data.functions.coupled, struct, 1.0, 0.0) != OK:
+        if call_cfunc(data.functions.decomposed, struct, 0.0, 0.0) != OK:
             solution.imbalance = math.nan
         solution.residual = residual_of_all(model, data, work)
     return OK
@@ -79,7 +80,7 @@ def believable(solution, residual):
     Near a loss of rank, rounding errors of the gaps are magnified by the square of the distance
     from it.
     """
-    rounded = min(MOST_ROUNDED_RESIDUAL, 1e-13 / (solution.margin * solution.margin))
+    rounded = min(MOST_ROUNDED_RESIDUAL, ROUNDED_RESIDUAL / (solution.margin * solution.margin))
     return residual <= max(RESIDUAL_BOUND, rounded)
 
 

@@ -212,7 +212,7 @@ class DeficientArms(NamedTuple):
     """Which arms (n,) the solution could not eliminate as a whole."""
 
     coupled: Ints1  # these, where ``solution`` has any
-    loose: Ints1  # their contact forces take part in a motion that is not unique, where it has one
+    undetermined: Ints1  # their contact forces take part in a motion that is not unique
 
 
 class SurfacePairs(NamedTuple):
@@ -266,6 +266,7 @@ class Functions(Numbers):
     project: Int  # the node algorithm without friction, for impulses and projections
     close_gaps: Int  # the projection of a state
     coupled: Int  # the system with deficient arms
+    decomposed: Int  # the same with no arm eliminated as a whole
     row: Int  # a contact other than a tip on a plane, sphere or cylinder
     near_singular: Int  # an evaluation near a loss of rank
     record: Int  # rank and residual of the last solution
@@ -380,7 +381,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
         accelerations=accelerations,
         solution=UNSOLVED.copy(),
         deficient=DeficientArms(
-            coupled=np.zeros(arms, dtype=np.int64), loose=np.zeros(arms, dtype=np.int64)
+            coupled=np.zeros(arms, dtype=np.int64), undetermined=np.zeros(arms, dtype=np.int64)
         ),
         check=Check(),
         last_step=make_step_end(arms, pairs),

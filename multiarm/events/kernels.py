@@ -29,6 +29,7 @@ from multiarm.dynamics.sliding import (
     Slides,
     accept_slip,
     follow_slip,
+    friction_of_unit_force,
     friction_power,
     open_slides,
     slides_of,
@@ -228,7 +229,7 @@ def write_reaction_solution(data, reactions):
     """
     dependent, coupled_arms = reactions.status.rows - reactions.status.rank, 0
     for i in range(reactions.coupled.size):
-        data.deficient.loose[i] = reactions.undetermined[i]
+        data.deficient.undetermined[i] = reactions.undetermined[i]
         data.deficient.coupled[i] = reactions.coupled[i]
         coupled_arms += reactions.coupled[i]
     unique = 1 if reactions.status.motions == 0 else 0
@@ -247,8 +248,9 @@ def record_forces(address, size, _t, _b):
     for k in range(mode.held.size):
         shown[mode.held[k]] = data.rows.force[k]
     for s in range(slides.row.size):
-        drag, t = -slides.mu[s] * data.rows.force[slides.row[s]], slides.tangent_of_all[s]
-        shown[t], shown[t + 1] = drag * slides.turning[s, 0], drag * slides.turning[s, 1]
+        normal, t = data.rows.force[slides.row[s]], slides.tangent_of_all[s]
+        first, second = friction_of_unit_force(slides, s)
+        shown[t], shown[t + 1] = normal * first, normal * second
     for k in range(mode.springs.size):
         shown[mode.springs[k]] = mode.spring_force[k]
     first = shown.size - mode.states.size

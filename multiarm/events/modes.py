@@ -55,7 +55,7 @@ class Modes:
         With all rows: gaps, rates and directions of those that are not held, too.
     closed : Data
         With all contacts of the joints closed, as controllers assume them.
-    bare : Data
+    bilateral : Data
         With the rows that are always held: how the bodies respond to forces in the others.
     data : RowSelection
         With the held rows of the mode.
@@ -76,7 +76,7 @@ class Modes:
         assert unilateral is not None, "a system with unilateral contacts"
         self.full, self.unilateral, self.slow = full, unilateral, slow
         self.closed = full.with_contacts_closed()
-        self.bare = self._always(unilateral.bilateral)
+        self.bilateral = self._always(unilateral.bilateral)
         self._structs = ModeStructs(active=True)
         self._structs.refer(closed=self.closed.reference, full=full.reference)
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
@@ -116,7 +116,7 @@ class Modes:
         set_constraint_forces(full, (ContactState.OPEN,) * len(unilateral.constraints))
 
     @cached_property
-    def loose(self) -> Data:
+    def unconstrained(self) -> Data:
         """Without any row: how the bodies respond where redundant rows share their forces."""
         return self._always(())
 

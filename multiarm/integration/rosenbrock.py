@@ -64,7 +64,7 @@ class Derived(Numbers):
     valid: Flag
     alpha: Float
     beta: Float
-    gap: Float  # as in ``Stage``
+    projects: Flag  # as in ``Stage``
 
 
 class RosenbrockWork(NamedTuple):
@@ -147,13 +147,13 @@ def differentiate_step(step, work, blocks, full, t, h):
     """
     stage, derived = step.stage, work.derived
     if (
-        stage.repeats and derived.valid and derived.gap == stage.gap
+        stage.repeats and derived.valid and derived.projects == stage.projects
         and derived.alpha == stage.alpha and derived.beta == stage.beta
     ):  # fmt: skip
         return OK
     status = differentiate_anew(step, work, blocks, full, t, h)
     derived.valid = status == OK
-    derived.alpha, derived.beta, derived.gap = stage.alpha, stage.beta, stage.gap
+    derived.alpha, derived.beta, derived.projects = stage.alpha, stage.beta, stage.projects
     return status
 
 
@@ -161,7 +161,7 @@ def differentiate_step(step, work, blocks, full, t, h):
 def differentiate_anew(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
-    status, projected = OK, step.stage.gap >= 0.0
+    status, projected = OK, step.stage.projects
     if not projected:
         status = slope_at(step, t, step.z, work.right)
     if status != OK:

@@ -24,7 +24,7 @@ from multiarm.dynamics.coordinates import (
     write_chart_slope,
     write_in_chart,
 )
-from multiarm.dynamics.equations import finite
+from multiarm.dynamics.equations import evaluate_state, finite
 from multiarm.dynamics.guards import accept_guards, begin_stages, open_guards
 from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import (
@@ -49,7 +49,10 @@ from multiarm.integration.reporting_guards import count_reports
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import error_estimate, open_step, slope_at, stage_slope
 from multiarm.integration.step_control import (
+    CLOSE_IN_STEP,
+    CLOSE_IN_TIME,
     FEEDBACK,
+    PROJECTION,
     STIFF_AFTER,
     breakpoint_at,
     check_solution,
@@ -125,7 +128,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             return status
         clock.rejected += 1
         step.stage.repeats = True
-        if near_loss(open_data(struct).solution) and settings.gap_tolerance >= 0.0:
+        if near_loss(open_data(struct).solution) and settings.stabilization == PROJECTION:
             first_failure = clock.retry_steps == 0
             clock.retry_steps = RETRY_STEPS
             if first_failure:
@@ -166,7 +169,8 @@ def sample_time(clock, settings, k):
 def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
     """Project the state in ``data``, unless ``projected``, and evaluate it; returns a status."""
     _, data, _ = open_system(struct)
-    if settings.gap_tolerance >= 0.0 and not projected:
+    projects = settings.stabilization == PROJECTION
+    if projects and not projected:
         status = project(struct, settings.gap_tolerance)
         clock.projections += 1
         clock.evaluations += 2
@@ -174,7 +178,9 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
             return status
     data.time.now = t
     clock.evaluations += 1
-    return evaluate_on_branch(struct, settings.gap_tolerance, alpha, beta)
+    if projects:
+        return evaluate_on_branch(struct, settings.gap_tolerance, alpha, beta)
+    return evaluate_state(struct, alpha, beta)
 
 
 @kernel
@@ -230,7 +236,7 @@ def emit_samples(struct, method, step, clock, settings, block):
     _, data, _ = open_system(struct)
     t = clock.t
     rows = clock.sample - clock.block_first
-    near = 1e-9 * max(clock.h_before, 1e-12)
+    near = CLOSE_IN_STEP * max(clock.h_before, CLOSE_IN_TIME)
     while True:
         due = math.inf
         if clock.sample < clock.samples:
@@ -351,7 +357,7 @@ def complete_step(method, step, clock, settings, h, end):
     store_chart(data, step.base_next, step.z_next)
     works = chart_places(data).works
     copy(step.z_new[works:], step.z_next[works:])
-    if due < end - 1e-9 * h or step.outcome.reports > 0:
+    if due < end - CLOSE_IN_STEP * h or step.outcome.reports > 0:
         return prepare_dense(method, step, t, h)
     return OK
 

@@ -174,6 +174,14 @@ class Driver:
         if rows:
             run.sink.append(run.block[:rows])
 
+    def write_sample(self, row: np.ndarray) -> None:
+        """Make a row the next sample of the run."""
+        clock, block = self.run.clock, self.run.block
+        if clock.sample - clock.block_first == len(block):
+            self.flush()
+        block[clock.sample - clock.block_first] = row
+        clock.sample += 1
+
     def advance(self, budget: int) -> tuple[int, str]:
         """Call the loop with a budget of evaluations.
 
