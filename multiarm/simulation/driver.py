@@ -50,7 +50,7 @@ from multiarm.jit.compilation import compile_time, running_time
 from multiarm.jit.structs import struct_of
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
-from multiarm.results.files import COMPLETED, FAILED, INTERRUPTED
+from multiarm.results.files import RunStatus
 from multiarm.scene import RunSpec
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
@@ -87,9 +87,11 @@ class End(Enum):
     UNDECIDED = auto()  # no mode follows an event: the run cannot be advanced any more
 
     @property
-    def status(self) -> str:
+    def status(self) -> RunStatus:
         """The status of the result."""
-        return {End.COMPLETED: COMPLETED, End.INTERRUPTED: INTERRUPTED}.get(self, FAILED)
+        if self in (End.COMPLETED, End.INTERRUPTED):
+            return RunStatus[self.name]
+        return RunStatus.FAILED
 
 
 class Ending(NamedTuple):

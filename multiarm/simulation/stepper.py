@@ -20,7 +20,7 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of, in_sequence
-from multiarm.results.files import COMPLETED
+from multiarm.results.files import RunStatus
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
@@ -174,7 +174,7 @@ class Stepper:
             sink.append(block)
         message = f"advanced to t = {self.time:.9g} s"
         statistics, events = run_statistics(driver), driver.run.log.entries()
-        return sink.finish(COMPLETED, message, statistics, events).of(task.system.scene)
+        return sink.finish(RunStatus.COMPLETED, message, statistics, events).of(task.system.scene)
 
     # --- what it does -------------------------------------------------------------------------
 
