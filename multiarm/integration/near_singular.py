@@ -62,12 +62,12 @@ def evaluate_near_singular(address, size, alpha, beta):
     unknown = not data.last_step.solution.known and data.solution.dependent > 0
     if not (data.solution.margin < ZONE or unknown) or model.calls_user:
         return OK
-    rate = greatest(data.state.velocity)
-    if rate < AT_REST:
+    fastest = greatest(data.state.velocity)
+    if fastest < AT_REST:
         return OK
     position_change, velocity_change = data.status.position_change, data.status.velocity_change
     save_state(data)
-    interpolated = interpolate_accelerations(struct, alpha, beta, OFFSET / rate)
+    interpolated = interpolate_accelerations(struct, alpha, beta, OFFSET / fastest)
     restore_state(data)
     data.status.position_change, data.status.velocity_change = position_change, velocity_change
     # everything but the accelerations belongs to the state itself

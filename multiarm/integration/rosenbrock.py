@@ -15,8 +15,8 @@ they have died out.
 *The matrix.*  The state is ``[positions, velocities, inner states, works]``; inner states are those
 of effects, and are treated like velocities that move no position.  Only accelerations, inner rates
 and powers need derivatives; the positions' rates are known.  At the beginning of a step, where the
-chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and
-so :math:`R = (1/\gamma - hB)^{-1}` is written down.
+chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, [omega]x / 2, 0)``,
+and so :math:`R = (1/\gamma - hB)^{-1}` is written down.
 
 Where control and effects are local, gravity compensation besides, the system falls apart into arms,
 at a cost that is linear in them (:mod:`multiarm.integration.arm_blocks`).  Elsewhere it is one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from mechanics import data_of, scene_of, sledge_urdf
 
 import multiarm as ma
 from multiarm.dynamics.status import NOT_FINITE
+from multiarm.integration.step_control import limited_by_stability
 from multiarm.jit.pointers import CFUNC_PROTOTYPE, c_function, function_at
 from multiarm.problems.postures import stretched_and_released_scene
 from multiarm.results.sinks import MemorySink
@@ -19,6 +21,7 @@ from multiarm.simulation.driver import End, state_of
 from multiarm.simulation.record import open_sink
 from multiarm.simulation.run import begin
 from multiarm.simulation.setup import Task, run_spec
+from multiarm.tableaus import METHODS
 
 
 class FailingOutput:
@@ -164,3 +167,21 @@ def test_a_step_that_fails_after_its_end_was_evaluated_leaves_no_trace(tmp_path,
     assert [event["kind"] for event in repeated] == [event["kind"] for event in events]
     np.testing.assert_allclose(again.position, state.position, rtol=0, atol=1e-7)
     np.testing.assert_allclose(again.velocity, state.velocity, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+@pytest.mark.parametrize("moved", [0.0, 1e-3, 1.0])
+def test_stiffness_is_judged_at_the_projected_end(rng, share, moved):
+    """For z' = -lambda z the estimate is lambda, however far projection has ``moved`` the end."""
+    tableau, h = METHODS["dopri5"], 0.1
+    eigenvalue, stages = share * tableau.stability / h, len(tableau.b)
+    z_stage = rng.normal(size=6)
+    z_new = z_stage + 1e-6 * rng.normal(size=6)
+    z_end = z_new + moved * rng.normal(size=6)
+    slopes = np.zeros((stages + 1, 6))
+    slopes[stages - 1], slopes[stages] = -eigenvalue * z_stage, -eigenvalue * z_end
+    step = SimpleNamespace(k=slopes, z_stage=z_stage, z_new=z_new, tolerance=np.ones(6))
+    method = SimpleNamespace(stages=stages, stability=tableau.stability)
+    assert limited_by_stability.py_func(method, step, z_end, h) == (share > 1.0)
+    if moved and share < 1.0:  # the end before projection has another slope
+        assert limited_by_stability.py_func(method, step, z_new, h)

@@ -283,9 +283,9 @@ def orthogonalize(A, count, length, follow, width):
                 if aa <= floor or bb <= floor or not abs(ab) > ORTHOGONAL * math.sqrt(aa * bb):
                     continue
                 settled = False
-                slope = (bb - aa) / (2.0 * ab)
-                tangent = 1.0 / (abs(slope) + math.sqrt(1.0 + slope * slope))
-                if slope < 0.0:
+                cotangent = (bb - aa) / (2.0 * ab)  # of twice the angle
+                tangent = 1.0 / (abs(cotangent) + math.sqrt(1.0 + cotangent * cotangent))
+                if cotangent < 0.0:
                     tangent = -tangent
                 cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
                 rotate(A[i], A[j], length, cosine, cosine * tangent)
