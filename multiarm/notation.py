@@ -9,7 +9,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
+from enum import Enum
 from typing import Any
+
+
+class Word(str, Enum):
+    """One of some words, which is shown, stored and compared as the word."""
+
+    __str__ = str.__str__
+    __repr__ = str.__repr__
+
 
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""

@@ -26,6 +26,7 @@ from multiarm.dynamics.equations import (
     kinematics,
     right_hand_sides,
     solve,
+    solve_decomposed,
     solve_deficient,
     write_general_row,
 )
@@ -55,6 +56,7 @@ FUNCTIONS = {
 REPORT_FUNCTIONS = {"reports": check_reports, "watch": watch_stage}
 LAZY_FUNCTIONS = {
     "coupled": solve_deficient,
+    "decomposed": solve_decomposed,
     "row": write_general_row,
     "near_singular": evaluate_near_singular,
 }

@@ -173,7 +173,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
     near singular postures, the gaps are closed in small steps.
     """
     data.move_to(state)
-    data.arrays.pairs.starts[:] = data.model.pair_places
+    data.arrays.last_step.points[:] = data.model.pair_places
     if project_positions(heavy.struct, tolerance, True, 0.3, 60) == OK:
         return True
     data.reraise()

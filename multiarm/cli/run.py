@@ -38,6 +38,7 @@ from multiarm.jit.compilation import compile_time
 from multiarm.notation import count_of, number
 from multiarm.reports.run_facts import course_facts, figures_of, motion_facts
 from multiarm.results.event_log import counts, who
+from multiarm.results.files import RunStatus
 from multiarm.terminal.console import (
     STATUS_STYLES,
     accuracy,
@@ -153,14 +154,14 @@ def run(
     if not quiet:
         output().print(summary_table(figures, compilation))
         print_written("result", target)
-    if trajectory.status != "completed":
+    if trajectory.status != RunStatus.COMPLETED:
         print_error(f"the run {_ended(trajectory)}; the results up to there are in '{target}'")
     figures["files"] |= _write_pages(trajectory, pages, quiet)
     if json is not None:
         write_json(json, figures)
     if replay and len(trajectory):
         show_replay(trajectory, quiet=quiet)
-    if trajectory.status != "completed":
+    if trajectory.status != RunStatus.COMPLETED:
         raise typer.Exit(1)
 
 
@@ -177,7 +178,7 @@ def _remarks(trajectory: Trajectory, system: System) -> list[str]:
             f"the written start was {number(gap, 'm')} off at arm '{arm}' and was assembled: "
             + "; ".join(start.lines())
         )
-    if trajectory.status == "completed":
+    if trajectory.status == RunStatus.COMPLETED:
         remarks += trajectory.remarks
     remarks += limit_warnings(peaks(joint_uses(trajectory)))
     if trajectory.certificate is not None and not trajectory.certificate["met"]:
@@ -236,7 +237,7 @@ def _write_pages(
 
 
 def _ended(trajectory: Trajectory) -> str:
-    verb = "was interrupted" if trajectory.status == "interrupted" else "failed"
+    verb = "was interrupted" if trajectory.status == RunStatus.INTERRUPTED else "failed"
     return f"{verb}: {trajectory.message}"
 
 

@@ -12,7 +12,7 @@ from multiarm.cli.files import check_targets
 from multiarm.cli.options import file_option, option, switch
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.notation import count_of
-from multiarm.results.files import resolved
+from multiarm.results.files import RunStatus, resolved
 from multiarm.terminal.console import messages, print_warnings, print_written
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _open_with_samples(result: Path, run: int | None) -> Trajectory:
     which = f"'{result}'" if run is None else f"run {run} of '{result}'"
     if not len(trajectory):
         raise MultiarmError(f"{which} has no samples to show: {trajectory.message}")
-    if trajectory.status != "completed":
+    if trajectory.status != RunStatus.COMPLETED:
         print_warnings([f"this run {trajectory.status}: {trajectory.message}"])
     return trajectory
 

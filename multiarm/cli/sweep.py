@@ -27,7 +27,7 @@ from multiarm.cli.options import (
 )
 from multiarm.errors import SweepError
 from multiarm.notation import count_of, number
-from multiarm.results.files import atomic_output, save_figure
+from multiarm.results.files import RunStatus, atomic_output, save_figure
 from multiarm.terminal.console import (
     STATUS_STYLES,
     columns,
@@ -184,7 +184,7 @@ def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
             f"'{target}'; the same command resumes from there"
         )
         raise typer.Exit(1)
-    if not summary.statuses.get("completed"):
+    if not summary.statuses.get(RunStatus.COMPLETED):
         print_error(f"no run completed; the rows in '{target}' say why")
         raise typer.Exit(1)
     widest = next((spread for spread in summary.spreads if spread.largest_run is not None), None)
@@ -234,5 +234,5 @@ def trouble_lines(summary: SweepSummary) -> list[str]:
         more = "" if failure.runs == 1 else f" and {failure.runs - 1:,} more"
         lines.append(f"run {failure.first_run}{more} {failure.status}: {failure.message}")
     listed = sum(failure.runs for failure in summary.failures)
-    unlisted = summary.done - summary.statuses.get("completed", 0) - listed
+    unlisted = summary.done - summary.statuses.get(RunStatus.COMPLETED, 0) - listed
     return [*lines, f"and {count_of(unlisted, 'more run')} did not complete"] if unlisted else lines

@@ -185,10 +185,15 @@ def call_controller(address, size, _at, _t):
 
 
 class Solved(Protocol):
-    """A Data that is solved: its arrays, and the workspace of its solver."""
+    """A Data that is solved."""
 
-    arrays: Variables
-    work: NodeWork
+    @property
+    def arrays(self) -> Variables:
+        """Its variables."""
+
+    @property
+    def work(self) -> NodeWork:
+        """The workspace of its solver."""
 
 
 class DenseSolver:
@@ -197,13 +202,14 @@ class DenseSolver:
     Attributes
     ----------
     reactions : tuple of ndarray, optional
-        The object's rows (N, 6) and the arms' matrices (n, d, m) of the contact forces where these
-        differ from the constraints.
+        With sliding friction: the object's rows (N, 6) and the arms' matrices (n, d, m) of the
+        contact forces.  None: contact forces act along the constraints, as in projections.
     """
+
+    reactions: tuple[np.ndarray, np.ndarray] | None = None
 
     def __init__(self, data: Solved) -> None:
         self._data = weakref.proxy(data)  # which has this
-        self.reactions: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(self) -> None:
         """Solve once."""
@@ -233,8 +239,8 @@ class DenseSolver:
         write_solution(
             b, DENSE, 0, b.rows.force.size - solution.rank, math.inf, solution.motion_unique
         )
-        b.deficient.loose[:] = 0
-        b.deficient.loose[list(solution.loose_arms)] = 1
+        b.deficient.undetermined[:] = 0
+        b.deficient.undetermined[list(solution.undetermined_arms)] = 1
 
 
 def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:

@@ -264,7 +264,7 @@ def write_rows_at(model, data, first, last, motion, work):
         write_row(
             k, motion, work.scratch[STILL], model.codes, model.geometry, model.shapes,
             data.functions.surface, work.rows, work.parts,
-            pairs.relative, pairs.query, pairs.starts, pairs.points,
+            pairs.relative, pairs.query, data.last_step.points, pairs.points,
         )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def place_state(data: Data, t: float, state: State) -> None:
     data.forgive()
     places = locate_pairs(data, state)
     data.set_state(t, state)
-    data.arrays.pairs.starts[:] = places
+    data.arrays.last_step.points[:] = places
 
 
 def locate_pairs(data: Data, start: State) -> np.ndarray:
@@ -69,7 +69,7 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
     SceneError
         When two surfaces have no common normal near each other, or touch along a line.
     """
-    places = np.zeros_like(data.arrays.pairs.starts)
+    places = np.zeros_like(data.arrays.pairs.points)
     codes = fields_of(Code, data.model.constants.codes)
     pairs = np.flatnonzero(codes.kind == PAIR)
     if not pairs.size:

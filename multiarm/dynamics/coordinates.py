@@ -34,7 +34,7 @@ import numpy as np
 from multiarm.dynamics.layout import Layout
 from multiarm.jit.kernels import inlined, plain
 from multiarm.spatial import difference as rotation_difference
-from multiarm.spatial import retract_into, write_chart_rate
+from multiarm.spatial import retract_into, rotation_between, write_chart_rate
 
 # --- configurations ------------------------------------------------------------------------------
 
@@ -201,6 +201,17 @@ def load_chart(z, base, data):
 
 
 @inlined
+def write_in_chart(data, base, z):
+    """Write the state in the data as a vector of the chart with this base; the works stay."""
+    places, poses = chart_places(data), data.state.poses
+    for f in range(poses.shape[0]):
+        turn = rotation_between(base[7 * f + 3 : 7 * f + 7], poses[f, 3:7])
+        for k in range(3):
+            z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], turn[k]
+    copy_numbers(data, places, z)
+
+
+@inlined
 def store_chart(data, base, z):
     """Begin a chart at the state in the data: ``theta = 0``; the works in ``z`` stay."""
     places, poses = chart_places(data), data.state.poses
@@ -209,6 +220,12 @@ def store_chart(data, base, z):
             z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], 0.0
         for k in range(3, 7):
             base[7 * f + k] = poses[f, k]
+    copy_numbers(data, places, z)
+
+
+@inlined
+def copy_numbers(data, places, z):
+    """Copy what the state and a chart's vector share: all numbers but the poses of the frames."""
     for j in range(data.state.joint_positions.size):
         z[places.joints + j] = data.state.joint_positions[j]
     for k in range(data.state.velocity.size):

@@ -57,7 +57,7 @@ from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
-from multiarm.dynamics.sliding import Slides
+from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.status import OK
@@ -133,10 +133,11 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
             turn[first : first + 6] = angle[own.end : own.end + 6]
     if not derivatives.motions.independent:
         turns[:, :states] = turns[:, :states] @ derivatives.motions.admissible()
-    across = slides.turning[:, ::-1] * [-1.0, 1.0]
-    pull = slides.mu * data.arrays.rows.force[slides.row]
-    along = slides.mu[:, None, None] * slides.turning[:, :, None] * normal[:, None]
-    return -along - pull[:, None, None] * across[:, :, None] * turns[:, None]
+    friction = np.array([friction_of_unit_force(slides, s) for s in range(slides.row.size)])
+    friction = friction.reshape(-1, 2)
+    force = data.arrays.rows.force[slides.row, None] * friction
+    across = force[:, ::-1] * [-1.0, 1.0]  # turned by a right angle
+    return friction[:, :, None] * normal[:, None] + across[:, :, None] * turns[:, None]
 
 
 class _Equations:

@@ -262,21 +262,27 @@ def solve(address, size, _a, _b):
 
 
 @cfunc
-def solve_deficient(address, size, decompose_all, _b):
+def solve_deficient(address, size, _a, _b):
     """Solve a system with deficient arms, arm by arm; returns a status.
 
-    Where the residual of the object's equation is too large, or when ``decompose_all`` is not zero,
-    no arm is eliminated as a whole.
+    Where the residual of the object's equation is too large, no arm is eliminated as a whole.
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    coupled = open_coupled(struct)
-    status = solve_coupled_arms(data, work, coupled, decompose_all != 0.0)
+    status = solve_coupled_arms(data, work, open_coupled(struct), False)
     if status != OK or data.solution.imbalance <= IMBALANCE_BOUND:
         return status
-    if decompose_all != 0.0 or data.solution.coupled_arms == data.bodies.pointers.shape[0]:
+    if data.solution.coupled_arms == data.bodies.pointers.shape[0]:
         return status
-    return solve_coupled_arms(data, work, coupled, True)
+    return call_cfunc(data.functions.decomposed, struct, 0.0, 0.0)
+
+
+@cfunc
+def solve_decomposed(address, size, _a, _b):
+    """The same with no arm eliminated as a whole; returns a status."""
+    struct = struct_at(address, size)
+    _, data, work = open_system(struct)
+    return solve_coupled_arms(data, work, open_coupled(struct), True)
 
 
 @kernel
@@ -332,7 +338,7 @@ def write_general_row(address, size, row, arm):
     write_row(
         int(row), bodies.links[int(arm)], bodies.object, model.codes, model.geometry, model.shapes,
         data.functions.surface, rows.kinematics, rows.parts,
-        pairs.relative, pairs.query, pairs.starts, pairs.points,
+        pairs.relative, pairs.query, data.last_step.points, pairs.points,
     )  # fmt: skip
     return OK
 

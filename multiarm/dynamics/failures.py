@@ -116,11 +116,11 @@ def ambiguity_text(data: Data) -> str:
     """That the last solution is one of several; empty where it is the only one."""
     if data.arrays.solution.motion_unique:
         return ""
-    owners = zip(data.model.owners, data.arrays.deficient.loose, strict=True)
-    loose = ", ".join(owner for owner, is_loose in owners if is_loose)
+    owners = zip(data.model.owners, data.arrays.deficient.undetermined, strict=True)
+    arms = ", ".join(owner for owner, undetermined in owners if undetermined)
     return (
         "friction leaves the motion open: other accelerations meet the equations, too, with other "
-        f"contact forces of {loose}; these are those of the least contact forces"
+        f"contact forces of {arms}; these are those of the least contact forces"
     )
 
 

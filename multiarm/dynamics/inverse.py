@@ -37,6 +37,7 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
@@ -142,7 +143,7 @@ def _solve(
         W = data.work.W[i, : d.stop - d.start, : r.stop - r.start]
         A, a = _desired_motion(data.model, name, ev, desired, relative[name])
         a_j[d], left = _nearest(M, A, a, posture[name])
-        if left > 1e-7 * (1.0 + np.max(np.abs(a), initial=0.0)):
+        if left > MISSED_MOTION * (1.0 + np.max(np.abs(a), initial=0.0)):
             faults.append(
                 f"arm '{name}' ({count_of(len(M), 'joint')}) misses it by {left:.3g} m/s^2, rad/s^2"
             )
@@ -216,7 +217,9 @@ def _nearest(
     B = np.linalg.solve(L, A.T).T
     size = np.linalg.norm(B, axis=1)
     scale = 1.0 / np.where(size > 0.0, size, 1.0)
-    y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=1e-10)[0]
+    y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=ARM_RANK_TOLERANCE)[
+        0
+    ]
     a_j = preferred + np.linalg.solve(L.T, y)
     return a_j, float(np.max(np.abs(A @ a_j - a), initial=0.0))
 

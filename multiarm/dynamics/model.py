@@ -104,7 +104,7 @@ class Model:
     lazy_functions: Mapping[str, Kernel]
     # times at which control or effects are not smooth, so that steps end there [s]
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    # ``Variables.pairs.starts`` at the start, (S, 3)
+    # ``StepEnd.points`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     laws: tuple[ControlLaw, ...] = ()  # of a compiled control
     python_control: PythonControl | None = None  # None: control is compiled
@@ -315,7 +315,6 @@ class Data:
         Python functions that compiled code calls.
     surfaces : list of SmoothShape
         User-defined surfaces.
-    dense_solver : DenseSolver
     cache : dict
         Objects of other packages that live as long as these arrays.
     """
@@ -367,10 +366,10 @@ class Data:
         self._set_addresses({name: address_of(f) for name, f in model.functions.items()})
         for name, function in model.lazy_functions.items():
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
-            self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
+            self.add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         if self.surfaces:
             answer = user_surface_callback(self.surfaces, self.arrays.pairs.query)
-            self._add_callback("surface", PythonCallback(answer, self.arrays.status))
+            self.add_callback("surface", PythonCallback(answer, self.arrays.status))
         self._connect_rows()
         self._connect_control()
         for kernel, effect in zip(model.effects.kernels, self.effects, strict=True):
@@ -437,8 +436,7 @@ class Data:
         model, b = self.model, self.arrays
         sizes = np.diff(model.layout.dofs).tolist(), np.diff(model.layout.rows).tolist()
         self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
-        self.dense_solver = DenseSolver(self)
-        self._add_callback("dense", PythonCallback(self.dense_solver, b.status))
+        self.add_callback("dense", PythonCallback(DenseSolver(self), b.status))
         self._connect_laws()
         self._struct = self._make_struct()
 
@@ -464,9 +462,10 @@ class Data:
     def _connect_control(self) -> None:
         if self.model.python_control is not None:
             control = self.model.python_control.connect(self.model.layout, self.arrays)
-            self._add_callback("control", control)
+            self.add_callback("control", control)
 
-    def _add_callback(self, name: str, callback: GuardedCall) -> None:
+    def add_callback(self, name: str, callback: GuardedCall) -> None:
+        """Let compiled code call a function, by its address among the ``Functions``."""
         self.callbacks[name] = callback
         self._set_addresses({name: callback.address})
 
@@ -520,7 +519,7 @@ class Data:
         b.rows.static_force[:] = 0.0
         b.control.sampling.due, b.control.sampling.samples = b.control.sampling.mode, 0
         b.effects.states[:] = b.effects.state_rates[:] = 0.0
-        b.pairs.starts[:] = self.model.pair_places
+        b.last_step.points[:] = self.model.pair_places
         b.last_step.coordinates[:] = np.nan
         b.sample.tips[:] = 0.0
         reset_guards(self.guards)

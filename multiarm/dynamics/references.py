@@ -16,8 +16,10 @@ Data                rows of W                           made by, and for
                                                         the run and its steps
 ``modes.data        tangents of the contacts that       the same: directions of slip
 .tangents``         slide
-``modes.bare``      those that hold in all modes        the same: decisions at events
-``modes.loose``     none                                the same: decisions where rows are redundant
+``modes             those that hold in all modes        the same: decisions at events
+.bilateral``
+``modes             none                                the same: decisions where rows are redundant
+.unconstrained``
 of springs          compliant contacts                  ``effects.contact_compliance``: their forces
 at the start        those that are closed there         ``assembly.start``: the projection of it
 ==================  ==================================  ============================================

@@ -31,7 +31,7 @@ from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import Guards
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel, plain
 from multiarm.jit.structs import (
     Float,
     Floats1,
@@ -65,6 +65,7 @@ class Slides(NamedTuple):
     direction: Floats2
     turning: Floats2
     speed: Floats1  # along the latter [m/s]
+    at_end: Floats2  # (s, 2) direction of slip at the end of this step, until it is accepted
 
 
 # In the struct of a mode they follow its guards.
@@ -91,6 +92,12 @@ def write_direction(slides, s, first, second):
     slides.speed[s] = first * d0 + second * d1
 
 
+@plain
+def friction_of_unit_force(slides, s):
+    """Friction on the two tangents of a sliding contact for a normal force of 1: ``-mu d``."""
+    return -slides.mu[s] * slides.turning[s, 0], -slides.mu[s] * slides.turning[s, 1]
+
+
 @kernel
 def write_reactions(data, work, Wr, slides, reactions):
     """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Wr``.
@@ -111,13 +118,15 @@ def write_reactions(data, work, Wr, slides, reactions):
         row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
         along, across = slip_of(sideways.rows.kinematics, t)
         write_direction(slides, s, along, across)
-        first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
+        first, second = friction_of_unit_force(slides, s)
         for k in range(Wr.shape[1]):
-            Wr[row, k] -= first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
+            Wr[row, k] += first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
         column, tangent = row - work.rows[i], t - tangents.rows[i]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
-            pull = first * tangents.W[i, j, tangent] + second * tangents.W[i, j, tangent + 1]
-            reactions.Wr[i, j, column] -= pull
+            sideways_W = tangents.W[i, j]
+            reactions.Wr[i, j, column] += (
+                first * sideways_W[tangent] + second * sideways_W[tangent + 1]
+            )
     return status
 
 
@@ -132,10 +141,16 @@ def friction_power(slides, force):
 
 @kernel
 def follow_slip(slides, contacts):
-    """Make the direction at the end of a step that of the next; ``contacts`` are of all rows."""
+    """Write the direction at the end of a step; ``contacts`` are of all rows."""
     for s in range(slides.row.size):
         t = slides.tangent_of_all[s]
         along, across = slip_of(contacts, t)
         write_direction(slides, s, along, across)
-        slides.direction[s, 0] = slides.turning[s, 0]
-        slides.direction[s, 1] = slides.turning[s, 1]
+        copy(slides.turning[s], slides.at_end[s])
+
+
+@kernel
+def accept_slip(slides):
+    """Begin the next step with the direction at the end of this one."""
+    for s in range(slides.row.size):
+        copy(slides.at_end[s], slides.direction[s])

@@ -34,7 +34,7 @@ from multiarm.dynamics.equation_derivatives import (
 )
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection
-from multiarm.dynamics.sliding import slides_of
+from multiarm.dynamics.sliding import friction_of_unit_force, slides_of
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, kernel
 from multiarm.jit.structs import Floats2, Ints1, struct_at, struct_of, view
@@ -87,9 +87,10 @@ def add_friction(struct: INTS, own: INTS, of_friction: INTS):
     tangents = struct_at(data.modes.tangents, 0)
     sideways = open_data(tangents)
     for s in range(slides.row.size):
-        drag, t = -slides.mu[s] * data.rows.force[slides.row[s]], slides.tangent[s]
-        for k in range(2):
-            sideways.rows.static_force[t + k] = drag * slides.turning[s, k]
+        normal, t = data.rows.force[slides.row[s]], slides.tangent[s]
+        first, second = friction_of_unit_force(slides, s)
+        sideways.rows.static_force[t] = normal * first
+        sideways.rows.static_force[t + 1] = normal * second
     status = write_load_derivatives(tangents, friction.equations)
     if status == OK:
         add_loads(struct, own, friction)
@@ -119,17 +120,15 @@ def differentiate_slip(s, struct, own, friction):
     """Write the derivatives of the slip of a contact, and add what its turning does."""
     _, data, system = open_system(struct)
     links, work, sideways = open_links(own), open_equations(own), open_equations(friction.equations)
-    _, beside, tangents = open_system(struct_at(data.modes.tangents, 0))
+    _, sliding, tangents = open_system(struct_at(data.modes.tangents, 0))
     slides, at = slides_of(data), state_columns(data)
     i, t, slow = slides.arm[s], slides.tangent[s], slides.numbers.slow
     d0, n, column = system.dofs[i], system.dofs[i + 1] - system.dofs[i], t - tangents.rows[i]
-    columns, drag = (
-        columns_of_arm(i, n, links, work),
-        -slides.mu[s] * data.rows.force[slides.row[s]],
-    )
+    columns, normal = columns_of_arm(i, n, links, work), data.rows.force[slides.row[s]]
+    friction_0, friction_1 = friction_of_unit_force(slides, s)
     along_0, along_1 = slides.direction[s, 0], slides.direction[s, 1]
     d_0, d_1 = slides.turning[s, 0], slides.turning[s, 1]
-    first, second = slip_of(beside.rows.kinematics, t)
+    first, second = slip_of(sliding.rows.kinematics, t)
     a, b = along_0 * first + along_1 * second, along_0 * second - along_1 * first
     smooth = a * a + slow * slow
     size = smooth * smooth + a * a * b * b
@@ -141,7 +140,7 @@ def differentiate_slip(s, struct, own, friction):
         friction.angle[s, c] = angle
         friction.speed[s, c] = d_0 * of_first + d_1 * of_second
         friction.speed[s, c] += (d_0 * second - d_1 * first) * angle
-        force_0, force_1 = -drag * d_1 * angle, drag * d_0 * angle
+        force_0, force_1 = -normal * friction_1 * angle, normal * friction_0 * angle
         for j in range(n):
             W = tangents.W[i, j]
             work.dF[i, j, c] -= W[column] * force_0 + W[column + 1] * force_1
@@ -150,7 +149,7 @@ def differentiate_slip(s, struct, own, friction):
             place = column_of_state(at, columns, d0, c)
         for l in range(work.dF_o.shape[0]):
             work.dF_o[l, place] -= (
-                beside.rows.Wo[t, l] * force_0 + beside.rows.Wo[t + 1, l] * force_1
+                sliding.rows.Wo[t, l] * force_0 + sliding.rows.Wo[t + 1, l] * force_1
             )
 
 
@@ -159,12 +158,12 @@ def add_reactions(s, struct, own):
     """Add the friction of a unit normal force to the columns of the normal force."""
     _, data, system = open_system(struct)
     work, slides = open_equations(own), slides_of(data)
-    _, beside, tangents = open_system(struct_at(data.modes.tangents, 0))
+    _, sliding, tangents = open_system(struct_at(data.modes.tangents, 0))
     i, t, row = slides.arm[s], slides.tangent[s], slides.row[s]
     n, column = system.dofs[i + 1] - system.dofs[i], t - tangents.rows[i]
-    first, second = slides.mu[s] * slides.turning[s, 0], slides.mu[s] * slides.turning[s, 1]
+    first, second = friction_of_unit_force(slides, s)
     for l in range(work.Wr.shape[1]):
-        work.Wr[row, l] -= first * beside.rows.Wo[t, l] + second * beside.rows.Wo[t + 1, l]
+        work.Wr[row, l] += first * sliding.rows.Wo[t, l] + second * sliding.rows.Wo[t + 1, l]
     for j in range(n):
         W = tangents.W[i, j]
-        work.K[i, j, n + row - system.rows[i]] += first * W[column] + second * W[column + 1]
+        work.K[i, j, n + row - system.rows[i]] -= first * W[column] + second * W[column + 1]

@@ -26,10 +26,11 @@ from multiarm.dynamics.solver.bounds import (
     MOST_ROUNDED_RESIDUAL,
     REGAINED,
     RESIDUAL_BOUND,
+    ROUNDED_RESIDUAL,
 )
 from multiarm.dynamics.solver.solution import DENSE, SPLIT, WHOLE
 from multiarm.dynamics.status import OK
-from multiarm.jit.kernels import INTS, cfunc, kernel
+from multiarm.jit.kernels import INTS, cfunc, copy, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -66,7 +67,7 @@ def record_solution(address, size, _a, _b):
     repeatable = solution.elimination != DENSE and not data.modes.active
     solved = believable(solution, solution.residual)
     if not solved and repeatable and solution.coupled_arms < arms:
-        if call_cfunc(data.functions.coupled, struct, 1.0, 0.0) != OK:
+        if call_cfunc(data.functions.decomposed, struct, 0.0, 0.0) != OK:
             solution.imbalance = math.nan
         solution.residual = residual_of_all(model, data, work)
     return OK
@@ -79,41 +80,60 @@ def believable(solution, residual):
     Near a loss of rank, rounding errors of the gaps are magnified by the square of the distance
     from it.
     """
-    rounded = min(MOST_ROUNDED_RESIDUAL, 1e-13 / (solution.margin * solution.margin))
+    rounded = min(MOST_ROUNDED_RESIDUAL, ROUNDED_RESIDUAL / (solution.margin * solution.margin))
     return residual <= max(RESIDUAL_BOUND, rounded)
 
 
 @cfunc
 def compare_solution(address, size, _a, _b):
-    """Compare the recorded solution with that of the previous step, and count the changes."""
+    """Write the recorded solution into ``data.this_step``, compared with that of the last step."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    solution, step = data.solution, data.last_step
-    step.solution.margin, step.solution.changes = solution.margin, 0
-    if not step.solution.known or step.solution.rank != solution.rank:
-        step.solution.known, step.solution.rank = 1, solution.rank
-        step.solution.changes += 1
+    solution, step, before = data.this_step.solution, data.this_step, data.last_step
+    solution.known, solution.rank, solution.margin = 1, data.solution.rank, data.solution.margin
+    solution.coupled_arms = data.solution.coupled_arms
+    solution.motion_unique = data.solution.motion_unique
+    solution.residual = data.solution.residual
+    solution.correction = max(data.status.position_change, data.status.velocity_change)
+    changed = not before.solution.known or before.solution.rank != solution.rank
+    solution.changes = 1 if changed else 0
     for i in range(step.sign_changes.size):
         step.sign_changes[i] = 0
-    if solution.elimination != WHOLE and solution.elimination != SPLIT:  # no directions of arms
+        step.lost_directions[i] = before.lost_directions[i]
+        step.determinant_signs[i] = before.determinant_signs[i]
+    elimination = data.solution.elimination
+    if elimination != WHOLE and elimination != SPLIT:  # no directions of arms
         return OK
     coupled = open_coupled(struct)
     for i in range(step.lost_directions.size):
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
-            lost = count_lost(i, step.lost_directions[i], work, coupled)
+            lost = count_lost(i, before.lost_directions[i], work, coupled)
         elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
-            lost = step.lost_directions[i]
+            lost = before.lost_directions[i]
         elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
             sign = determinant_sign(i, work, coupled)
-            if sign * step.determinant_signs[i] < 0.0:
+            if sign * before.determinant_signs[i] < 0.0:
                 step.sign_changes[i] = 1
-                step.solution.changes += 1
+                solution.changes += 1
             step.determinant_signs[i] = sign
-        if lost != step.lost_directions[i]:
+        if lost != before.lost_directions[i]:
             step.lost_directions[i] = lost
-            step.solution.changes += 1
+            solution.changes += 1
     return OK
+
+
+@kernel
+def accept_solution(data):
+    """Make the solution of this step that of the last one."""
+    solution, last = data.this_step.solution, data.last_step.solution
+    last.known, last.rank, last.margin = solution.known, solution.rank, solution.margin
+    last.coupled_arms, last.motion_unique = solution.coupled_arms, solution.motion_unique
+    last.residual, last.correction = solution.residual, solution.correction
+    last.changes = solution.changes
+    copy(data.this_step.lost_directions, data.last_step.lost_directions)
+    copy(data.this_step.determinant_signs, data.last_step.determinant_signs)
+    copy(data.this_step.sign_changes, data.last_step.sign_changes)
 
 
 @kernel

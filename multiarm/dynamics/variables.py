@@ -109,23 +109,40 @@ class Rows(NamedTuple):
     arm_wrenches: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
 
 
-class LastSolution(Numbers):
-    """The solution at the end of the last step."""
+class StepSolution(Numbers):
+    """The solution at the end of a step, as in :class:`Solution`."""
 
     known: Flag  # there is one: a run has begun
     rank: Int
-    margin: Float  # from a loss of rank, as in `Solution`
-    changes: Int  # of the rank, of lost directions and of signs, since the step before it
+    coupled_arms: Int
+    motion_unique: Flag
+    margin: Float
+    residual: Float
+    correction: Float  # largest change of the state by projection [m, rad; m/s, rad/s]
+    changes: Int  # of the rank and of deficient arms, since the step before
 
 
-class LastStep(NamedTuple):
-    """What a run remembers of the end of the last step, of ``n`` arms."""
+class StepEnd(NamedTuple):
+    """What a run remembers of the end of a step, of ``n`` arms."""
 
-    solution: LastSolution
+    solution: StepSolution
     lost_directions: Ints1  # (n,) how many each arm has lost
     determinant_signs: Floats1  # (n,) of each arm (0: unknown)
     sign_changes: Ints1  # (n,) whether this sign has changed in the step
     coordinates: Floats2  # (n, 6) free coordinates of the joints, without jumps
+    points: Floats2  # (S, 3) of pairs of surfaces, as in ``SurfacePairs``
+
+
+def make_step_end(arms: int, pairs: int) -> StepEnd:
+    """As before any step."""
+    return StepEnd(
+        solution=StepSolution(),
+        lost_directions=np.zeros(arms, dtype=np.int64),
+        determinant_signs=np.zeros(arms),
+        sign_changes=np.zeros(arms, dtype=np.int64),
+        coordinates=np.full((arms, 6), np.nan),
+        points=np.zeros((pairs, 3)),
+    )
 
 
 # When the laws of a control that can be held are evaluated: not at all, at the next evaluation, at
@@ -195,7 +212,7 @@ class DeficientArms(NamedTuple):
     """Which arms (n,) the solution could not eliminate as a whole."""
 
     coupled: Ints1  # these, where ``solution`` has any
-    loose: Ints1  # their contact forces take part in a motion that is not unique, where it has one
+    undetermined: Ints1  # their contact forces take part in a motion that is not unique
 
 
 class SurfacePairs(NamedTuple):
@@ -203,8 +220,8 @@ class SurfacePairs(NamedTuple):
     in closed form.
     """
 
-    starts: Floats2  # (S, 3) contact points in the frame of the guiding body: start of the search
-    points: Floats2  # (S, 3) its result
+    # (S, 3) contact points in the frame of the guiding body, searched from those of the last step
+    points: Floats2
     relative: Floats1  # (15,) :class:`~multiarm.contacts.motion.RelativeRow`
     query: Floats1  # (14,) :class:`~multiarm.contacts.surfaces.Query`
 
@@ -249,12 +266,14 @@ class Functions(Numbers):
     project: Int  # the node algorithm without friction, for impulses and projections
     close_gaps: Int  # the projection of a state
     coupled: Int  # the system with deficient arms
+    decomposed: Int  # the same with no arm eliminated as a whole
     row: Int  # a contact other than a tip on a plane, sphere or cylinder
     near_singular: Int  # an evaluation near a loss of rank
     record: Int  # rank and residual of the last solution
-    compare: Int  # the recorded solution with that of the previous step
+    compare: Int  # the recorded solution with that of the step before, into ``this_step``
     contact_forces: Int  # with unilateral contacts
-    guards: Int  # with unilateral contacts
+    guards: Int  # with unilateral contacts: the check of the mode's guards at the end of a step
+    accept: Int  # ... after which the next step begins there
     reports: Int  # the check of the guards that only report, where there are any
     watch: Int  # what all guards see of a stage, where there are any
     arms: Int  # terms of compiled arms, with address and size of their struct
@@ -265,6 +284,7 @@ class Functions(Numbers):
     pinocchio_energy: Int
     control: Int
     dense: Int
+    dense_with_friction: Int  # the same for a mode with sliding contacts
     surface: Int
 
 
@@ -297,7 +317,8 @@ class Variables(NamedTuple):
     solution: Solution
     deficient: DeficientArms
     check: Check
-    last_step: LastStep
+    last_step: StepEnd
+    this_step: StepEnd  # which becomes the last one when it is accepted
     sample: Sample
     slopes: ForceSlopes
     interpolation: Interpolation
@@ -360,16 +381,11 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
         accelerations=accelerations,
         solution=UNSOLVED.copy(),
         deficient=DeficientArms(
-            coupled=np.zeros(arms, dtype=np.int64), loose=np.zeros(arms, dtype=np.int64)
+            coupled=np.zeros(arms, dtype=np.int64), undetermined=np.zeros(arms, dtype=np.int64)
         ),
         check=Check(),
-        last_step=LastStep(
-            solution=LastSolution(),
-            lost_directions=np.zeros(arms, dtype=np.int64),
-            determinant_signs=np.zeros(arms),
-            sign_changes=np.zeros(arms, dtype=np.int64),
-            coordinates=np.full((arms, 6), np.nan),
-        ),
+        last_step=make_step_end(arms, pairs),
+        this_step=make_step_end(arms, pairs),
         sample=Sample(
             forces=np.zeros(recorded[-1]) if recorded[-1] > layout.contacts else rows.force,
             rows=recorded[: arms + 1],
@@ -390,7 +406,6 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             acceleration=np.zeros(layout.nv),
         ),
         pairs=SurfacePairs(
-            starts=np.zeros((pairs, 3)),
             points=np.zeros((pairs, 3)),
             relative=np.zeros(RELATIVE_WIDTH),
             query=np.zeros(QUERY_WIDTH),

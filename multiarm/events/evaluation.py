@@ -26,6 +26,7 @@ from multiarm.dynamics.evaluation import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guards import forget_forces
 from multiarm.dynamics.model import Data
+from multiarm.dynamics.sliding import friction_of_unit_force
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -158,9 +159,9 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     columns = scaled_force_directions(modes.full)
     reactions = columns[:, held]  # of unit forces, with the friction that goes with them
     for s, (row, first) in enumerate(zip(slides.row, slides.tangent_of_all, strict=True)):
-        drag = -slides.mu[s] * slides.turning[s]
-        forces[first : first + 2] = drag * of_held[row]
-        reactions[:, row] += columns[:, first : first + 2] @ drag
+        friction = np.array(friction_of_unit_force(slides, s))
+        forces[first : first + 2] = friction * of_held[row]
+        reactions[:, row] += columns[:, first : first + 2] @ friction
     forces[modes.arrays.springs] = modes.arrays.spring_force
     if held.size:
         unique[held] = null_space(of_unit_length(reactions), COUPLED_RANK_TOLERANCE).untouched

@@ -25,6 +25,9 @@ from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import Modes
 from multiarm.results.contact_states import ContactState
 
+# Contacts are below their patch when they are this far under its surface [m].
+BELOW = 1e-8
+
 
 def touching_constraints(
     modes: Modes, t: float, state: State
@@ -33,9 +36,9 @@ def touching_constraints(
 
     Compliant contacts that push touch too.  The size is that of the scene [m].
     """
-    full, bare = modes.full, modes.bare
-    place_start(bare, t, state)
-    require_ok(bare, update_kinematics(bare.struct))
+    full, bilateral = modes.full, modes.bilateral
+    place_start(bilateral, t, state)
+    require_ok(bilateral, update_kinematics(bilateral.struct))
     require_ok(full, update_rows(full.struct))
     size, nothing = scene_size(modes.closed), Mode((), ())
     touching = closed_constraints(modes, TOUCHING * size)
@@ -101,6 +104,6 @@ def below_patch_constraints(full: Data, above: Set[int]) -> frozenset[int]:
         u
         for u, constraint in enumerate(full.model.unilateral.constraints)
         if u not in above
-        and gaps[constraint.row] < -1e-8  # [m]
+        and gaps[constraint.row] < -BELOW
         and patch_margin(full, constraint) != float("inf")
     )

@@ -28,7 +28,9 @@ from multiarm.dynamics.guards import (
 from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.sliding import (
     Slides,
+    accept_slip,
     follow_slip,
+    friction_of_unit_force,
     friction_power,
     open_slides,
     slides_of,
@@ -41,6 +43,7 @@ from multiarm.dynamics.solver.reactions import (
     solve_for_reactions,
 )
 from multiarm.dynamics.solver.solution import FRICTION, write_solution
+from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.jit.kernels import INTS, cfunc, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -181,7 +184,7 @@ def solve_sliding(address, size, _a, _b):
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Wr, data, work)
     if model.dense:
-        call_python(data.functions.dense)
+        call_python(data.functions.dense_with_friction)
         if data.status.failed:
             return CALLBACK_FAILED
         data.solution.imbalance = imbalance(data, mode.Wr)
@@ -227,7 +230,7 @@ def write_reaction_solution(data, reactions):
     """
     dependent, coupled_arms = reactions.status.rows - reactions.status.rank, 0
     for i in range(reactions.coupled.size):
-        data.deficient.loose[i] = reactions.undetermined[i]
+        data.deficient.undetermined[i] = reactions.undetermined[i]
         data.deficient.coupled[i] = reactions.coupled[i]
         coupled_arms += reactions.coupled[i]
     unique = 1 if reactions.status.motions == 0 else 0
@@ -246,8 +249,9 @@ def record_forces(address, size, _t, _b):
     for k in range(mode.held.size):
         shown[mode.held[k]] = data.rows.force[k]
     for s in range(slides.row.size):
-        drag, t = -slides.mu[s] * data.rows.force[slides.row[s]], slides.tangent_of_all[s]
-        shown[t], shown[t + 1] = drag * slides.turning[s, 0], drag * slides.turning[s, 1]
+        normal, t = data.rows.force[slides.row[s]], slides.tangent_of_all[s]
+        first, second = friction_of_unit_force(slides, s)
+        shown[t], shown[t + 1] = normal * first, normal * second
     for k in range(mode.springs.size):
         shown[mode.springs[k]] = mode.spring_force[k]
     first = shown.size - mode.states.size
@@ -287,29 +291,37 @@ def check_guards(address, size, begin, end):
     numbers.begin, numbers.end = begin, end
     judge_guards(open_guards(of_mode), end - begin)
     data.modes.event = count_events(open_guards(of_mode)) > 0 and not numbers.muted
-    if data.modes.event:
-        return OK
-    numbers.muted = False
-    begin_mode_step(of_mode, open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    follow_slip(open_slides(of_mode), open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    return OK
+
+
+@cfunc
+def accept_mode_step(address, size, _a, _b):
+    """Make the end of a step that has been checked the beginning of the next one."""
+    of_mode = struct_at(open_data(struct_at(address, size)).modes.mode, 0)
+    open_mode(of_mode).numbers.muted = False
+    begin_mode_step(of_mode)
     return OK
 
 
 @kernel
-def begin_mode_step(of_mode, contacts):
-    """Make the end of a step the beginning of the next one."""
+def begin_mode_step(of_mode):
+    """Let guards and slip begin where they have been written last."""
     accept_guards(open_guards(of_mode))
-    follow_slip(open_slides(of_mode), contacts)
+    accept_slip(open_slides(of_mode))
 
 
 @kernel
 def start_guards(struct: INTS):
     """Begin guards and solver monitor at the state evaluated last; returns a status."""
     data = open_data(struct)
+    of_mode = struct_at(data.modes.mode, 0)
     status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
     if status != OK:
         return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
+    accept_solution(data)
     status = write_mode_guards(struct)
-    full = open_data(struct_at(data.modes.full, 0))
-    begin_mode_step(struct_at(data.modes.mode, 0), full.rows.kinematics)
+    follow_slip(open_slides(of_mode), open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    begin_mode_step(of_mode)
     return status

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
+from multiarm.dynamics.callbacks import DenseSolver
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.references import Reference
 from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginnings
@@ -24,6 +25,7 @@ from multiarm.dynamics.variables import ModeStructs
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
+    accept_mode_step,
     check_guards,
     mode_sizes,
     mode_struct,
@@ -35,7 +37,7 @@ from multiarm.events.kernels import (
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import ModeGuards
 from multiarm.integration.step import watch_stage
-from multiarm.jit.pointers import address_of
+from multiarm.jit.pointers import PythonCallback, address_of
 from multiarm.results.contact_states import ContactState
 
 # Effects whose arrays a mode writes.
@@ -53,7 +55,7 @@ class Modes:
         With all rows: gaps, rates and directions of those that are not held, too.
     closed : Data
         With all contacts of the joints closed, as controllers assume them.
-    bare : Data
+    bilateral : Data
         With the rows that are always held: how the bodies respond to forces in the others.
     data : RowSelection
         With the held rows of the mode.
@@ -74,14 +76,15 @@ class Modes:
         assert unilateral is not None, "a system with unilateral contacts"
         self.full, self.unilateral, self.slow = full, unilateral, slow
         self.closed = full.with_contacts_closed()
-        self.bare = self._always(unilateral.bilateral)
+        self.bilateral = self._always(unilateral.bilateral)
         self._structs = ModeStructs(active=True)
         self._structs.refer(closed=self.closed.reference, full=full.reference)
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
         self.data.of_laws = self.closed
         self._functions = functions = self.data.arrays.functions
         functions.contact_forces = address_of(record_forces)
-        functions.guards, functions.watch = address_of(check_guards), address_of(watch_stage)
+        functions.guards, functions.accept = address_of(check_guards), address_of(accept_mode_step)
+        functions.watch = address_of(watch_stage)
         self._solve_held, self._solve_sliding = address_of(solve_held), 0
         self._reactions = None
         if any(constraint.tangents for constraint in unilateral.constraints):
@@ -89,6 +92,9 @@ class Modes:
             self.data.tangents = RowSelection(full)
             self._structs.refer(tangents=self.data.tangents.reference)
             self._reactions = _reactions(full, self.data)
+            self._dense = DenseSolver(self.data)
+            answer = PythonCallback(self._dense, self.data.arrays.status)
+            self.data.add_callback("dense_with_friction", answer)
         self.numbers = ModeNumbers()
         self.arrays = self._room_for_rows()
         kinds = [constraint.kind for constraint in unilateral.constraints]
@@ -110,7 +116,7 @@ class Modes:
         set_constraint_forces(full, (ContactState.OPEN,) * len(unilateral.constraints))
 
     @cached_property
-    def loose(self) -> Data:
+    def unconstrained(self) -> Data:
         """Without any row: how the bodies respond where redundant rows share their forces."""
         return self._always(())
 
@@ -203,7 +209,6 @@ class Modes:
     def _choose_solver(self, sliding: list[int]) -> None:
         """Solve with friction where contacts slide."""
         self._functions.solve, self._structs.slides = self._solve_held, bool(sliding)
-        self.data.dense_solver.reactions = None
         if not sliding:
             return
         assert self._reactions is not None
@@ -211,9 +216,8 @@ class Modes:
         sizes = [size for shape in shapes.values() for size in shape]
         self._struct[self._sizes.reactions] = sizes
         self._functions.solve = self._solve_sliding
-        if self.full.model.constants.dense:
-            Wr = beginnings(self._reactions, {"Wr": shapes["Wr"]}).Wr
-            self.data.dense_solver.reactions = self.arrays.Wr[: self.data.rows.size], Wr
+        Wr = beginnings(self._reactions, {"Wr": shapes["Wr"]}).Wr
+        self._dense.reactions = self.arrays.Wr[: self.data.rows.size], Wr
 
     # --- arrays -----------------------------------------------------------------------------------
 
@@ -244,6 +248,7 @@ class Modes:
             mu=np.array([constraint.mu for constraint in constraints]),
             direction=np.zeros((count, 2)),
             turning=np.zeros((count, 2)),
+            at_end=np.zeros((count, 2)),
             speed=np.zeros(count),
         )
         return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all

@@ -22,19 +22,23 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.bounds import DEPENDENT
+from multiarm.dynamics.solver.bounds import DEPENDENT, HELD_RESPONSE, MOVABLE
+from multiarm.events.complementarity.problem import RANK
 from multiarm.events.modes import Modes
+
+# Rates below this, relative to 1 and to the fastest coordinate, are rest [m/s, rad/s].
+REST = 1e-9
 
 
 class RowDynamics:
     """Rates and responses of all rows at the state in the data."""
 
     def __init__(self, modes: Modes) -> None:
-        self.bare, self.full = modes.bare, modes.full
+        self.bilateral, self.full = modes.bilateral, modes.full
 
     def update(self) -> None:
         """Kinematics of all rows."""
-        require_ok(self.bare, update_kinematics(self.bare.struct))
+        require_ok(self.bilateral, update_kinematics(self.bilateral.struct))
         require_ok(self.full, update_rows(self.full.struct))
 
     @property
@@ -47,7 +51,7 @@ class RowDynamics:
         """Rates below this are rest [m/s, rad/s]."""
         arrays = self.full.arrays
         fastest = np.max(np.abs(arrays.state.velocity))
-        return 1e-9 * (1.0 + float(fastest))
+        return REST * (1.0 + float(fastest))
 
     def jacobian(self, rows: list[int]) -> np.ndarray:
         """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
@@ -63,7 +67,7 @@ class RowDynamics:
         response = jacobian @ moved
         response = 0.5 * (response + response.T)
         # what the held rows leave of the mobility is rounding
-        fixed = np.diag(response) <= 1e-12 * self.mobility(jacobian)
+        fixed = np.diag(response) <= HELD_RESPONSE * self.mobility(jacobian)
         response[fixed] = response[:, fixed] = 0.0
         return response, moved
 
@@ -106,8 +110,8 @@ def can_move(response: np.ndarray, along: np.ndarray, held: list[int]) -> bool:
     """Whether the combination ``along`` of rows can move while other rows are held."""
     moved = response @ along
     alone, across = along @ moved, moved[held]
-    through = across @ np.linalg.lstsq(response[np.ix_(held, held)], across, rcond=1e-10)[0]
-    return bool(alone - through > 1e-6 * alone)
+    through = across @ np.linalg.lstsq(response[np.ix_(held, held)], across, rcond=RANK)[0]
+    return bool(alone - through > MOVABLE * alone)
 
 
 def depends_on_held_rows(response: np.ndarray, jacobian: np.ndarray) -> bool:

@@ -24,6 +24,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multiarm.contacts.unilateral import DRY_JOINT, Constraint
+from multiarm.dynamics.solver.bounds import (
+    IMPACT_RESIDUAL,
+    NO_ACCELERATION,
+    ROUNDED_ENERGY,
+    SAME_MOTION,
+    UNLOADED,
+)
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import (
     Bounded,
@@ -41,9 +48,6 @@ from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes, set_constraint_forces
 from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
 from multiarm.results.contact_states import ContactState
-
-# Accelerations below this are rounding errors [m/s^2, rad/s^2].
-NO_ACCELERATION = 1e-10
 
 NO_SIDES = (
     "contacts that hold both ways find no motion with their friction: wherever one pushes it would "
@@ -173,7 +177,7 @@ class Transition:
         if not hit:
             return [], 0.0, []
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
-        response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bare)
+        response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bilateral)
         before = rates[rows]
         elastic = {u: constraints[u].restitution for u in hit}
         solution, after = self._collide(involved, rows, response, before, elastic, set())
@@ -220,12 +224,12 @@ class Transition:
             solution, _ = self._solve_sides(involved, response, shifted, laws)
             after = before + response @ solution.forces
             reached = 0.5 * abs(before) @ abs(solution.forces)
-            if energy_added(solution.forces, before, after) <= 1e-12 * reached:
+            if energy_added(solution.forces, before, after) <= ROUNDED_ENERGY * reached:
                 break
             share *= 0.5
         self._residual = max(self._residual, solution.residual)
         # a small residual is a solution: velocities are projected on the contacts afterwards
-        if solution.verdict is Verdict.NONE and not solution.residual < 1e-6:
+        if solution.verdict is Verdict.NONE and not solution.residual < IMPACT_RESIDUAL:
             raise SolverError(f"no velocities follow the impact: {solution.message}")
         return solution, after
 
@@ -330,7 +334,7 @@ class Transition:
         normals = [constraint.row for constraint in self._constraints if constraint.bilateral]
         tangents = [t for u in bilateral for t in self._constraints[u].tangents]
         jacobian = self._rows.jacobian([*normals, *tangents])
-        response, _ = self._rows.response(jacobian, self._modes.bare)
+        response, _ = self._rows.response(jacobian, self._modes.bilateral)
         held, unit_slips = list(range(len(normals))), np.eye(len(response))[len(normals) :]
         return {
             row
@@ -381,7 +385,7 @@ class Transition:
         """
         at = {row: k for k, row in enumerate(rows)}
         dropped: set[int] = set()
-        none = 1e-7 * np.max(np.abs(solution.forces), initial=0.0)
+        none = UNLOADED * np.max(np.abs(solution.forces), initial=0.0)
         released = [
             u
             for u in involved
@@ -418,13 +422,13 @@ class Transition:
         laws = [_law(constraints[u], at, slips.get(u)) for u in involved]
         jacobian = self._rows.jacobian(rows)
         free = self._free(rows)
-        response, _ = self._rows.response(jacobian, self._modes.bare)
+        response, _ = self._rows.response(jacobian, self._modes.bilateral)
         bilateral = self._modes.unilateral.bilateral
         if bilateral and depends_on_held_rows(response, jacobian):
-            every, loose = [*rows, *bilateral], self._modes.loose
+            every, unconstrained = [*rows, *bilateral], self._modes.unconstrained
             laws += [Bounded(len(rows) + k, -np.inf, np.inf) for k in range(len(bilateral))]
-            free = self._rows.free_accelerations(every, loose, self._ahead)
-            response, _ = self._rows.response(self._rows.jacobian(every), loose)
+            free = self._rows.free_accelerations(every, unconstrained, self._ahead)
+            response, _ = self._rows.response(self._rows.jacobian(every), unconstrained)
         free[np.abs(free) < NO_ACCELERATION] = 0.0
         without = [at[row] for row in fixed.intersection(rows)]
         free[without] = response[without] = response[:, without] = 0.0
@@ -486,7 +490,7 @@ class Transition:
         return solution, frozenset(involved[k] for k in pulls)
 
     def _free(self, rows: list[int]) -> np.ndarray:
-        return self._rows.free_accelerations(rows, self._modes.bare, self._ahead)
+        return self._rows.free_accelerations(rows, self._modes.bilateral, self._ahead)
 
 
 def energy_added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
@@ -522,7 +526,7 @@ def _trouble(solution: ComplementaritySolution, normal: list[int]) -> str:
     if solution.verdict is not Verdict.SEVERAL:
         return ""
     rates = solution.rates[normal]
-    size = 1e-6 * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
+    size = SAME_MOTION * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
     for motion in solution.alternatives:
         if np.max(np.abs(motion.rates[normal] - rates), initial=0.0) > size:
             return solution.message

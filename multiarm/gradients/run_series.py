@@ -23,7 +23,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.gradients.interpolation import Series, nodes
 from multiarm.gradients.segments import SHORTEST, Panel
-from multiarm.results.files import COMPLETED
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.setup import SMALLEST_TOLERANCE
 from multiarm.simulation.simulate import simulate
@@ -148,7 +148,7 @@ class RunSeries:
             output_times=np.unique(times),
             certificate=False,
         )
-        if run.status != COMPLETED:
+        if run.status != RunStatus.COMPLETED:
             raise SolverError(f"the run that is differentiated did not end well: {run.message}")
         _refuse_events(run)
         joints, rates, names = run.joint_positions, run.joint_velocities, self._layout.names

@@ -3,11 +3,11 @@ r"""Blocks of the derivatives of the accelerations, for each arm: linear in the 
 Where control and effects are local, an arm's accelerations, and the forces of its contacts, are
 functions of its own state :math:`x_i`, of the object's :math:`x_o`, and of what all arms *share*:
 the object's acceleration, and the numbers of a control law that distributes a wrench over the arms
-(:mod:`multiarm.dynamics.control_laws`).  With :math:`\alpha` the derivatives of these,
+(:mod:`multiarm.dynamics.control_laws`).  With :math:`\chi` the derivatives of these,
 
 .. math::
-    d\ddot q_i = A_i\, dx_i + A_{oi}\, dx_o + U_i\, \alpha, \qquad
-    \alpha = \sum_i B_i\, dx_i + B_o\, dx_o
+    d\ddot q_i = A_i\, dx_i + A_{oi}\, dx_o + U_i\, \chi, \qquad
+    \chi = \sum_i B_i\, dx_i + B_o\, dx_o
 
 (:mod:`multiarm.integration.arm_derivatives`).  The rates of effects' states have rows in
 :math:`A_i`, whose columns contain these states.  The linear systems of a step with these blocks:
@@ -56,7 +56,7 @@ class ArmBlocks(NamedTuple):
     on_object: Floats3
     by_object: Floats2
     Wo: Floats2  # (N, o) at the beginning of the step
-    # factors: of S (u, u), of E (n, d + e, d + e), of the system for alpha (u, u); pivots of each
+    # factors: of S (u, u), of E (n, d + e, d + e), of the system for chi (u, u); pivots of each
     # arm's equations
     K_pivots: Ints2
     S: Floats2
@@ -69,7 +69,7 @@ class ArmBlocks(NamedTuple):
     node_pivots: Ints1
     # of a stage: derivatives of the shared unknowns (u,), rates of the object (2 o,), unknowns of
     # each arm (n, d + e)
-    alpha: Floats1
+    chi: Floats1
     rates: Floats1
     unknowns: Floats2
 
@@ -78,7 +78,7 @@ class ArmBlocks(NamedTuple):
         """What steps write, which is zero where a run begins."""
         derivatives = self.derivatives, self.on_object, self.by_object, self.Wo
         factors = self.S, self.E, self.V, self.D, self.node
-        return (*derivatives, *factors, self.alpha, self.rates, self.unknowns)
+        return (*derivatives, *factors, self.chi, self.rates, self.unknowns)
 
 
 class BlockColumns(NamedTuple):
@@ -162,7 +162,7 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         D=np.zeros((n, u, d + e)),
         node=np.zeros((u, u)),
         node_pivots=np.zeros(u, dtype=np.int64),
-        alpha=np.zeros(u),
+        chi=np.zeros(u),
         rates=np.zeros(2 * frames),
         unknowns=np.zeros((n, d + e)),
     )

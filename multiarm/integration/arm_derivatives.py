@@ -19,18 +19,18 @@ more unknowns: with them an arm's torques are local too, and there are six more 
 :math:`F_s = \sum_i r_i - w = 0`.
 
 *Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
-:math:`\alpha = d\dot v_o`, and then the object by its mobility,
+:math:`\chi = d\dot v_o`, and then the object by its mobility,
 
 .. math::
-    d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \alpha, \qquad
-    d\lambda_i = A^\lambda_i\, dx_i + A^\lambda_{oi}\, dx_o + U^\lambda_i\, \alpha, \\
-    \alpha &= \sum_i B_i\, dx_i + B_o\, dx_o, \qquad
+    d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \chi, \qquad
+    d\lambda_i = A^\lambda_i\, dx_i + A^\lambda_{oi}\, dx_o + U^\lambda_i\, \chi, \\
+    \chi &= \sum_i B_i\, dx_i + B_o\, dx_o, \qquad
     S = M_o - \sum_i W_{oi} U^\lambda_i, \\
     B_i &= S^{-1} (W_{oi} A^\lambda_i - \partial g_i), \qquad
     B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
           - \partial_o (M_o \dot v_o - f_o)\Big) .
 
-With s the *shared* unknowns are twelve: :math:`\alpha` has ds below it, U the columns of s beside
+With s the *shared* unknowns are twelve: :math:`\chi` has ds below it, U the columns of s beside
 its own, S the rows :math:`(0, \partial F_s / \partial s)`, and the right sides of B the rows
 :math:`-\partial r_i, -\sum_i \partial_o r_i`.
 

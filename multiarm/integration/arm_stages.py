@@ -2,28 +2,28 @@ r"""The linear systems of a Rosenbrock method's stages, arm by arm: linear in th
 
 With the blocks A, B, U of :mod:`multiarm.integration.arm_blocks`, a stage has the unknowns
 :math:`k_i`, the rates of an arm's velocities and effects' states, those of the object :math:`k_o`,
-and :math:`\alpha`, the derivatives along the stage of what all arms share: the object's
+and :math:`\chi`, the derivatives along the stage of what all arms share: the object's
 acceleration, and the numbers that they share by a control law.  With R of
 :mod:`multiarm.integration.rosenbrock`, right-hand sides r (x: of the object's pose, q: of the
-joints' positions) and the first six of :math:`\alpha`, these rates are functions of the others,
+joints' positions) and the first six of :math:`\chi`, these rates are functions of the others,
 
 .. math::
-    k_o = \gamma (r_o + h \alpha), \qquad k_x = R_o (r_x + h k_o), \qquad
+    k_o = \gamma (r_o + h \chi), \qquad k_x = R_o (r_x + h k_o), \qquad
     k_{qi} = \gamma (r_{qi} + h k_i) .
 
 What is left is a matrix :math:`E_i` as large as the arm's velocities and states, and one system for
-:math:`\alpha` alone, six equations or twelve:
+:math:`\chi` alone, six equations or twelve:
 
 .. math::
     E_i &= \frac1\gamma - h A^v_i - h^2 \gamma A^q_i, \qquad
     E_i V_i = h\,(h^2 \gamma A^x_{oi} R_o + h \gamma A^v_{oi} + U_i), \qquad
     D_i = B^v_i + h \gamma B^q_i, \\
     E_i k^0_i &= r_i + h\,(\gamma A^q_i r_{qi} + A^x_{oi} k^0_x + A^v_{oi} k^0_o), \qquad
-    k_i = k^0_i + V_i \alpha, \\
-    &\Big(1 - h^2 \gamma B^x_o R_o - h \gamma B^v_o - \sum_i D_i V_i\Big)\,\alpha =
+    k_i = k^0_i + V_i \chi, \\
+    &\Big(1 - h^2 \gamma B^x_o R_o - h \gamma B^v_o - \sum_i D_i V_i\Big)\,\chi =
     B^x_o k^0_x + B^v_o k^0_o + \sum_i (\gamma B^q_i r_{qi} + D_i k^0_i)
 
-with the superscript 0 where :math:`\alpha = 0`.
+with the superscript 0 where :math:`\chi = 0`.
 
 The rates of the works follow, as powers do not act on the state.
 """
@@ -84,7 +84,7 @@ def factor_stages(gamma, blocks, struct, velocity, h):
 
 @inlined
 def along_object(gamma, h, velocity, row, frames, out):
-    """``h gamma (h R_o^T row_x + row_v)``: a row along the rates that a unit of alpha gives.
+    """``h gamma (h R_o^T row_x + row_v)``: a row along the rates that a unit of chi gives.
 
     ``row`` has the derivatives by pose and twist, ``frames`` numbers each.
     """
@@ -104,7 +104,7 @@ def turn_frames(size, a, half, velocity, row, out):
 
 @kernel
 def turn(a, half, omega, vector, out):
-    """``out = (a - S(w))^-1 vector``, ``w = half * omega``: for row vectors with ``-half``."""
+    """``out = (a - [w]x)^-1 vector``, ``w = half * omega``: for row vectors with ``-half``."""
     w0, w1, w2 = half * omega[0], half * omega[1], half * omega[2]
     v0, v1, v2 = vector[0], vector[1], vector[2]
     along = w0 * v0 + w1 * v1 + w2 * v2
@@ -119,14 +119,14 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
     """Solve a stage's system for the right-hand side ``right``."""
     _, data, work = open_system(struct)
     places, d, at = chart_places(data), blocks.d, block_columns(blocks)
-    alpha, k_o, frames = blocks.alpha, blocks.rates, blocks.frames
-    clear(alpha)
-    write_object_rates(gamma, h, velocity, places, right, alpha, k_o)
+    chi, k_o, frames = blocks.chi, blocks.rates, blocks.frames
+    clear(chi)
+    write_object_rates(gamma, h, velocity, places, right, chi, k_o)
     for l in range(blocks.shared):
         s = 0.0
         for c in range(k_o.size):
             s += blocks.by_object[l, c] * k_o[c]
-        alpha[l] = s
+        chi[l] = s
     for i in range(blocks.counts.size):
         A, B, D, k_i = blocks.derivatives[i], blocks.on_object[i], blocks.D[i], blocks.unknowns[i]
         d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -146,9 +146,9 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
                 s += gamma * B[l, c] * right[places.joints + d0 + c]
             for c in range(size):
                 s += D[l, c] * k_i[c]
-            alpha[l] += s
-    solve_lu(blocks.node, blocks.shared, blocks.node_pivots, alpha)
-    write_object_rates(gamma, h, velocity, places, right, alpha, k_o)
+            chi[l] += s
+    solve_lu(blocks.node, blocks.shared, blocks.node_pivots, chi)
+    write_object_rates(gamma, h, velocity, places, right, chi, k_o)
     for l in range(frames):
         out[l], out[places.velocity + l] = k_o[l], k_o[frames + l]
     for i in range(blocks.counts.size):
@@ -156,7 +156,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
         for r in range(joints + blocks.counts[i]):
             s = blocks.unknowns[i, r]
             for l in range(blocks.shared):
-                s += blocks.V[i, r, l] * alpha[l]
+                s += blocks.V[i, r, l] * chi[l]
             out[unknown_place(blocks, i, places, d0, joints, r)] = s
             if r < joints:
                 position = places.joints + d0 + r
@@ -171,11 +171,11 @@ def unknown_place(blocks, i, places, d0, joints, r):
 
 
 @inlined
-def write_object_rates(gamma, h, velocity, places, right, alpha, rates):
-    """Rates of the object's pose and twist for the derivative ``alpha`` of its acceleration."""
+def write_object_rates(gamma, h, velocity, places, right, chi, rates):
+    """Rates of the object's pose and twist for the derivative ``chi`` of its acceleration."""
     frames = places.joints
     for l in range(frames):
-        rates[frames + l] = gamma * (right[places.velocity + l] + h * alpha[l])
+        rates[frames + l] = gamma * (right[places.velocity + l] + h * chi[l])
         rates[l] = right[l] + h * rates[frames + l]
     turn_frames(frames, 1.0 / gamma, 0.5 * h, velocity, rates, rates)
     for l in range(frames):
@@ -197,7 +197,7 @@ def add_powers(gamma, blocks, work, places, h, right, out):
             for c in range(blocks.rates.size):
                 total += row[at.pose + c] * blocks.rates[c]
             for l in range(blocks.frames, blocks.shared):
-                total += row[at.accelerations + l] * blocks.alpha[l]
+                total += row[at.accelerations + l] * blocks.chi[l]
             for j in range(joints):
                 total += row[j] * out[places.joints + d0 + j]
                 total += row[at.rates + j] * out[places.rates + d0 + j]

@@ -18,6 +18,7 @@ from multiarm.dynamics.guards import QUIET, Guards
 from multiarm.dynamics.status import OK
 from multiarm.integration.dense_output import interpolate
 from multiarm.integration.step import open_step
+from multiarm.integration.step_control import CLOSE_IN_STEP
 from multiarm.jit.kernels import INTS, NUMBER, Kernel, kernel
 
 # Fractions of the step at which guards are evaluated before roots are refined.
@@ -109,7 +110,7 @@ def first_event(
     if not roots:
         return 1.0, []
     theta = min(roots.values())
-    return theta, [g for g, root in roots.items() if root <= theta + 1e-9]
+    return theta, [g for g, root in roots.items() if root <= theta + CLOSE_IN_STEP]
 
 
 def sign_changes(

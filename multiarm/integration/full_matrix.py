@@ -141,7 +141,7 @@ def differentiate_full(step, full, slope, time_slope, t, h):
 @inlined
 def is_smooth(step):
     """Whether the constraints are far from a change of their rank."""
-    return step.stage.gap < 0.0 and open_data(step.system).solution.margin >= ZONE
+    return not step.stage.projects and open_data(step.system).solution.margin >= ZONE
 
 
 # --- exact ----------------------------------------------------------------------------------------

@@ -35,17 +35,19 @@ from multiarm.jit.structs import struct_at
 ZONE = 2e-2
 # Distance between the states of the interpolation [rad, m], of the fastest coordinate.
 OFFSET = 0.017
+# A system whose fastest coordinate is slower [rad/s, m/s] has no motion to follow.
+AT_REST = 1e-8
 
 
 @kernel
 def evaluate_on_branch(struct, gap_tolerance, alpha, beta):
     """:func:`multiarm.dynamics.equations.evaluate_state`, interpolated near a loss of rank.
 
-    ``gap_tolerance`` is the gap that projection leaves [m]; negative: nothing is interpolated.
+    ``gap_tolerance`` is the gap that projection leaves [m].
     """
     status = evaluate_state(struct, alpha, beta)
     data = open_data(struct)
-    if status != OK or gap_tolerance < 0.0 or data.solution.coupled_arms == 0:
+    if status != OK or data.solution.coupled_arms == 0:
         return status
     data.interpolation.settings.gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)
@@ -60,12 +62,12 @@ def evaluate_near_singular(address, size, alpha, beta):
     unknown = not data.last_step.solution.known and data.solution.dependent > 0
     if not (data.solution.margin < ZONE or unknown) or model.calls_user:
         return OK
-    rate = greatest(data.state.velocity)
-    if rate < 1e-8:  # [rad/s, m/s]: at rest
+    fastest = greatest(data.state.velocity)
+    if fastest < AT_REST:
         return OK
     position_change, velocity_change = data.status.position_change, data.status.velocity_change
     save_state(data)
-    interpolated = interpolate_accelerations(struct, alpha, beta, OFFSET / rate)
+    interpolated = interpolate_accelerations(struct, alpha, beta, OFFSET / fastest)
     restore_state(data)
     data.status.position_change, data.status.velocity_change = position_change, velocity_change
     # everything but the accelerations belongs to the state itself

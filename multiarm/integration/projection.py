@@ -43,7 +43,7 @@ from multiarm.jit.kernels import (
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
-# alpha = beta = FEEDBACK_RATIO / step
+# Gains that are not given: alpha = beta = FEEDBACK_RATIO / step
 FEEDBACK_RATIO = 0.1
 
 

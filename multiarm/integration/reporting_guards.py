@@ -21,14 +21,7 @@ from multiarm.dynamics.guard_functions import (
     RangeDepth,
     packed_patch,
 )
-from multiarm.dynamics.guards import (
-    FORCES,
-    Guard,
-    accept_guards,
-    count_events,
-    judge_guards,
-    write_values,
-)
+from multiarm.dynamics.guards import FORCES, Guard, count_events, judge_guards, write_values
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import OK
@@ -101,15 +94,10 @@ def write_reports(struct: INTS):
 
 @cfunc
 def check_reports(address, size, h, _b):
-    """Check these guards at the end of a step of length ``h``.
-
-    ``data.last_step.coordinates`` has the joints' coordinates at that end.
-    """
+    """Check these guards at the end of a step of length ``h``."""
     struct = struct_at(address, size)
     write_reports(struct)
-    guards = open_reports(struct)
-    judge_guards(guards, h)
-    accept_guards(guards)
+    judge_guards(open_reports(struct), h)
     return OK
 
 

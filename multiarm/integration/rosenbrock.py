@@ -15,8 +15,8 @@ they have died out.
 *The matrix.*  The state is ``[positions, velocities, inner states, works]``; inner states are those
 of effects, and are treated like velocities that move no position.  Only accelerations, inner rates
 and powers need derivatives; the positions' rates are known.  At the beginning of a step, where the
-chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and
-so :math:`R = (1/\gamma - hB)^{-1}` is written down.
+chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, [omega]x / 2, 0)``,
+and so :math:`R = (1/\gamma - hB)^{-1}` is written down.
 
 Where control and effects are local, gravity compensation besides, the system falls apart into arms,
 at a cost that is linear in them (:mod:`multiarm.integration.arm_blocks`).  Elsewhere it is one
@@ -64,7 +64,7 @@ class Derived(Numbers):
     valid: Flag
     alpha: Float
     beta: Float
-    gap: Float  # as in ``Stage``
+    projects: Flag  # as in ``Stage``
 
 
 class RosenbrockWork(NamedTuple):
@@ -147,13 +147,13 @@ def differentiate_step(step, work, blocks, full, t, h):
     """
     stage, derived = step.stage, work.derived
     if (
-        stage.repeats and derived.valid and derived.gap == stage.gap
+        stage.repeats and derived.valid and derived.projects == stage.projects
         and derived.alpha == stage.alpha and derived.beta == stage.beta
     ):  # fmt: skip
         return OK
     status = differentiate_anew(step, work, blocks, full, t, h)
     derived.valid = status == OK
-    derived.alpha, derived.beta, derived.gap = stage.alpha, stage.beta, stage.gap
+    derived.alpha, derived.beta, derived.projects = stage.alpha, stage.beta, stage.projects
     return status
 
 
@@ -161,7 +161,7 @@ def differentiate_step(step, work, blocks, full, t, h):
 def differentiate_anew(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
-    status, projected = OK, step.stage.gap >= 0.0
+    status, projected = OK, step.stage.projects
     if not projected:
         status = slope_at(step, t, step.z, work.right)
     if status != OK:

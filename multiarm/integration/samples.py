@@ -104,7 +104,7 @@ def write_tips(model, data):
 
 @kernel
 def follow_joints(model, data):
-    """Store the free coordinates of all joints at the end of a step in ``data.last_step``."""
+    """Store the free coordinates of all joints at the end of a step in ``data.this_step``."""
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
     for i in range(model.joint_frames.shape[0]):
         first, last = model.free.bounds[i], model.free.bounds[i + 1]
@@ -115,7 +115,7 @@ def follow_joints(model, data):
         )
         for k in range(first, last):
             component = model.free.component[k]
-            data.last_step.coordinates[i, component] = continued(model, data, i, k, coordinates)
+            data.this_step.coordinates[i, component] = continued(model, data, i, k, coordinates)
 
 
 @inlined

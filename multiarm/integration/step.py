@@ -24,7 +24,7 @@ from multiarm.dynamics.coordinates import (
     store_chart,
     write_chart_slope,
 )
-from multiarm.dynamics.equations import finite
+from multiarm.dynamics.equations import evaluate_state, finite
 from multiarm.dynamics.guards import follow_stage, open_guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.status import NOT_FINITE, OK
@@ -73,14 +73,22 @@ class Stage(Numbers):
     # gains of the feedback on the drift [1/s]
     alpha: Float
     beta: Float
-    gap: Float  # to which a state is projected before it is evaluated [m]; negative: it is not
+    projects: Flag  # states are projected before they are evaluated
+    gap: Float  # largest gap that this leaves [m]
     latest: Float  # later times are replaced by it [s]: a step that ends at a jump stays before it
     repeats: Flag  # the step begins where the one before it began, which was rejected
     evaluations: Int  # that were made and are not in the run's statistics yet
 
     def begin(self) -> None:
         """As a run begins: states are evaluated as they are, at their times."""
-        self.gap, self.latest, self.evaluations = -1.0, math.inf, 0
+        self.projects, self.latest, self.evaluations = False, math.inf, 0
+
+
+class Outcome(Numbers):
+    """What the end of a step has shown, until the step is accepted."""
+
+    reports: Int  # guards that report an event in it
+    limited: Flag  # it is as long as stability allows
 
 
 class Step(NamedTuple):
@@ -88,6 +96,7 @@ class Step(NamedTuple):
 
     system: Ints1  # struct of the system
     stage: Stage
+    outcome: Outcome
     # state at the beginning, at the end before projection, at a stage, after projection: (D,)
     z: Floats1
     z_new: Floats1
@@ -156,6 +165,7 @@ def make_step(
     return Step(
         system=system,
         stage=stage,
+        outcome=Outcome(),
         z=np.zeros(size),
         z_new=np.zeros(size),
         z_stage=np.zeros(size),
@@ -193,7 +203,7 @@ def begin_chart(struct: INTS, base: NUMBERS, z: NUMBERS):
 def evaluate_slope(struct, stage, t, z, base, slope):
     """Rate of ``z`` at time ``t`` of the system with this struct; returns a status.
 
-    With ``stage.gap`` not negative, the rate is that at the projection of ``z`` onto the
+    With ``stage.projects``, the rate is that at the projection of ``z`` onto the
     constraints: the same on the constraints, and smooth where they lose rank, while the rate off
     them would drive ``z`` away.  A projection counts as two evaluations.
     """
@@ -202,13 +212,16 @@ def evaluate_slope(struct, stage, t, z, base, slope):
     data = open_data(struct)
     load_chart(z, base, data)
     stage.evaluations += 1
-    if stage.gap >= 0.0:
+    if stage.projects:
         stage.evaluations += 2
         status = project(struct, stage.gap)
         if status != OK:
             return status
     data.time.now = min(t, stage.latest)
-    status = evaluate_on_branch(struct, stage.gap, stage.alpha, stage.beta)
+    if stage.projects:
+        status = evaluate_on_branch(struct, stage.gap, stage.alpha, stage.beta)
+    else:
+        status = evaluate_state(struct, stage.alpha, stage.beta)
     if status == OK:
         write_chart_slope(z, data, slope)
     return status

@@ -20,12 +20,16 @@ import math
 import sys
 from typing import NamedTuple
 
-import numpy as np
-
 from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.solver.bounds import (
+    MOST_ROUNDED_CORRECTION,
+    MOST_ROUNDED_STEP,
+    ROUNDED_GAP,
+    ROUNDED_STEP,
+)
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.dynamics.status import CONTRADICTION, LARGE_CORRECTION, OK, STEP_TOO_SMALL
-from multiarm.integration.projection import FEEDBACK_RATIO, near_loss
+from multiarm.integration.projection import near_loss
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.structs import Flag, Float, Floats1, Int, Numbers, view
 
@@ -34,8 +38,10 @@ NONE, FEEDBACK, PROJECTION = 0, 1, 2
 
 # Step size control: safety factor, smallest and largest change of the length (Hairer and Wanner).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
-# Times closer than this, relative to the end of the run, are equal.
-CLOSE_IN_TIME = 1e-12
+# Times closer than this, relative to the end of the run, are equal; and relative to a step.
+CLOSE_IN_TIME, CLOSE_IN_STEP = 1e-12, 1e-9
+# Shorter steps [s] make no progress even at t = 0.
+SHORTEST = 8e-3 * sys.float_info.epsilon
 # A scene counts as stiff after this many steps limited by stability ...
 STIFF_AFTER = 15
 # ... unless this many steps in a row were not (Hairer and Wanner, IV.2).
@@ -52,10 +58,12 @@ class Settings(NamedTuple):
     longest_step: Float  # [s], of an adaptive method
     tolerance: Float  # the smallest of ``Step.tolerance``
     stabilization: Int
-    # gains of the feedback [1/s]; negative: FEEDBACK_RATIO / step
+    # gains of the feedback [1/s], and their parts that grow with 1 / step
     alpha: Float
     beta: Float
-    gap_tolerance: Float  # [m], largest gap that projection leaves; negative: no projection
+    alpha_by_step: Float
+    beta_by_step: Float
+    gap_tolerance: Float  # [m], largest gap that projection leaves
     divergence_bound: Float  # [m], gap above which a run counts as diverged
     # Increasing times of discontinuities.  An adaptive method ends a step there; the end of that
     # step is evaluated just before the breakpoint, the next step begins just after it.
@@ -109,6 +117,29 @@ class Clock(Numbers):
     stiff_steps: Int  # steps limited by stiffness
     smooth_steps: Int  # later steps that were not
 
+    def extend(self, end: float, samples: int) -> None:
+        """Move the end on, at which no sample is taken; ``samples`` are taken before."""
+        self.end, self.samples, self.final_sample = end, samples, -1
+
+    def hold_control(self) -> None:
+        """Take no samples of the control any more."""
+        self.control_due = self.control_step = math.inf
+
+    def sample_control(self, control_step: float = math.inf) -> None:
+        """Take a sample of the control now, and others at the multiples of a time [s]."""
+        self.control_due, self.control_step = self.t, control_step
+        if control_step < math.inf:
+            self.control_samples = math.floor(self.t / control_step * (1.0 + CLOSE_IN_STEP))
+
+    def begin_after_event(self) -> None:
+        """Go on from an event at the present time: there is no step before."""
+        self.error_before, self.t_before, self.h_before = 1.0, self.t, 0.0
+        self.stop = math.inf
+
+    def begin_after_failure(self) -> None:
+        """Go on from the end of the last step with one of the usual length."""
+        self.stop, self.h, self.retry_steps = math.inf, self.step, 0
+
 
 view_clock, view_settings = view(Clock), view(Settings)
 
@@ -141,7 +172,7 @@ def make_clock(
 @plain
 def shortest_step(t):
     """Steps that are not longer [s] make no progress at the time ``t`` [s]."""
-    return max(1e-12 * abs(t), 8.0 * np.finfo(np.float64).eps * 1e-3)
+    return max(CLOSE_IN_TIME * abs(t), SHORTEST)
 
 
 @plain
@@ -149,9 +180,7 @@ def gains(settings, h):
     """Feedback gains of a step of length ``h``."""
     if settings.stabilization != FEEDBACK:
         return 0.0, 0.0
-    alpha = settings.alpha if settings.alpha >= 0.0 else FEEDBACK_RATIO / h
-    beta = settings.beta if settings.beta >= 0.0 else FEEDBACK_RATIO / h
-    return alpha, beta
+    return settings.alpha + settings.alpha_by_step / h, settings.beta + settings.beta_by_step / h
 
 
 @inlined
@@ -172,9 +201,9 @@ def planned_step(clock, settings):
     if clock.control_due < stop - near:
         stop = clock.control_due
     if not settings.adaptive:
-        past = math.floor((t - settings.begin) / clock.step + 1e-9)
+        past = math.floor((t - settings.begin) / clock.step + CLOSE_IN_STEP)
         end = settings.begin + (past + 1) * clock.step
-        if end > stop - 1e-9 * clock.step:
+        if end > stop - CLOSE_IN_STEP * clock.step:
             end = stop
         return end - t, end
     if clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] < stop - near:
@@ -230,10 +259,11 @@ def choose_stage_projection(step, clock, settings):
     """Decide whether the stages of the next step are projected."""
     data = open_data(step.system)
     data.solution.least_margin = math.inf
-    retry = clock.retry_steps > 0
-    if not settings.adaptive and settings.gap_tolerance >= 0.0:
-        retry = near_loss(data.last_step.solution)  # samples within the step are others
-    step.stage.gap = settings.gap_tolerance if retry else -1.0
+    step.stage.projects = clock.retry_steps > 0
+    if not settings.adaptive and settings.stabilization == PROJECTION:
+        # samples within the step are others
+        step.stage.projects = near_loss(data.last_step.solution)
+    step.stage.gap = settings.gap_tolerance
 
 
 @kernel
@@ -246,7 +276,7 @@ def rounding_floor(struct, clock):
     if clock.retry_steps == 0:
         return 0.0
     margin = open_data(struct).solution.least_margin
-    return min(1e-9, 2e-15 / margin**3)
+    return min(MOST_ROUNDED_STEP, ROUNDED_STEP / margin**3)
 
 
 @kernel
@@ -260,7 +290,7 @@ def check_solution(struct, clock, settings):
     data = open_data(struct)
     if not believable(data.solution, data.solution.residual):
         return CONTRADICTION
-    if not settings.adaptive or settings.gap_tolerance < 0.0:
+    if not settings.adaptive or settings.stabilization != PROJECTION:
         return OK
     floor = max(settings.tolerance, rounding_floor(struct, clock))
     margin, bound = data.solution.least_margin, 1.0
@@ -269,8 +299,8 @@ def check_solution(struct, clock, settings):
     if not math.isinf(margin):
         bound = 30.0
         # roundings of gaps [m] over the margin in positions, over its square in velocities
-        of_position = min(1e-5, 1e-14 / margin) / bound
-        of_velocity = min(1e-5, 1e-14 / (margin * margin)) / bound
+        of_position = min(MOST_ROUNDED_CORRECTION, ROUNDED_GAP / margin) / bound
+        of_velocity = min(MOST_ROUNDED_CORRECTION, ROUNDED_GAP / (margin * margin)) / bound
     correction = max(
         data.status.position_change / max(floor, of_position),
         data.status.velocity_change / max(floor, of_velocity),
@@ -285,7 +315,7 @@ def check_solution(struct, clock, settings):
 
 
 @kernel
-def accept_step(struct, method, clock, settings, h, end, error):
+def move_clock(struct, method, clock, settings, h, end, error):
     """Move the clock to the end of an accepted step, and choose the next length."""
     if settings.adaptive:
         proposal = next_length(method, h, error, clock.error_before)
@@ -302,18 +332,25 @@ def accept_step(struct, method, clock, settings, h, end, error):
 
 
 @kernel
-def detect_stiffness(method, step, clock, h, end):
-    r"""Count steps that are as long as stability allows.
+def limited_by_stability(method, step, z_end, h):
+    r"""Whether a step is as long as stability allows.
 
     The last stage and the end of the step belong to the same time; their difference estimates the
-    largest eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.
+    largest eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.  The slope at
+    the end is that at ``z_end``, after projection, in the chart of the step.
     """
     last, end_slope = method.stages - 1, method.stages
     rates = states = 0.0
     for i in range(step.tolerance.size):
         rates += (step.k[end_slope, i] - step.k[last, i]) ** 2
-        states += (step.z_new[i] - step.z_stage[i]) ** 2
-    if states > 0.0 and h * h * rates > method.stability**2 * states:
+        states += (z_end[i] - step.z_stage[i]) ** 2
+    return states > 0.0 and h * h * rates > method.stability**2 * states
+
+
+@inlined
+def count_stiff_steps(clock, limited, end):
+    """Count the accepted steps that stability has limited."""
+    if limited:
         clock.stiff_steps += 1
         clock.smooth_steps = 0
         if clock.stiff_steps == STIFF_AFTER:

@@ -22,9 +22,11 @@ from multiarm.dynamics.coordinates import (
     load_chart,
     store_chart,
     write_chart_slope,
+    write_in_chart,
 )
-from multiarm.dynamics.equations import finite
-from multiarm.dynamics.guards import begin_stages, open_guards
+from multiarm.dynamics.equations import evaluate_state, finite
+from multiarm.dynamics.guards import accept_guards, begin_stages, open_guards
+from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import (
     BLOCK_FULL,
     BUDGET_USED,
@@ -47,16 +49,20 @@ from multiarm.integration.reporting_guards import count_reports
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import error_estimate, open_step, slope_at, stage_slope
 from multiarm.integration.step_control import (
+    CLOSE_IN_STEP,
+    CLOSE_IN_TIME,
     FEEDBACK,
+    PROJECTION,
     STIFF_AFTER,
-    accept_step,
     breakpoint_at,
     check_solution,
     choose_stage_projection,
     control_is_due,
-    detect_stiffness,
+    count_stiff_steps,
     gains,
     length_after_rejection,
+    limited_by_stability,
+    move_clock,
     planned_step,
     rounding_floor,
     shortest_step,
@@ -110,7 +116,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             if status == OK:
                 count_evaluations(step, clock)
                 clock.step_cost, step.stage.repeats = clock.evaluations - before, False
-                accept_step(struct, method, clock, settings, h, end, error)
+                accept_step(method, step, clock, settings, h, end, error)
                 if clock.solver_changes > 0:
                     clock.solver_changes = 0
                     return SOLVER_CHANGED
@@ -122,7 +128,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             return status
         clock.rejected += 1
         step.stage.repeats = True
-        if near_loss(open_data(struct).solution) and settings.gap_tolerance >= 0.0:
+        if near_loss(open_data(struct).solution) and settings.stabilization == PROJECTION:
             first_failure = clock.retry_steps == 0
             clock.retry_steps = RETRY_STEPS
             if first_failure:
@@ -142,10 +148,10 @@ def begin_run(struct: INTS):
     Returns a status.
     """
     model, data, _ = open_system(struct)
-    follow_joints(model, data)
     count_reports(struct, data.functions, 0.0)
     status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
-    call_cfunc(data.functions.compare, struct, 0.0, 0.0)
+    write_step_end(struct, model, data)
+    accept_step_end(struct, data)
     return CALLBACK_FAILED if data.status.failed else status
 
 
@@ -163,7 +169,8 @@ def sample_time(clock, settings, k):
 def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
     """Project the state in ``data``, unless ``projected``, and evaluate it; returns a status."""
     _, data, _ = open_system(struct)
-    if settings.gap_tolerance >= 0.0 and not projected:
+    projects = settings.stabilization == PROJECTION
+    if projects and not projected:
         status = project(struct, settings.gap_tolerance)
         clock.projections += 1
         clock.evaluations += 2
@@ -171,7 +178,9 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
             return status
     data.time.now = t
     clock.evaluations += 1
-    return evaluate_on_branch(struct, settings.gap_tolerance, alpha, beta)
+    if projects:
+        return evaluate_on_branch(struct, settings.gap_tolerance, alpha, beta)
+    return evaluate_state(struct, alpha, beta)
 
 
 @kernel
@@ -227,7 +236,7 @@ def emit_samples(struct, method, step, clock, settings, block):
     _, data, _ = open_system(struct)
     t = clock.t
     rows = clock.sample - clock.block_first
-    near = 1e-9 * max(clock.h_before, 1e-12)
+    near = CLOSE_IN_STEP * max(clock.h_before, CLOSE_IN_TIME)
     while True:
         due = math.inf
         if clock.sample < clock.samples:
@@ -299,7 +308,10 @@ def count_evaluations(step, clock):
 
 @kernel
 def complete_step(method, step, clock, settings, h, end):
-    """Project and evaluate the end of a step, check it, and prepare dense output and next step."""
+    """Project and evaluate the end of a step, check it, and prepare dense output and next step.
+
+    Everything that can fail is here; what the run remembers of its steps stays as it was.
+    """
     struct, t, latest = step.system, clock.t, step.stage.latest
     model, data, _ = open_system(struct)
     alpha, beta = gains(settings, h)
@@ -326,14 +338,14 @@ def complete_step(method, step, clock, settings, h, end):
         if data.modes.event:
             status = prepare_dense(method, step, t, h)
             return EVENT if status == OK else status
-    if data.pairs.starts.size > 0:
-        for i in range(data.pairs.starts.shape[0]):
-            copy(data.pairs.points[i], data.pairs.starts[i])
-    follow_joints(model, data)
-    clock.reports = count_reports(struct, data.functions, h)
-    count_solution(struct, clock)
+    step.outcome.reports = count_reports(struct, data.functions, h)
+    if data.status.failed:
+        return CALLBACK_FAILED
+    step.outcome.limited = False
     if settings.adaptive and math.isfinite(method.stability):
-        detect_stiffness(method, step, clock, h, end)
+        write_in_chart(data, step.base, step.z_next)
+        step.outcome.limited = limited_by_stability(method, step, step.z_next, h)
+    write_step_end(struct, model, data)
     if not math.isinf(latest):
         after = max(end, breakpoint_at(clock, settings, end))
         status = project_and_evaluate(struct, clock, settings, True, after, alpha, beta)
@@ -345,21 +357,51 @@ def complete_step(method, step, clock, settings, h, end):
     store_chart(data, step.base_next, step.z_next)
     works = chart_places(data).works
     copy(step.z_new[works:], step.z_next[works:])
-    if due < end - 1e-9 * h or clock.reports > 0:
-        status = prepare_dense(method, step, t, h)
-        if status != OK:
-            return status
-    copy(step.z_next, step.z)
-    copy(step.base_next, step.base)
-    copy(step.slope_next, step.slope)
+    if due < end - CLOSE_IN_STEP * h or step.outcome.reports > 0:
+        return prepare_dense(method, step, t, h)
     return OK
 
 
 @kernel
-def count_solution(struct, clock):
+def accept_step(method, step, clock, settings, h, end, error):
+    """Make the end of a complete step the beginning of the next one; nothing here can fail."""
+    struct, data = step.system, open_data(step.system)
+    if data.functions.accept != 0:
+        call_cfunc(data.functions.accept, struct, 0.0, 0.0)
+    accept_step_end(struct, data)
+    clock.reports = step.outcome.reports
+    count_solution(data.last_step.solution, clock)
+    if settings.adaptive and math.isfinite(method.stability):
+        count_stiff_steps(clock, step.outcome.limited, end)
+    copy(step.z_next, step.z)
+    copy(step.base_next, step.base)
+    copy(step.slope_next, step.slope)
+    move_clock(struct, method, clock, settings, h, end, error)
+
+
+@kernel
+def write_step_end(struct, model, data):
+    """Write what a run remembers of a step, whose end has been evaluated, into its own record."""
+    for i in range(data.pairs.points.shape[0]):
+        copy(data.pairs.points[i], data.this_step.points[i])
+    follow_joints(model, data)
+    call_cfunc(data.functions.compare, struct, 0.0, 0.0)
+
+
+@kernel
+def accept_step_end(struct, data):
+    """Remember this step as the last one, and begin the guards that report at its end."""
+    accept_guards(open_reports(struct))
+    accept_solution(data)
+    for i in range(data.pairs.points.shape[0]):
+        copy(data.this_step.points[i], data.last_step.points[i])
+    for i in range(data.last_step.coordinates.shape[0]):
+        copy(data.this_step.coordinates[i], data.last_step.coordinates[i])
+
+
+@inlined
+def count_solution(solution, clock):
     """Statistics of how the end of an accepted step was solved."""
-    _, data, _ = open_system(struct)
-    status, solution = data.status, data.solution
     clock.lowest_rank = min(clock.lowest_rank, solution.rank)
     clock.highest_rank = max(clock.highest_rank, solution.rank)
     if solution.coupled_arms > 0:
@@ -367,8 +409,5 @@ def count_solution(struct, clock):
     if not solution.motion_unique:
         clock.ambiguous_steps += 1
     clock.worst_residual = max(clock.worst_residual, solution.residual)
-    clock.worst_correction = max(
-        clock.worst_correction, status.position_change, status.velocity_change
-    )
-    call_cfunc(data.functions.compare, struct, 0.0, 0.0)
-    clock.solver_changes += data.last_step.solution.changes
+    clock.worst_correction = max(clock.worst_correction, solution.correction)
+    clock.solver_changes += solution.changes

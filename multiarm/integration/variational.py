@@ -10,11 +10,11 @@ The action over a step is replaced by that of its midpoint, with constant veloci
 (bars: at the midpoint), and the motion makes the discrete action stationary among those that keep
 the joints closed at both ends (J.E. Marsden, M. West, Acta Numerica 10, 2001; S. Leyendecker, J.E.
 Marsden, M. Ortiz, ZAMM 88, 2008).  In terms of momenta at the ends, with ``F`` all forces along the
-motion, controls and effects included, and ``S`` impulses of the contacts,
+motion, controls and effects included, and :math:`\Lambda` impulses of the contacts,
 
 .. math::
-    p_0 + \tfrac h2 F + W(q_0)\, S_0 &= \pi, \qquad \varphi(q_1) = 0 \\
-    p_1 = \pi + \tfrac h2 F + W(q_1)\, S_1, &\qquad W(q_1)^T v_1 = 0,\quad p_1 = M(q_1) v_1 .
+    p_0 + \tfrac h2 F + W(q_0)\, \Lambda_0 &= \pi, \qquad \varphi(q_1) = 0 \\
+    p_1 = \pi + \tfrac h2 F + W(q_1)\, \Lambda_1, &\qquad W(q_1)^T v_1 = 0,\quad p_1 = M(q_1) v_1 .
 
 For the arms :math:`\pi = \bar M q'` and :math:`F = \partial T/\partial q - \partial V/\partial q
 + Q = f + (C + C^T) q'`, with ``f`` the forces of the equations of motion and ``C`` the arm's
@@ -284,7 +284,7 @@ def midpoint_forces(step, work, h):
 
 @kernel
 def momentum_residual(step, work, h):
-    """``p_0 + W_0 S_0 + h F / 2 - pi`` into ``data.forces.f_o`` and ``data.forces.f_j``.
+    """``p_0 + W_0 Lambda_0 + h F / 2 - pi`` into ``data.forces.f_o`` and ``data.forces.f_j``.
 
     Needs the kinematics of the midpoint in ``data``.
     """

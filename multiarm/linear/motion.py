@@ -19,7 +19,7 @@ from multiarm.linear.linearisation import LinearSystem
 from multiarm.linear.modes import Mode
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
-from multiarm.results.files import COMPLETED
+from multiarm.results.files import RunStatus
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import failure_of
@@ -70,7 +70,7 @@ def modes_trajectory(
         rows[:, 0] = first + SWING * phases / (2.0 * math.pi)
         sink.append(rows)
     message = f"{len(events)} modes, {SWING + PAUSE:.0f} s each; nothing was simulated"
-    return sink.finish(COMPLETED, message, {"simulated_s": end}, events).of(system.scene)
+    return sink.finish(RunStatus.COMPLETED, message, {"simulated_s": end}, events).of(system.scene)
 
 
 def mode_text(number: int, mode: Mode) -> str:

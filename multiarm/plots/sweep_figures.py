@@ -27,7 +27,7 @@ from matplotlib.ticker import NullLocator
 
 from multiarm.errors import SweepError
 from multiarm.plots.style import BLUE, INK, RED, STYLE
-from multiarm.results.files import COMPLETED
+from multiarm.results.files import RunStatus
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
@@ -170,7 +170,7 @@ class _Data:
         self.values = {name: numbers[name] for name in drawn[:MOST_QUANTITIES]}
         units = sweep.table.attrs["units"]
         self.labels = {n: f"{n} [{units[n]}]" if n in units else n for n in self.values}
-        self.failed = (sweep.table["status"] != COMPLETED).to_numpy(bool)
+        self.failed = (sweep.table["status"] != RunStatus.COMPLETED).to_numpy(bool)
 
 
 _RUN: dict[str, Any] = {"color": INK, "marker": ".", "markersize": 2.5, "alpha": 0.35, "lw": 0}

@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multiarm.results.files import RunStatus
+
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
@@ -89,7 +91,7 @@ class HardCase:
 def completed() -> Criterion:
     """The run reached its end: 0, else 1."""
     return Criterion(
-        "run ended early", 0.0, "1", lambda run, system: float(run.status != "completed")
+        "run ended early", 0.0, "1", lambda run, system: float(run.status != RunStatus.COMPLETED)
     )
 
 

@@ -18,9 +18,17 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import MultiarmError
+from multiarm.notation import Word
 
-STATUSES = COMPLETED, INTERRUPTED, FAILED = "completed", "interrupted", "failed"
-"""How a run may end."""
+
+class RunStatus(Word):
+    """How a run may end."""
+
+    COMPLETED = "completed"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
 CLOSED = "this trajectory was closed; load it from its file, or simulate again"
 """Message for reading samples that were released."""
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel, Columns, first_fault, in_sequence, recordable
-from multiarm.results.files import CLOSED, COMPLETED, FAILED
+from multiarm.results.files import CLOSED, RunStatus
 from multiarm.results.trajectory import Outcome, Trajectory, plain
 
 Metadata = dict[str, Any] | Callable[[], dict[str, Any]]
@@ -72,7 +72,7 @@ class Sink:
 
     def finish(
         self,
-        status: str,
+        status: RunStatus,
         message: str,
         statistics: dict[str, Any],
         events: Iterable[dict[str, Any]] = (),
@@ -199,9 +199,9 @@ class Hdf5Sink(Sink):
             self._writer.finish(asdict(outcome))
         except TrajectoryError as error:
             fault, first = str(error), outcome.message
-            if outcome.status != COMPLETED:  # the first fault comes first, and only once
+            if outcome.status != RunStatus.COMPLETED:  # the first fault comes first, and only once
                 fault = first if fault in first else f"{first}; {fault}"
-            outcome = replace(outcome, status=FAILED, message=fault)
+            outcome = replace(outcome, status=RunStatus.FAILED, message=fault)
         return Trajectory(TrajectoryReader(self._writer.path), outcome)
 
 

@@ -25,7 +25,7 @@ from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.event_log import CLAUSE_SEPARATOR
-from multiarm.results.files import INTERRUPTED, STATUSES, atomic_file
+from multiarm.results.files import RunStatus, atomic_file
 from multiarm.results.limit_use import (
     JointUse,
     joint_uses,
@@ -45,7 +45,7 @@ ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
 class Outcome:
     """How a run ended."""
 
-    status: str  # one of `STATUSES`
+    status: RunStatus
     message: str  # how it ended and, after a failure, the remedy
     statistics: dict[str, Any] = field(default_factory=dict)  # steps, evaluations, wall_time_s, ...
     events: list[dict[str, Any]] = field(default_factory=list)
@@ -53,8 +53,8 @@ class Outcome:
     remarks: list[str] = field(default_factory=list)  # what a user should know besides, clauses
 
     def __post_init__(self) -> None:
-        if self.status not in STATUSES:
-            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {STATUSES}")
+        if self.status not in (known := tuple(RunStatus)):
+            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {known}")
 
 
 class Store(Protocol):
@@ -419,7 +419,7 @@ class Trajectory:
         return self.channel("solver/residual")
 
     @property
-    def status(self) -> str:
+    def status(self) -> RunStatus:
         """One of "completed", "interrupted", "failed"."""
         return self._outcome.status
 
@@ -668,9 +668,8 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
         return Trajectory(store, Outcome(**store.outcome))
     last = store.read("time", store.samples - 1)[0] if store.samples else None
     where = "before its first checkpoint" if last is None else f"at t = {last:.9g} s"
-    return Trajectory(
-        store, Outcome(INTERRUPTED, f"the run was cut {where}: it was killed or is still running")
-    )
+    message = f"the run was cut {where}: it was killed or is still running"
+    return Trajectory(store, Outcome(RunStatus.INTERRUPTED, message))
 
 
 def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:

@@ -49,7 +49,7 @@ from multiarm.results.channels import (
     wrench_and_tip_channels,
     wrench_channel,
 )
-from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
+from multiarm.results.files import CLOSED, RunStatus, atomic_file, resolved
 from multiarm.results.hdf5 import FORMAT, HDF5_ERRORS, VERSION, StoredFile, opened, reading, reason
 from multiarm.scene.run import LONGEST_RUN
 
@@ -408,7 +408,7 @@ def outcome_fault(outcome: Mapping[str, Any]) -> str:
     sorts = {"status": str, "message": str, "statistics": dict, "events": list}
     allowed = {*sorts, "certificate", "remarks"}
     wrong = [name for name, sort in sorts.items() if not isinstance(outcome.get(name), sort)]
-    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in STATUSES:
+    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in tuple(RunStatus):
         return f"'{(wrong or ['status'])[0]}' is missing, or nothing that this program writes"
     certificate = outcome.get("certificate")
     if certificate is not None and not isinstance(certificate, dict):

@@ -51,8 +51,8 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
-from multiarm.notation import number
-from multiarm.results.files import COMPLETED
+from multiarm.notation import Word, number
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import ENERGIES, Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.comparison import (
@@ -72,6 +72,19 @@ SAFETY = 2.0
 """Of an estimate: covers reruns whose error is up to half of the run's."""
 ROUNDING = 1e-14
 """Floor of an estimate, relative to the values (at least 1 m, 1 rad, 1 N)."""
+
+
+class Reason(Word):
+    """Why no more runs were made: the accuracy is met, or a certificate has to do without."""
+
+    MET = "met"
+    GROWTH = "growth"  # errors grow with the time, whatever the tolerance
+    ROUNDING = "rounding"  # smaller tolerances do not help
+    ATTEMPTS = "attempts"  # as many runs as are allowed
+    CHECK = "check"  # energy, residual or drift of an accurate run
+    FAILED_RERUN = "failed rerun"
+    INTERRUPTED = "interrupted"
+    MEMORY = "memory"  # a function of the user's answers otherwise when it is called again
 
 
 @dataclass(frozen=True)
@@ -204,14 +217,14 @@ def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec
         comparison,
         check_run(data, run, comparison, lengths),
         growth_rate(comparison.time - run.statistics["start_time_s"], apart),
-        complete=finer.status == COMPLETED and len(finer) == len(run),
+        complete=finer.status == RunStatus.COMPLETED and len(finer) == len(run),
     )
 
 
 def certificate(
     finding: Finding | None,
     accuracy: AccuracySpec,
-    reason: str,
+    reason: Reason,
     words: str,
     rows: list[dict[str, Any]],
 ) -> dict[str, Any]:
@@ -230,7 +243,7 @@ def certificate(
         "text": f"{verdict}: {details}",
         "verdict": verdict,
         "details": details,
-        "reason": reason or "met",
+        "reason": reason,
         "safety": SAFETY,
         "attempts": rows,
     }

@@ -26,20 +26,17 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.results.files import COMPLETED
+from multiarm.results.files import RunStatus
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory, amend_file, load_trajectory
 from multiarm.scene import AccuracySpec
-from multiarm.simulation.certificate import SAFETY, Finding, certificate, judge
+from multiarm.simulation.certificate import SAFETY, Finding, Reason, certificate, judge
 from multiarm.simulation.comparison import KINDS, LENGTHS
 from multiarm.simulation.driver import BUDGET, TOO_MANY, End
 from multiarm.simulation.run import carry_out
 from multiarm.simulation.setup import SMALLEST_TOLERANCE, Task
 from multiarm.terminal.progress import RunWatcher
 
-GROWTH, EXHAUSTED, ATTEMPTS, CHECK = "growth", "rounding", "attempts", "check"
-FAILED_RERUN, INTERRUPTED, MEMORY = "failed rerun", "interrupted", "memory"
-"""Reasons for which a certificate is not met."""
 INTERRUPTED_WORDS = "the check of its accuracy was interrupted, so that there is no certificate"
 REMEDY = "ask for less accuracy, or simulate a shorter time"
 FAILED_WORDS = "the tightened rerun that checks it failed"
@@ -93,7 +90,7 @@ class Attempt:
 class _Stopped(Exception):
     """The repetition ended without a verdict."""
 
-    def __init__(self, reason: str, words: str) -> None:
+    def __init__(self, reason: Reason, words: str) -> None:
         super().__init__(words)
         self.reason, self.words = reason, words
 
@@ -130,7 +127,7 @@ class Attempts:
         except _Stopped as stop:
             reason, words = stop.reason, stop.words
         except KeyboardInterrupt:
-            reason, words = INTERRUPTED, ""
+            reason, words = Reason.INTERRUPTED, ""
         try:
             return self._finish(reason, words)
         finally:
@@ -138,11 +135,11 @@ class Attempts:
                 if attempt.path != self.out:
                     self._remove(attempt.path)
 
-    def _repeat(self) -> tuple[str, str]:
+    def _repeat(self) -> tuple[Reason, str]:
         """Run until the accuracy is met, or cannot be met: reason and words for that."""
         for function in self.task.data.user_callbacks:
             if function.remembers():
-                return MEMORY, (
+                return Reason.MEMORY, (
                     f"{function.name} answers otherwise when it is called again for the same time "
                     f"and state, so that a rerun would not be the same motion; simulate with "
                     f"`certificate=False`"
@@ -155,7 +152,7 @@ class Attempts:
                 self._drop(self._judged[-1][0])
             self._judged.append((candidate, finding))
             if finding.met:
-                return "", ""
+                return Reason.MET, ""
             stop = self._why_stop(candidate, finding)
             if stop:
                 return stop
@@ -174,12 +171,12 @@ class Attempts:
             try:
                 return first, self._rerun(first.tolerance / TIGHTER, first)
             except _Stopped as stop:
-                if stop.reason != EXHAUSTED:
+                if stop.reason != Reason.ROUNDING:
                     raise
         looser = self._rerun(TIGHTER * max(first.tolerance, SMALLEST_TOLERANCE))
         if looser.steps > 0.95 * first.steps:
             # the tolerance does not limit the steps: the difference of the runs means nothing
-            raise _Stopped(EXHAUSTED, ROUNDING_WORDS)
+            raise _Stopped(Reason.ROUNDING, ROUNDING_WORDS)
         return looser, first
 
     @property
@@ -187,24 +184,24 @@ class Attempts:
         assert self.task.spec.accuracy is not None, "only a run of some accuracy is certified"
         return self.task.spec.accuracy
 
-    def _why_stop(self, candidate: Attempt, finding: Finding) -> tuple[str, str] | None:
+    def _why_stop(self, candidate: Attempt, finding: Finding) -> tuple[Reason, str] | None:
         """Why a further run cannot help, as reason and words; None if it can."""
         if not finding.judged:
-            return CHECK, (
+            return Reason.CHECK, (
                 "the equations determine none of the forces asked for; ask for position or rotation"
             )
         rate = finding.growth
-        exhausted = EXHAUSTED, ROUNDING_WORDS
+        exhausted = Reason.ROUNDING, ROUNDING_WORDS
         if rate is not None:
             exhausted = (
-                GROWTH,
+                Reason.GROWTH,
                 (
                     f"errors grow about e^({rate:.2g} t) in this motion, whatever the tolerance: "
                     f"simulate a shorter time, ask for less accuracy, or add damping"
                 ),
             )
         if finding.accurate and candidate.tolerance <= SMALLEST_CHECKED:
-            return CHECK, ""
+            return Reason.CHECK, ""
         hopeless = _excess(finding) * SMALLEST_CHECKED > candidate.tolerance
         if not finding.accurate and hopeless and (rate is not None or len(self._judged) > 1):
             return exhausted
@@ -214,9 +211,9 @@ class Attempts:
             if not finding.accurate and not decreases and before.tolerance > candidate.tolerance:
                 return exhausted
             if finding.accurate and earlier.accurate:
-                return CHECK, ""
+                return Reason.CHECK, ""
         if len(self._attempts) + 2 > MOST_RUNS:
-            return ATTEMPTS, (
+            return Reason.ATTEMPTS, (
                 f"{len(self._attempts)} runs were made, which is the limit: ask for less, or give "
                 f"a smaller `tolerance` yourself"
             )
@@ -241,18 +238,20 @@ class Attempts:
             )
         except MultiarmError as error:
             self._remove(path)
-            raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {error}") from error
+            raise _Stopped(Reason.FAILED_RERUN, f"{FAILED_WORDS} {error}") from error
         except BaseException:
             self._remove(path)
             raise
         attempt = Attempt(trajectory, path, dict.fromkeys(KINDS))
         self._attempts.append(attempt)
         if end is End.INTERRUPTED:
-            raise _Stopped(INTERRUPTED, "")
+            raise _Stopped(Reason.INTERRUPTED, "")
         if end is End.STALLED:
-            raise _Stopped(EXHAUSTED, f"{TOO_MANY} at a tolerance of {tolerance:.1g}: {REMEDY}")
-        if trajectory.status != COMPLETED:
-            raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {trajectory.message}")
+            raise _Stopped(
+                Reason.ROUNDING, f"{TOO_MANY} at a tolerance of {tolerance:.1g}: {REMEDY}"
+            )
+        if trajectory.status != RunStatus.COMPLETED:
+            raise _Stopped(Reason.FAILED_RERUN, f"{FAILED_WORDS} {trajectory.message}")
         return attempt
 
     def _with_shorter_steps(self, tolerance: float, coarser: Attempt | None) -> Task:
@@ -286,14 +285,14 @@ class Attempts:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
 
-    def _finish(self, reason: str, words: str) -> Trajectory:
+    def _finish(self, reason: Reason, words: str) -> Trajectory:
         """The chosen run with its certificate."""
         chosen, finding = self._judged[-1] if self._judged else (self._attempts[0], None)
         changes: dict[str, Any] = {}
-        if finding is None and reason == INTERRUPTED:
+        if finding is None and reason == Reason.INTERRUPTED:
             changes["remarks"] = [*chosen.trajectory.remarks, INTERRUPTED_WORDS]
         else:
-            if reason == INTERRUPTED:
+            if reason == Reason.INTERRUPTED:
                 words = "the repetition with smaller tolerances was interrupted by the user"
             rows = [attempt.row(attempt is chosen) for attempt in self._attempts]
             changes["certificate"] = certificate(finding, self._accuracy, reason, words, rows)

@@ -8,7 +8,7 @@ for stiffness.
 
 *Stiffness switching.*  Damping, stiff springs or stiff gains make motions that die out at once but
 keep the steps of an explicit method short.  The loop detects that
-(:func:`multiarm.integration.step_control.detect_stiffness`).  If the user named no method, the
+(:func:`multiarm.integration.step_control.limited_by_stability`).  If the user named no method, the
 linearly implicit one then takes over, on trial: each of its steps takes many evaluations, and it
 stays only if it advances further with each of them.
 """
@@ -50,7 +50,7 @@ from multiarm.jit.compilation import compile_time, running_time
 from multiarm.jit.structs import struct_of
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
-from multiarm.results.files import COMPLETED, FAILED, INTERRUPTED
+from multiarm.results.files import RunStatus
 from multiarm.scene import RunSpec
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
@@ -87,9 +87,11 @@ class End(Enum):
     UNDECIDED = auto()  # no mode follows an event: the run cannot be advanced any more
 
     @property
-    def status(self) -> str:
+    def status(self) -> RunStatus:
         """The status of the result."""
-        return {End.COMPLETED: COMPLETED, End.INTERRUPTED: INTERRUPTED}.get(self, FAILED)
+        if self in (End.COMPLETED, End.INTERRUPTED):
+            return RunStatus[self.name]
+        return RunStatus.FAILED
 
 
 class Ending(NamedTuple):
@@ -173,6 +175,14 @@ class Driver:
         clock.block_first = clock.sample
         if rows:
             run.sink.append(run.block[:rows])
+
+    def write_sample(self, row: np.ndarray) -> None:
+        """Make a row the next sample of the run."""
+        clock, block = self.run.clock, self.run.block
+        if clock.sample - clock.block_first == len(block):
+            self.flush()
+        block[clock.sample - clock.block_first] = row
+        clock.sample += 1
 
     def advance(self, budget: int) -> tuple[int, str]:
         """Call the loop with a budget of evaluations.

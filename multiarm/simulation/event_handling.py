@@ -42,7 +42,7 @@ from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
 from multiarm.integration.step import begin_chart, write_slope
-from multiarm.integration.step_control import gains, shortest_step
+from multiarm.integration.step_control import PROJECTION, gains, shortest_step
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance
@@ -70,7 +70,7 @@ class _Participants:
     touching: set[int]
     at_rest: dict[int, float] = field(default_factory=dict)
     unloaded: set[int] = field(default_factory=set)
-    beside: frozenset[int] = frozenset()
+    off_patch: frozenset[int] = frozenset()
 
 
 class EventHandler:
@@ -106,12 +106,12 @@ class EventHandler:
 
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
-        touching, beside, self._size = touching_constraints(self.modes, time, start)
+        touching, off_patch, self._size = touching_constraints(self.modes, time, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
-        decision = self._enter_mode(time, _Participants(touching, beside=beside))
+        decision = self._enter_mode(time, _Participants(touching, off_patch=off_patch))
         self._log_decision(time, decision, Mode((), ()))
         if decision.trouble:
             raise SolverError(f"at the start: {decision.trouble}")
@@ -202,11 +202,11 @@ class EventHandler:
 
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
-        step, bare = run.stepping.step, self.modes.bare
-        b = bare.arrays
+        step, bilateral = run.stepping.step, self.modes.bilateral
+        b = bilateral.arrays
         load_chart(step.z, step.base, b)
         b.time.now = run.clock.t
-        require_ok(bare, update_kinematics(bare.struct))
+        require_ok(bilateral, update_kinematics(bilateral.struct))
         require_ok(self.modes.full, update_rows(self.modes.full.struct))
 
     def _touching(self, fired: list[Guard]) -> set[int]:
@@ -233,18 +233,19 @@ class EventHandler:
         self.modes.full.arrays.time.now = t
         decision = Transition(
             self.modes, participants.touching, self._rest_height, participants.at_rest,
-            participants.unloaded, participants.beside, ahead,
+            participants.unloaded, participants.off_patch, ahead,
         ).decide()  # fmt: skip
         self.residual = max(self.residual, decision.residual)
         return decision
 
     def _continue(self, run: Run, decision: Decision) -> None:
         """Continue the run in the new mode, from the state in its data."""
-        data, clock, tolerance = run.data, run.clock, run.settings.gap_tolerance
+        data, clock, settings = run.data, run.clock, run.settings
         if run.stepping.work:  # these arrays have entries for the rows of a mode
             run.continue_with(make_stepping(data, run.stepping.tableau))
         step = run.stepping.step
-        if tolerance >= 0.0 and project(data.struct, tolerance) != OK:
+        projects = settings.stabilization == PROJECTION
+        if projects and project(data.struct, settings.gap_tolerance) != OK:
             data.reraise()
             raise SolverError("the state could not be put on the contacts that closed")
         begin_chart(data.struct, step.base, step.z)
@@ -253,12 +254,11 @@ class EventHandler:
             works[data.model.effects.slot("impacts")] += decision.energy
             works[-1] += decision.energy
         length = max(0.5 * self._last_length, 1e-12)  # the motion may have changed
-        if run.settings.adaptive:
+        if settings.adaptive:
             clock.h = length
-        clock.error_before, clock.t_before, clock.h_before = 1.0, clock.t, 0.0
-        clock.stop = np.inf
+        clock.begin_after_event()
         step.stage.begin()
-        step.stage.alpha, step.stage.beta = gains(run.settings, clock.step)
+        step.stage.alpha, step.stage.beta = gains(settings, clock.step)
         status = write_slope(run.stepping.struct, clock.t, step.z, step.slope)
         if status != OK:
             data.reraise()

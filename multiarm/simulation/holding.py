@@ -125,16 +125,17 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
 
 def _force_rows(system: System) -> np.ndarray:
     """Rows with which the arms act on the object: contacts and their friction."""
-    units = system.model.unilateral
-    if units is None:
+    unilateral = system.model.unilateral
+    if unilateral is None:
         return np.arange(system.constraint_count)
-    tangents = [row for unit in units.contacts if not unit.bilateral for row in unit.tangents]
-    return np.array(sorted({*units.model, *tangents}))
+    pushing = [contact for contact in unilateral.contacts if not contact.bilateral]
+    tangents = [row for contact in pushing for row in contact.tangents]
+    return np.array(sorted({*unilateral.model, *tangents}))
 
 
 def _force_bounds(system: System) -> np.ndarray:
     """``P`` (k, N), with ``P lambda <= 0`` for forces that only push, with friction in its cone."""
-    units, turns = system.model.unilateral, 2.0 * np.pi * np.arange(SIDES) / SIDES
+    unilateral, turns = system.model.unilateral, 2.0 * np.pi * np.arange(SIDES) / SIDES
     pushing = [
         row
         for row, record in enumerate(system.model.records)
@@ -142,10 +143,11 @@ def _force_bounds(system: System) -> np.ndarray:
     ]
     normals = -np.eye(system.constraint_count)
     bounds = [normals[pushing]]
-    for unit in () if units is None else units.contacts:
-        if unit.tangents and not unit.bilateral:
-            polygon = unit.mu * np.cos(np.pi / SIDES) * np.tile(normals[unit.row], (SIDES, 1))
-            polygon[:, list(unit.tangents)] = np.column_stack([np.cos(turns), np.sin(turns)])
+    for contact in () if unilateral is None else unilateral.contacts:
+        if contact.tangents and not contact.bilateral:
+            cone = contact.mu * np.cos(np.pi / SIDES) * normals[contact.row]
+            polygon = np.tile(cone, (SIDES, 1))
+            polygon[:, list(contact.tangents)] = np.column_stack([np.cos(turns), np.sin(turns)])
             bounds.append(polygon)
     return np.concatenate(bounds)
 

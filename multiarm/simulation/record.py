@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from multiarm.dynamics.system import System
+from multiarm.results.files import RunStatus
 from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
@@ -28,7 +29,7 @@ def open_sink(sink: Sink, system: System, spec: RunSpec, with_state: bool, **abo
 
 
 def leave_undone(
-    system: System, with_state: bool, sink: Sink, status: str, message: str
+    system: System, with_state: bool, sink: Sink, status: RunStatus, message: str
 ) -> Trajectory:
     """The result of a run that did not begin: no samples, and the reason.
 

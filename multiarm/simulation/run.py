@@ -17,7 +17,7 @@ from multiarm.integration.step_control import STIFF_AFTER
 from multiarm.jit.compilation import compile_time
 from multiarm.notation import count_of
 from multiarm.results.event_log import CLAUSE_SEPARATOR, EventLog
-from multiarm.results.files import FAILED
+from multiarm.results.files import RunStatus
 from multiarm.results.sinks import Sink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import FOR_STIFF_SCENES, Driver, End, where_of
@@ -101,7 +101,9 @@ def carry_out(
         # the error passes through, but the samples are kept
         with suppress(TrajectoryError):
             driver.flush()
-        sink.finish(FAILED, f"{where_of(run)}: {error!r}", run_statistics(driver), log.entries())
+        sink.finish(
+            RunStatus.FAILED, f"{where_of(run)}: {error!r}", run_statistics(driver), log.entries()
+        )
         raise
     remarks = [*_stiffness_remarks(run), *_ambiguity_remarks(run)]
     length = len(CLAUSE_SEPARATOR.join([message, *remarks]))

@@ -21,6 +21,7 @@ from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import Fault, SceneError, SolverError
 from multiarm.integration.methods import Stepping, stepping_of
+from multiarm.integration.projection import FEEDBACK_RATIO
 from multiarm.integration.step import Step, begin_chart, write_slope
 from multiarm.integration.step_control import (
     FEEDBACK,
@@ -216,11 +217,11 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
     step.stage.alpha, step.stage.beta = gains(settings, first_length)
     _first_slope(task, stepping)
-    if settings.gap_tolerance >= 0.0 and data.arrays.solution.coupled_arms:
+    if settings.stabilization == PROJECTION and data.arrays.solution.coupled_arms:
         # two motions may cross at the start
-        step.stage.gap = settings.gap_tolerance
+        step.stage.projects, step.stage.gap = True, settings.gap_tolerance
         _first_slope(task, stepping)
-        step.stage.gap = -1.0
+        step.stage.projects = False
     require_ok(data, begin_run(data.struct))
     log.add(*(RunEvent(begin, EventKind.START, f"start: {line}") for line in report.lines()))
     solver_log = SolverLog(data, log)
@@ -328,7 +329,7 @@ def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
     data, spec, times = task.data, task.spec, task.output_times
     stabilization, size = spec.stabilization, scene_size(data)
     kinds = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
-    projects = stabilization.kind == "projection"
+    kind, alpha, beta = kinds[stabilization.kind], stabilization.alpha, stabilization.beta
     return Settings(
         begin=task.begin,
         sample_step=float(spec.output_step),
@@ -336,10 +337,12 @@ def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
         adaptive=tolerance is not None,
         longest_step=positive("max_step", task.longest_step),
         tolerance=1.0 if tolerance is None else tolerance.smallest,
-        stabilization=kinds[stabilization.kind],
-        alpha=-1.0 if stabilization.alpha is None else float(stabilization.alpha),
-        beta=-1.0 if stabilization.beta is None else float(stabilization.beta),
-        gap_tolerance=projection_tolerance(data, size) if projects else -1.0,
+        stabilization=kind,
+        alpha=0.0 if alpha is None else float(alpha),
+        beta=0.0 if beta is None else float(beta),
+        alpha_by_step=FEEDBACK_RATIO if alpha is None else 0.0,
+        beta_by_step=FEEDBACK_RATIO if beta is None else 0.0,
+        gap_tolerance=projection_tolerance(data, size) if kind == PROJECTION else 0.0,
         # gaps larger than a tenth of the scene mean that the run has diverged
         divergence_bound=0.1 * size,
         breakpoints=np.array(data.model.breakpoints, dtype=float),

@@ -12,7 +12,7 @@ from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_control, require_system
 from multiarm.errors import SceneError, TrajectoryError
-from multiarm.results.files import COMPLETED, resolved
+from multiarm.results.files import RunStatus, resolved
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
@@ -163,6 +163,6 @@ def simulate(
         watcher = show if isinstance(show, RunWatcher) else TimeWatcher(show, task.end)
         attempts = Attempts(task, path, watcher)
         trajectory = attempts.first()
-        if is_checked and trajectory.status == COMPLETED:
+        if is_checked and trajectory.status == RunStatus.COMPLETED:
             trajectory = attempts.certify()
     return trajectory.of(system.scene)

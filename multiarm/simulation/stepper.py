@@ -20,7 +20,7 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of, in_sequence
-from multiarm.results.files import COMPLETED
+from multiarm.results.files import RunStatus
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
@@ -174,7 +174,7 @@ class Stepper:
             sink.append(block)
         message = f"advanced to t = {self.time:.9g} s"
         statistics, events = run_statistics(driver), driver.run.log.entries()
-        return sink.finish(COMPLETED, message, statistics, events).of(task.system.scene)
+        return sink.finish(RunStatus.COMPLETED, message, statistics, events).of(task.system.scene)
 
     # --- what it does -------------------------------------------------------------------------
 
@@ -244,9 +244,8 @@ class Stepper:
         driver = begin(task, samples)
         open_sink(samples, task.system, task.spec, task.state is not None)
         run = driver.run
-        run.clock.final_sample = -1
         if torques is not None:
-            run.clock.control_due = run.clock.control_step = math.inf
+            run.clock.hold_control()
         self._driver: Driver = driver
         self._run: Run = run
         self._samples, self._driven = samples, self._held
@@ -267,7 +266,8 @@ class Stepper:
             if self._held:
                 run.data.hold(None)
                 self._held = False
-                self._resume_samples(run)
+                sampling = self._task.data.model.sampling
+                run.clock.sample_control(math.inf if sampling is None else sampling.time)
             return
         self._torques[:] = 0.0
         fill_by_arm("torques", self._by_arm, torques, ControlError)
@@ -275,18 +275,8 @@ class Stepper:
             self._begin(self._torques)
             return
         run.data.hold(self._torques)
-        if not self._held:
-            run.clock.control_step = math.inf
-            self._held = self._driven = True
-        run.clock.control_due = run.clock.t
-
-    def _resume_samples(self, run: Run) -> None:
-        """Evaluate the system's control now, and where it is sampled at the multiples from now."""
-        sampling, t = self._task.data.model.sampling, run.clock.t
-        if sampling is not None:
-            run.clock.control_step = sampling.time
-            run.clock.control_samples = math.floor(t / sampling.time * (1.0 + SAME_TIME))
-        run.clock.control_due = t
+        self._held = self._driven = True
+        run.clock.sample_control()
 
     def _extend(self, end: float) -> None:
         """Move the end of the run on; samples at its new end belong to the next call."""
@@ -295,26 +285,21 @@ class Stepper:
             step = self._run.settings.sample_step
             self._record_present(step)
             count = math.ceil(end / step - SAME_TIME)
-        self._run.clock.end, self._run.clock.samples = end, count
+        self._run.clock.extend(end, count)
 
     def _record_present(self, step: float) -> None:
         """Record the present if a sample is due, with the torques that act from now on."""
-        clock, block = self._run.clock, self._run.block
-        if abs(clock.sample * step - clock.t) > SAME_TIME * step:
-            return
-        if clock.sample - clock.block_first == len(block):
-            self._driver.flush()
-        block[clock.sample - clock.block_first] = self._observe()
-        clock.sample += 1
+        clock = self._run.clock
+        if abs(clock.sample * step - clock.t) <= SAME_TIME * step:
+            self._driver.write_sample(self._observe())
 
     def _fail(self, ending: Ending) -> NoReturn:
         """Raise why the run cannot go on; the next call begins with a usual step again."""
         run, events = self._run, self._driver.events
         run.data.forgive()
-        run.clock.stop = math.inf
+        run.clock.begin_after_failure()
         if events is not None:
             events.forget_pending()
-        run.clock.h, run.clock.retry_steps = run.clock.step, 0
         if ending.end is End.INTERRUPTED:
             raise KeyboardInterrupt
         raise SolverError(ending.message)

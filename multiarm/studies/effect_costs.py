@@ -32,6 +32,7 @@ from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.notation import count_of
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import RunSpec, Scene
 from multiarm.scene.parameters import written_value
@@ -281,7 +282,7 @@ def ledger(
     with one_thread(), displayed(progress, Progress) as report:
         report(0.0, 1 + len(variants), "the scene itself")
         base = _bench(compile_system(scene))
-        if base.run.status != "completed":
+        if base.run.status != RunStatus.COMPLETED:
             raise SolverError(f"the scene itself does not run: {base.run.message}")
         benches: list[Bench | str] = []
         for number, variant in enumerate(variants):
@@ -316,7 +317,7 @@ def ledger(
 
 def _bench(system: System) -> Bench:
     run = simulate(system)
-    if run.status == "interrupted":
+    if run.status == RunStatus.INTERRUPTED:
         raise KeyboardInterrupt
     return Bench(system, run)
 
@@ -330,7 +331,7 @@ def _times(benches: Sequence[Bench | str], repeats: int, report: Report) -> list
     running = {
         number: bench
         for number, bench in enumerate(benches)
-        if isinstance(bench, Bench) and bench.run.status == "completed"
+        if isinstance(bench, Bench) and bench.run.status == RunStatus.COMPLETED
     }
     left = dict.fromkeys(running, BUDGET)
     for turn in range(repeats):
@@ -357,7 +358,7 @@ def _entry(
         changes=compared(base.system, base.run, bench.run),
         certified=_is_certified(bench.run),
     )
-    if bench.run.status != "completed":
+    if bench.run.status != RunStatus.COMPLETED:
         return replace(entry, trouble=f"the run fails: {bench.run.message}")
     sign = 1 if variant.kind == CANDIDATE else -1
     cost = paired_difference(times, base_times[: times.size]).scaled(sign)

@@ -23,6 +23,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.plots.decimation import decimate
 from multiarm.problems import Criterion, HardCase
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import unknown
@@ -85,7 +86,7 @@ class CaseResult:
     @property
     def failures(self) -> tuple[str, ...]:
         """What is not as it should be, a line each; empty when the case passed."""
-        lines = [] if self.status == "completed" else [f"{self.status}: {self.message}"]
+        lines = [] if self.status == RunStatus.COMPLETED else [f"{self.status}: {self.message}"]
         for item in self.criteria:
             if not item.passed:
                 measured = item.message or f"{item.measured:.3g}"
@@ -200,13 +201,13 @@ def run_case(case: HardCase, *, progress: Callable[[str, float], None] | None = 
         )
     except Exception as error:
         return CaseResult(*about, False, NOT_RUN, error_text(error), scene=text)
-    if trajectory.status == "interrupted":
+    if trajectory.status == RunStatus.INTERRUPTED:
         raise KeyboardInterrupt
     expected = (*case.criteria, *([EVENTS] if case.events else []))
     criteria = tuple(_measured(item, trajectory, system) for item in expected)
     return CaseResult(
         *about,
-        passed=trajectory.status == "completed" and all(item.passed for item in criteria),
+        passed=trajectory.status == RunStatus.COMPLETED and all(item.passed for item in criteria),
         status=trajectory.status,
         message=trajectory.message,
         criteria=criteria,

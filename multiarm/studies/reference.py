@@ -21,6 +21,7 @@ import numpy as np
 
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.studies.timing import OutOfTime, clocked_run
@@ -188,7 +189,7 @@ def _tight_run(system: System) -> tuple[Trajectory, str, float]:
             except OutOfTime:
                 trouble = trouble or f"{method} takes longer than {PATIENCE:g} s"
                 break
-            if run.status == "completed":
+            if run.status == RunStatus.COMPLETED:
                 return run, method, tolerance
             trouble = run.message
     raise MultiarmError(f"the scene has no reference to compare with: {trouble}")
@@ -216,7 +217,7 @@ def _check(
             break
         took = time.perf_counter() - begin
         left -= took
-        if run.status != "completed":
+        if run.status != RunStatus.COMPLETED:
             break
         apart = digits_of(run, exact, undetermined)
         if not digits or apart["motion"] < digits["motion"]:

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from multiarm.dynamics.system import System
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
 
@@ -45,7 +46,7 @@ def clocked_run(
             raise KeyboardInterrupt  # the way to end a run
 
     run = simulate(system, progress=look, certificate=False, **options)
-    if run.status == "interrupted":
+    if run.status == RunStatus.INTERRUPTED:
         raise OutOfTime if late else KeyboardInterrupt
     if len(clocks) < 2:
         return run, run.statistics["wall_time_s"]

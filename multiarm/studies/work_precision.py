@@ -32,6 +32,7 @@ import pandas
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
+from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import Scene
 from multiarm.studies.peers import (
@@ -66,7 +67,7 @@ from multiarm.studies.timing import OutOfTime, clocked_run
 from multiarm.terminal.progress import Progress, Report, displayed
 from multiarm.threads import one_thread
 
-COMPLETED, FAILED, TOO_SLOW = "completed", "failed", "too slow"
+COMPLETED, FAILED, TOO_SLOW = RunStatus.COMPLETED, RunStatus.FAILED, "too slow"
 LEVELS = tuple(float(f"1e-{k}") for k in range(1, 14))
 NUMBERS = (
     "wall_time_s", "steps", "evaluations", "gap_m", "gap_rate_m_per_s", "energy_J", *QUANTITIES,
@@ -151,7 +152,7 @@ def run_ours(system: System, setting: Setting, limit_s: float) -> Point:
         return too_slow(setting, limit_s)
     except MultiarmError as error:
         return Point(setting, FAILED, str(error))
-    if run.status != "completed":
+    if run.status != RunStatus.COMPLETED:
         return Point(setting, FAILED, run.message)
     statistics = run.statistics
     return Point(

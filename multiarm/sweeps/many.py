@@ -24,7 +24,7 @@ from multiarm.dynamics.state import State, require_same_joints
 from multiarm.dynamics.system import System, require_control, require_state, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.jit.ahead import processors
-from multiarm.results.files import FAILED, INTERRUPTED
+from multiarm.results.files import RunStatus
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
@@ -203,7 +203,7 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
             system, state=case.state, out=case.out, progress=progress, **case.options
         ).close_between_reads()
     except MultiarmError as error:
-        return empty_result(case, system, FAILED, f"the run could not begin: {error}")
+        return empty_result(case, system, RunStatus.FAILED, f"the run could not begin: {error}")
 
 
 def _compiled(scene: Scene, like: System) -> System:
@@ -216,7 +216,7 @@ def _compiled(scene: Scene, like: System) -> System:
 
 
 def empty_result(
-    case: Case, system: System, status: str, message: str, write: bool = True
+    case: Case, system: System, status: RunStatus, message: str, write: bool = True
 ) -> Trajectory:
     """The result of a case that did not begin; ``write`` it to its file if it has one."""
     system, with_state = replace(system, scene=case.scene), case.state is not None
@@ -297,7 +297,7 @@ def run_cases(
     for worker in workers:
         worker.result()
     report()
-    never = INTERRUPTED, "stopped by the user before it began"
+    never = RunStatus.INTERRUPTED, "stopped by the user before it began"
     return [
         empty_result(case, system, *never, write=False) if result is None else result
         for case, result in zip(cases, results, strict=True)

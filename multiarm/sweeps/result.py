@@ -21,7 +21,7 @@ import pandas
 from multiarm.errors import SweepError
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.results.files import COMPLETED, resolved
+from multiarm.results.files import RunStatus, resolved
 from multiarm.sweeps.folder import Header, read_header, read_rows
 from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.spec import Column, parse_sweep
@@ -291,7 +291,7 @@ def _spread(cells: pandas.Series, column: Column) -> Spread:
 
 def _failures(rows: pandas.DataFrame) -> tuple[Failure, ...]:
     """The different messages of runs that did not complete, the first few."""
-    failed = rows.loc[rows["status"] != COMPLETED, ["status", "message"]]
+    failed = rows.loc[rows["status"] != RunStatus.COMPLETED, ["status", "message"]]
     alike = failed["message"].str.replace(_NUMBER, "#", regex=True).rename("alike")
     failures = [
         Failure(group["status"].iloc[0], group["message"].iloc[0], len(group), int(group.index[0]))

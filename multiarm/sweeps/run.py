@@ -20,12 +20,12 @@ from uuid import uuid4
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
-from multiarm.results.files import COMPLETED, FAILED, INTERRUPTED, printable
+from multiarm.results.files import RunStatus, printable
 from multiarm.results.sinks import provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene, with_code
 from multiarm.scene.code import CodeReference, is_reference, load_function
-from multiarm.simulation.certified import INTERRUPTED as CHECK_INTERRUPTED
+from multiarm.simulation.certificate import Reason
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.quantities import UserQuantity, measure
@@ -94,14 +94,14 @@ def run(context: Context, number: int, values: Mapping[str, Any]) -> Row:
         with one_thread():  # workers share the processors already
             trajectory = _simulated(context, base, values)
         status, message = trajectory.status, trajectory.message
-        if status == COMPLETED:
+        if status == RunStatus.COMPLETED:
             measured, fault = measure(context.keep, trajectory, base.load)
             numbers = dict(zip(context.quantities, measured.values(), strict=True))
-            status, message = (FAILED, fault) if fault else (status, message)
+            status, message = (RunStatus.FAILED, fault) if fault else (status, message)
     except MultiarmError as error:
-        status, message = FAILED, f"the run could not begin: {error}"
+        status, message = RunStatus.FAILED, f"the run could not begin: {error}"
     except USER_FAULTS as error:  # user-defined functions and effects may raise anything
-        status, message = FAILED, f"the run broke off: {type(error).__name__}: {error}"
+        status, message = RunStatus.FAILED, f"the run broke off: {type(error).__name__}: {error}"
     return {
         "run": number,
         "status": status,
@@ -118,7 +118,13 @@ def lost_run(number: int) -> Row:
         "its worker died every time: the process was ended, by lack of memory perhaps, or broke "
         "down in compiled code"
     )
-    return {"run": number, "status": FAILED, "message": message, "wall_time": 0.0, "worker": ""}
+    return {
+        "run": number,
+        "status": RunStatus.FAILED,
+        "message": message,
+        "wall_time": 0.0,
+        "worker": "",
+    }
 
 
 def simulate_run(scene: Scene, certificate: bool) -> Trajectory:
@@ -194,16 +200,16 @@ def _simulated(context: Context, base: Base, values: Mapping[str, Any]) -> Traje
     trajectory = simulate(system, certificate=context.certificate)
     _raise_interrupt(trajectory)
     by_accuracy = system.scene.run.accuracy is not None
-    if context.certificate and by_accuracy and trajectory.status == COMPLETED:
+    if context.certificate and by_accuracy and trajectory.status == RunStatus.COMPLETED:
         certificate = trajectory.certificate
-        if certificate is None or certificate.get("reason") == CHECK_INTERRUPTED:
+        if certificate is None or certificate.get("reason") == Reason.INTERRUPTED:
             raise KeyboardInterrupt  # Ctrl-C ended the check of the run
     return trajectory
 
 
 def _raise_interrupt(trajectory: Trajectory) -> None:
     """Raise if Ctrl-C ended the run: then there is no result."""
-    if trajectory.status == INTERRUPTED:
+    if trajectory.status == RunStatus.INTERRUPTED:
         raise KeyboardInterrupt
 
 

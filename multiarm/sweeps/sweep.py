@@ -11,7 +11,7 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
-from multiarm.results.files import COMPLETED, resolved
+from multiarm.results.files import RunStatus, resolved
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
 from multiarm.sweeps.axes import is_integer
@@ -216,7 +216,7 @@ def _fill(
             for row in rows:
                 waiting.put(row)
                 done += 1
-                failed += row["status"] != COMPLETED
+                failed += row["status"] != RunStatus.COMPLETED
                 show(done, count, failed)
                 if writing.done():
                     break  # the disk is full

@@ -20,14 +20,18 @@ from rich.text import Text
 
 from multiarm.errors import shortened
 from multiarm.notation import number
-from multiarm.results.files import printable
+from multiarm.results.files import RunStatus, printable
 
 if TYPE_CHECKING:
     from multiarm.scene import NamedCode
 
 WHOLE = 28
 """Words of tables with so many letters at most are never broken: names of hard cases have 25."""
-STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}
+STATUS_STYLES: dict[str, str] = {
+    RunStatus.COMPLETED: "bold green",
+    RunStatus.INTERRUPTED: "bold yellow",
+    RunStatus.FAILED: "bold red",
+}
 
 
 class _Terminal(Console):

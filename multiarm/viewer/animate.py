@@ -26,6 +26,7 @@ from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.body.face import cut_into_triangles
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
+from multiarm.results.files import RunStatus
 from multiarm.scene import without_code
 from multiarm.scene.control import NoControl
 from multiarm.scene.faults import counted
@@ -97,7 +98,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     floor = min([foot[2, 3] for foot in feet.values()] + [lowest(body) for body in ground])
     bodies += columns(feet, floor, len(rows))
     contacts = contacts_of(system, trajectory, rows, colors)
-    note = "" if trajectory.status == "completed" else trajectory.message
+    note = "" if trajectory.status == RunStatus.COMPLETED else trajectory.message
     notes = [f"{trajectory.status}: {note}"] if note else []
     return Animation(
         title=trajectory.scene.name,

@@ -78,7 +78,7 @@ def solve_with_reactions(
         unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
         rank=len(force) - (status.rows - status.rank),
         motion_unique=not status.motions,
-        loose_arms=tuple(np.flatnonzero(work.undetermined).tolist()),
+        undetermined_arms=tuple(np.flatnonzero(work.undetermined).tolist()),
     )
 
 
@@ -101,7 +101,7 @@ def flat(solution):
         unique=np.concatenate(solution.unique).tolist(),
         rank=solution.rank,
         motion_unique=solution.motion_unique,
-        loose_arms=solution.loose_arms,
+        undetermined_arms=solution.undetermined_arms,
     )
 
 
@@ -137,7 +137,7 @@ def assert_same(found, expected, tol):
     scale = max(np.max(np.abs(expected.force)), 1e-6)
     np.testing.assert_allclose(found.x, expected.x, atol=tol * np.max(np.abs(expected.x)))
     np.testing.assert_allclose(found.force, expected.force, atol=tol * scale)
-    for field in ("rank", "unique", "motion_unique", "loose_arms"):
+    for field in ("rank", "unique", "motion_unique", "undetermined_arms"):
         assert getattr(found, field) == getattr(expected, field), field
 
 
@@ -412,7 +412,7 @@ def test_forces_that_no_constraint_sees_but_that_move_the_system_are_told(solver
         reactions[key][1][:, 2] += 0.2 * rng.standard_normal(len(reactions[key][1]))
     found = flat(solver(**vars(system), **reactions))
     assert not found.motion_unique
-    assert 1 in found.loose_arms
+    assert 1 in found.undetermined_arms
     assert found.rank == 7 and relative_residual(system, found) < 1e-12
     assert_solves(found, system, reactions)
     # another solution, with other accelerations, found without the solver
@@ -449,7 +449,7 @@ def test_a_contact_whose_force_cannot_close_its_own_gap_is_told(solver, consiste
         system.c = np.split(c, [first[1]])
     found = flat(solver(**vars(system), **reactions))
     assert not found.motion_unique
-    assert 0 in found.loose_arms
+    assert 0 in found.undetermined_arms
     assert found.rank == count  # the constraints themselves are independent
     assert_solves(found, system, reactions)
     if consistent:

@@ -181,6 +181,6 @@ def test_contacts_that_others_hold_fast_have_no_response():
     rows = list(range(system.model.layout.contacts))[system.model.layout.surroundings]
     jacobian = dynamics.jacobian(rows)
     assert len(rows) == 3 * 8 and np.all(dynamics.mobility(jacobian) > 1e-3)
-    response, _ = dynamics.response(jacobian, dynamics.bare)
+    response, _ = dynamics.response(jacobian, dynamics.bilateral)
     assert not response.any()
     assert ma.evaluate(system).message == ""

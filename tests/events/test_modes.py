@@ -132,7 +132,8 @@ def test_the_signs_of_determinants_do_not_outlive_their_rows():
 def test_fixed_selections_have_the_rows_that_their_names_say(speed):
     modes = Modes(tumbling_box().model.data(), speed)
     unilateral = modes.unilateral
-    counts = [data.model.layout.contacts for data in (modes.closed, modes.bare, modes.loose)]
+    fixed = modes.bilateral, modes.unconstrained
+    counts = [data.model.layout.contacts for data in (modes.closed, *fixed)]
     assert counts == [len(unilateral.model), len(unilateral.bilateral), 0]
-    assert all(data.arrays.modes.active for data in (modes.data, modes.bare, modes.loose))
+    assert all(data.arrays.modes.active for data in (modes.data, *fixed))
     assert not (modes.full.arrays.modes.active or modes.closed.arrays.modes.active)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from commands import multiarm
+from event_scenes import ball, on_floor
 from loose_scenes import ball_on_cart, body_and_cart, cart_with_box, happened
 from mechanics import ur5_pair
 from repository import SCENES
 
 import multiarm as ma
+from multiarm.dynamics.status import OK
 from multiarm.events.evaluation import enter_mode_at, evaluate_mode
+from multiarm.integration.projection import project
 from multiarm.simulation.inspection import inspect_system
 
 GRAVITY = 9.81
@@ -166,6 +169,29 @@ def test_given_forces_of_a_mode_are_forces_of_its_contacts(tmp_path, slides, sol
         evaluation.object_acceleration, least.object_acceleration, rtol=0, atol=1e-10
     )
     assert evaluation.residuals.object < 1e-12 and evaluation.residuals.arm < 1e-12
+
+
+@pytest.mark.parametrize("bodies", ["ball on the floor", "box on a cart"])
+def test_projections_of_sliding_contacts_are_without_friction(tmp_path, bodies):
+    """With both solvers to the same state; a ball off the floor along the normal alone."""
+    ball_slides = on_floor(ball(twist=[1.0, 0.5, 0, 0, 0, 0]), mu=0.3)
+    scene = ball_slides if bodies == "ball on the floor" else ma.Scene(**sliding_box(tmp_path))
+    states = []
+    for solver in ("node", "dense"):
+        system = ma.compile_system(scene).with_solver(solver)
+        with system.borrow() as data:
+            sliding = enter_mode_at(data, 0.0, system.initial_state()).data
+            raised = sliding.get_state()
+            raised.object_position[2] += 1e-3
+            raised.object_twist[2] += 1e-2
+            sliding.move_to(raised)
+            assert project(sliding.struct, 1e-12) == OK
+            states.append(sliding.get_state())
+    node, dense = states
+    np.testing.assert_allclose(dense.position, node.position, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(dense.velocity, node.velocity, rtol=0, atol=1e-13)
+    if bodies == "ball on the floor":
+        np.testing.assert_allclose(dense.object_twist[:2], [1.0, 0.5], rtol=0, atol=1e-15)
 
 
 def test_evaluations_are_those_of_the_run(tmp_path):

@@ -78,7 +78,7 @@ class Slope:
         self.z = np.concatenate([*position, state.velocity, inner, works])
         self.base = np.zeros(system.model.layout.nq)
         self.base[3:7] = state.object_quaternion_xyzw
-        self.stage = Stage(alpha=alpha, beta=beta, gap=-1.0, latest=np.inf)
+        self.stage = Stage(alpha=alpha, beta=beta, latest=np.inf)
 
     def __call__(self, t, z):
         slope = np.zeros(z.size)

@@ -6,6 +6,12 @@ other rows, to the largest term of an equation.
 
 from __future__ import annotations
 
+# --- Factors (:mod:`multiarm.dynamics.solver.factors`).
+
+# Pivots of a semidefinite matrix below this fraction of its largest diagonal entry count as zero:
+# some thousand roundings of sums of products.
+SEMIDEFINITE_PIVOT = 1e-12
+
 # --- Elimination arm by arm (:mod:`multiarm.dynamics.solver.node`).
 
 # Arms with a relative pivot below this go to the coupled system
@@ -92,6 +98,18 @@ RESIDUAL_BOUND = 1e-5
 # Largest residual by rounding errors of gaps near a loss of rank.
 MOST_ROUNDED_RESIDUAL = 1e-3
 
+# Gaps are known to about this [m]: some dozen roundings of positions of the order of 1 m.  Near a
+# loss of rank they are errors of the state over the margin, the distance from that loss, and errors
+# of velocities over its square; but never more than MOST_ROUNDED_CORRECTION.
+ROUNDED_GAP, MOST_ROUNDED_CORRECTION = 1e-14, 1e-5
+
+# Residuals have the roundings of W and of the right-hand sides besides, over the square, too.
+ROUNDED_RESIDUAL = 1e-13
+
+# Error of a step with projected stages: the first over the cube of the margin, at most the second
+# [m, rad; m/s, rad/s].
+ROUNDED_STEP, MOST_ROUNDED_STEP = 2e-15, 1e-9
+
 # A direction with a sigma below this fraction of the arm's largest is lost, and regained at
 # REGAINED times this fraction.
 LOST, REGAINED = 1e-3, 2.0
@@ -100,3 +118,41 @@ LOST, REGAINED = 1e-3, 2.0
 
 # Rows whose scaled response has smaller eigenvalues are dependent.
 DEPENDENT = 1e-7
+
+# Rows whose response is a smaller part of their mobility are kept from moving by the held rows:
+# what remains is rounding, as of pivots of a semidefinite matrix.
+HELD_RESPONSE = SEMIDEFINITE_PIVOT
+
+# Rows can move while others are held when more than this part of their response is left: 1e-3 in
+# motions.
+MOVABLE = 1e-6
+
+# --- Transitions (:mod:`multiarm.events.transition`).
+
+# Accelerations below this are rounding errors [m/s^2, rad/s^2].
+NO_ACCELERATION = 1e-10
+
+# Energy that an impact adds, as a part of what its impulses exchange, by rounding.
+ROUNDED_ENERGY = 1e-12
+
+# Largest residual of velocities after an impact for which no solution was proved: smaller ones are
+# removed by the projection that follows.
+IMPACT_RESIDUAL = 1e-6
+
+# Forces below this part of the largest one carry nothing: far above the digits to which the time at
+# which a force vanishes is found.
+UNLOADED = 1e-7
+
+# Motions whose gaps have accelerations that differ by less than this part of the largest one are
+# one motion.
+SAME_MOTION = 1e-6
+
+# --- Inverse dynamics (:mod:`multiarm.dynamics.inverse`).
+
+# Singular values of an arm's equations, scaled to rows of length 1, below this fraction of the
+# largest count as zero.
+ARM_RANK_TOLERANCE = 1e-10
+
+# An arm misses the desired motion when it differs by more than this, relative to 1 and to the
+# largest desired acceleration: far above rounding, far below any motion that is meant.
+MISSED_MOTION = 1e-7

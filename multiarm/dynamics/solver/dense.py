@@ -5,7 +5,7 @@ r"""Independent reference: the whole constrained system as one dense matrix, in 
     \begin{bmatrix} a_j \\ \lambda \end{bmatrix} = \begin{bmatrix} f_j \\ c \end{bmatrix}
 
 with the stacked constraint matrix ``W`` and reaction matrix ``W~`` (equal without friction; thesis,
-4.9).  Its cost is cubic in the number of arms; it shares no code with the node algorithm.
+4.9).  Its cost is cubic in the number of arms; it shares no factorization with the node algorithm.
 
 A singular matrix is solved by its singular value decomposition.  A right null vector is a
 combination of contact forces without effect on the constraints, with the motion that it causes: the
@@ -27,6 +27,7 @@ from multiarm.dynamics.solver.bounds import (
     SYSTEM_TOLERANCE,
     UNMOVED,
 )
+from multiarm.dynamics.solver.factors import rank_of
 
 
 class SystemSolution(NamedTuple):
@@ -39,7 +40,7 @@ class SystemSolution(NamedTuple):
     rank: int  # of the stacked constraint matrix
     motion_unique: bool = True  # whether the accelerations are unique; may fail with friction only
     # arms whose contact forces take part in the undetermined motion
-    loose_arms: tuple[int, ...] = ()
+    undetermined_arms: tuple[int, ...] = ()
 
 
 def solve_dense(
@@ -84,14 +85,14 @@ def solve_dense(
     columns = np.concatenate([scale, _reciprocal_norms(scale[:, None] * reactions)])
     scaled = rows[:, None] * matrix * columns
     x, rank = _solve_regular(scaled, rows * right), count
-    unique, loose = np.ones(count, dtype=bool), np.zeros((count, 0))
+    unique, moving = np.ones(count, dtype=bool), np.zeros((count, 0))
     if x is not None:
         x = columns * x
     else:
         rank = null_space(scale[:, None] * constraint * rows[size:], SYSTEM_TOLERANCE**0.5).rank
         x, free = _solve_singular(scaled, right, rows, columns, size)
         unique = np.linalg.norm(free[size:], axis=1) < PART_TOLERANCE
-        loose = _moving(free, size)
+        moving = _moving(free, size)
     bounds = np.cumsum([w.shape[1] for w in W])[:-1]
     return SystemSolution(
         object_acceleration=x[:6],
@@ -99,10 +100,10 @@ def solve_dense(
         contact_forces=np.split(x[size:], bounds),
         unique=np.split(unique, bounds),
         rank=rank,
-        motion_unique=not loose.size,
-        loose_arms=tuple(
+        motion_unique=not moving.size,
+        undetermined_arms=tuple(
             i
-            for i, parts in enumerate(np.split(loose, bounds))
+            for i, parts in enumerate(np.split(moving, bounds))
             if np.any(np.linalg.norm(parts, axis=1) > PART_TOLERANCE)
         ),
     )
@@ -113,14 +114,14 @@ def _solve_singular(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solution by singular values, and the scaled right null vectors as columns."""
     u, singular, vt = np.linalg.svd(scaled)
-    rank = int(np.sum(singular > SYSTEM_TOLERANCE * singular[0]))
+    rank = rank_of(singular, SYSTEM_TOLERANCE)
     left, free = rows[:, None] * u[:, rank:], vt[rank:].T
     right = right.copy()
     right[size:] -= np.linalg.lstsq(left[size:].T, left.T @ right, rcond=None)[0]
     x = columns * (vt[:rank].T @ ((u[:, :rank].T @ (rows * right)) / singular[:rank]))
     # the least norm is meant in newtons, not in scaled units
-    loose = columns[:, None] * free
-    return x - loose @ np.linalg.lstsq(loose[size:], x[size:], rcond=None)[0], free
+    null = columns[:, None] * free
+    return x - null @ np.linalg.lstsq(null[size:], x[size:], rcond=None)[0], free
 
 
 def _solve_regular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
@@ -165,5 +166,5 @@ def null_space(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> NullSpa
     """Null space of a matrix (m, n) whose rows and columns are scaled to be comparable."""
     _, singular, vt = np.linalg.svd(matrix)
     singular = singular / singular[0]
-    rank = int(np.sum(singular > tolerance))
+    rank = rank_of(singular, tolerance)
     return NullSpace(vt[rank:].T, rank, singular)

@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from multiarm.jit.kernels import allocating, inlined, kernel
+from multiarm.dynamics.solver.bounds import SEMIDEFINITE_PIVOT
+from multiarm.jit.kernels import allocating, inlined, kernel, plain
 
 _EPS = float(np.finfo(float).eps)
 # Rows count as orthogonal when the cosine of their angle is below this: the rounding of the sums of
@@ -73,12 +74,12 @@ def forward_columns(L, Y, n, m):
 def solve_semidefinite(A, b, x):
     """Solve ``A x = b`` for a symmetric, positive semidefinite matrix (n, n); returns its rank.
 
-    Cholesky's method with diagonal pivoting, ``A = L L^T``.  It stops at pivots below 1e-12 of the
-    largest diagonal entry, so that ``L`` has as many columns as the rank.  Below full rank ``x`` is
-    the least-squares solution of least norm, which varies continuously with ``A`` and ``b`` as long
-    as the rank stays: with the columns ``t`` of ``L`` rotated until they are orthogonal, the sum of
-    ``t (t . b) / |t|^4``.  Rows should be scaled so that the diagonal entries can be compared.
-    ``A`` is destroyed, ``x`` (n,) is written.
+    Cholesky's method with diagonal pivoting, ``A = L L^T``.  It stops at pivots below a part
+    ``SEMIDEFINITE_PIVOT`` of the largest diagonal entry, so that ``L`` has as many columns as the
+    rank.  Below full rank ``x`` is the least-squares solution of least norm, which varies
+    continuously with ``A`` and ``b`` as long as the rank stays: with the columns ``t`` of ``L``
+    rotated until they are orthogonal, the sum of ``t (t . b) / |t|^4``.  Rows should be scaled so
+    that the diagonal entries can be compared.  ``A`` is destroyed, ``x`` (n,) is written.
     """
     n = b.size
     L, y, order = np.zeros((n, n)), np.zeros(n), np.arange(n)
@@ -93,7 +94,7 @@ def solve_semidefinite(A, b, x):
                 best = i
         order[k], order[best] = order[best], order[k]
         p = order[k]
-        if not A[p, p] > 1e-12 * largest:
+        if not A[p, p] > SEMIDEFINITE_PIVOT * largest:
             rank = k
             break
         L[p, k] = math.sqrt(A[p, p])
@@ -245,6 +246,20 @@ def decompose(A, n, m, V, singular):
     return True
 
 
+@plain
+def rank_of(singular, tolerance, least_scale=0.0):
+    """Number of singular values (k,), in descending order, that do not count as zero.
+
+    Those count that are above ``tolerance`` times the largest, or times ``least_scale`` where that
+    is larger.
+    """
+    rank = 0
+    for k in range(singular.size):
+        if singular[k] > tolerance * max(singular[0], least_scale):
+            rank += 1
+    return rank
+
+
 @kernel
 def orthogonalize(A, count, length, follow, width):
     """Rotate the first ``count`` rows of ``A`` against each other until they are orthogonal.
@@ -268,9 +283,9 @@ def orthogonalize(A, count, length, follow, width):
                 if aa <= floor or bb <= floor or not abs(ab) > ORTHOGONAL * math.sqrt(aa * bb):
                     continue
                 settled = False
-                slope = (bb - aa) / (2.0 * ab)
-                tangent = 1.0 / (abs(slope) + math.sqrt(1.0 + slope * slope))
-                if slope < 0.0:
+                cotangent = (bb - aa) / (2.0 * ab)  # of twice the angle
+                tangent = 1.0 / (abs(cotangent) + math.sqrt(1.0 + cotangent * cotangent))
+                if cotangent < 0.0:
                     tangent = -tangent
                 cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
                 rotate(A[i], A[j], length, cosine, cosine * tangent)

@@ -35,7 +35,7 @@ from multiarm.dynamics.solver.bounds import (
     COUPLED_RANK_TOLERANCE,
     PART_TOLERANCE,
 )
-from multiarm.dynamics.solver.factors import decompose, solve_lu, solve_lu_transposed
+from multiarm.dynamics.solver.factors import decompose, rank_of, solve_lu, solve_lu_transposed
 from multiarm.dynamics.solver.node import node_backward, node_forward
 from multiarm.jit.kernels import clear, inlined, kernel
 
@@ -53,16 +53,13 @@ def decompose_coupled(work, Wo, Wr):
         return False
     if not decompose(work.Ur, rows, length, work.Vr, work.sigma_r):
         return False
-    status.rank = rank_of(work.sigma, rows)
-    status.reaction_rank = rank_of(work.sigma_r, rows)
+    status.rank = rank_of(work.sigma[:rows], COUPLED_RANK_TOLERANCE)
+    status.reaction_rank = rank_of(work.sigma_r[:rows], COUPLED_RANK_TOLERANCE)
     form_core(work)
     if not decompose(work.core, status.reaction_rank, status.rank, work.core_V, work.core_sigma):
         return False
-    status.core_rank = 0
-    least = CORE_TOLERANCE * max(1.0, work.core_sigma[0])
-    for k in range(min(status.rank, status.reaction_rank)):
-        if work.core_sigma[k] > least:
-            status.core_rank += 1
+    size = min(status.rank, status.reaction_rank)
+    status.core_rank = rank_of(work.core_sigma[:size], CORE_TOLERANCE, 1.0)
     find_null_forces(work, Wo, Wr)
     return find_null_constraints(work, Wo, Wr)
 
@@ -108,16 +105,6 @@ def normalize(x, n):
     for i in range(n):
         x[i] *= inverse
     return inverse
-
-
-@inlined
-def rank_of(sigma, n):
-    """Number of singular values that do not count as zero, relative to the largest."""
-    rank = 0
-    for k in range(n):
-        if sigma[k] > COUPLED_RANK_TOLERANCE * sigma[0]:
-            rank += 1
-    return rank
 
 
 @inlined

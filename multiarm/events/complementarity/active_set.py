@@ -37,6 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.dynamics.solver.factors import rank_of
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
     MARGIN,
@@ -48,7 +49,6 @@ from multiarm.events.complementarity.problem import (
     Problem,
     Sliding,
     matrix_rank,
-    rank_of,
 )
 from multiarm.events.complementarity.solvers import solve_box
 
@@ -287,7 +287,7 @@ class _Search:
         if not unknowns.rows:
             return (np.zeros(0) if self._small(motion) else None), False
         left, values, right = np.linalg.svd(response, full_matrices=True)
-        r = rank_of(values)
+        r = rank_of(values, RANK, 1.0)
         scaled = np.zeros(s.size)
         for _ in range(2):  # the second time for the rounding that small singular values enlarge
             rest = motion - response @ scaled

@@ -43,6 +43,8 @@ from enum import Enum
 
 import numpy as np
 
+from multiarm.dynamics.solver.factors import rank_of
+
 ROUNDING = 1e-12
 """A residual below this is rounding: some thousand machine epsilons, for sums of forty terms."""
 
@@ -326,9 +328,4 @@ def _scales(D: np.ndarray, laws: Sequence[ContactLaw]) -> np.ndarray:
 
 def matrix_rank(A: np.ndarray) -> int:
     """Rank of a scaled response, or of part of one."""
-    return rank_of(np.linalg.svd(A, compute_uv=False))
-
-
-def rank_of(singular_values: np.ndarray) -> int:
-    """The same from its singular values."""
-    return int(np.sum(singular_values > RANK * max(singular_values[0], 1.0)))
+    return rank_of(np.linalg.svd(A, compute_uv=False), RANK, 1.0)

@@ -39,6 +39,7 @@ from math import comb, prod
 
 import numpy as np
 
+from multiarm.dynamics.solver.factors import rank_of
 from multiarm.events.complementarity.active_set import ActiveSet, active_set, law_modes
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
@@ -51,7 +52,6 @@ from multiarm.events.complementarity.problem import (
     Problem,
     build,
     matrix_rank,
-    rank_of,
 )
 from multiarm.events.complementarity.solvers import iterate, newton, solve_box
 
@@ -339,7 +339,7 @@ def _along_family(problem: Problem, z: np.ndarray) -> list[np.ndarray]:
     if problem.cones or touching.size == 0:
         return []
     _, values, right = np.linalg.svd(problem.G[np.ix_(touching, touching)])
-    block = right[rank_of(values) :].T
+    block = right[rank_of(values, RANK, 1.0) :].T
     null = np.zeros((z.size, block.shape[1]))
     null[touching] = block
     # with all rates zero, forces have no scale of their own
