@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.layout import Layout
-from multiarm.jit.kernels import inlined, plain
+from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.spatial import difference as rotation_difference
 from multiarm.spatial import retract_into, write_chart_rate
 
@@ -217,7 +217,7 @@ def store_chart(data, base, z):
         z[places.states + k] = data.effects.states[k]
 
 
-@inlined
+@kernel
 def write_chart_slope(z, data, slope):
     """Rate of ``z`` from velocity, accelerations, rates of effects' states, and powers."""
     places = chart_places(data)
