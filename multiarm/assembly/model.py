@@ -23,6 +23,7 @@ from multiarm.dynamics.arrays import COUPLED, Constants, FreeMotions, TipFrame
 from multiarm.dynamics.control_laws import NO_CONTROL, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.equations import (
+    control_of_closed,
     kinematics,
     right_hand_sides,
     solve,
@@ -55,6 +56,7 @@ FUNCTIONS = {
 # Those of scenes with guards that only report.
 REPORT_FUNCTIONS = {"reports": check_reports, "watch": watch_stage}
 LAZY_FUNCTIONS = {
+    "command": control_of_closed,
     "coupled": solve_deficient,
     "decomposed": solve_decomposed,
     "row": write_general_row,

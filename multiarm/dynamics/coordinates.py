@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.layout import Layout
-from multiarm.jit.kernels import inlined, plain
+from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.spatial import difference as rotation_difference
 from multiarm.spatial import retract_into, rotation_between, write_chart_rate
 
@@ -234,7 +234,7 @@ def copy_numbers(data, places, z):
         z[places.states + k] = data.effects.states[k]
 
 
-@inlined
+@kernel
 def write_chart_slope(z, data, slope):
     """Rate of ``z`` from velocity, accelerations, rates of effects' states, and powers."""
     places = chart_places(data)

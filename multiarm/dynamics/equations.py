@@ -135,17 +135,18 @@ def right_hand_sides(address, size, alpha, beta):
 def command_torques(struct, model, data, work):
     """Let the control laws write ``data.control.torque``; returns a status."""
     if data.modes.active:
-        return control_of_closed(model, data)
+        return call_cfunc(data.functions.command, struct, 0.0, 0.0)
     load_gravity_torque(data, work)
     return control_torques(struct, model.control.shape[0], model, data)
 
 
-@inlined
-def control_of_closed(model, data):
+@cfunc
+def control_of_closed(address, size, _a, _b):
     """Let the laws write ``data.control.torque`` as if all contacts of the joints were closed.
 
     Returns a status.
     """
+    model, data, _ = open_system(struct_at(address, size))
     closed = struct_at(data.modes.closed, 0)
     constants, of_closed, work = open_system(closed)
     for i in range(of_closed.bodies.pointers.shape[0]):

@@ -104,10 +104,10 @@ class Kernel:
         if INTERPRETED:
             return
         self._stamp = _stamp_of(function)
-        # As in NumPy, a division by zero gives inf or NaN, which the callers look for.  Numba would
-        # inline also what an inlined kernel calls: large kernels, and each of their calls anew.
-        common = {"error_model": "numpy", "no_cfunc_wrapper": True, "forceinline": False}
-        self._options = {**common, **options}
+        # As in NumPy, a division by zero gives inf or NaN, which the callers look for.  Numba hands
+        # inlining and contraction on to what a kernel calls, where that does not state its own.
+        common = {"error_model": "numpy", "no_cfunc_wrapper": True}
+        self._options = {**common, "forceinline": False, "fastmath": False, **options}
         self._whole: Any = None
         self._wait: Callable[[], object] | None = None
         self._making = threading.Lock()
@@ -184,7 +184,7 @@ def _decorator(**options: Any) -> Callable[[Callable], Kernel]:
 kernel = _decorator(_nrt=False)
 inlined = _decorator(_nrt=False, forceinline=True)
 # Few scalar operations, for which Python need not wait for the compiler.
-plain = _decorator(plain=True, _nrt=False, forceinline=True)
+plain = _decorator(plain=True, _nrt=False)
 # A product that is added at once is rounded once, where the processor can.
 fused = _decorator(_nrt=False, forceinline=True, fastmath={"contract"})
 # A kernel during which other threads may run Python; callbacks wait for their turn.

@@ -55,7 +55,6 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
-from numba.np.arrayobj import populate_array
 
 from multiarm.jit.interpretation import INTERPRETED, generated
 
@@ -509,11 +508,18 @@ def _number(builder, numbers, at):
 def _array_at(context, builder, dtype, address, shape):
     """LLVM value of a C-contiguous array at an address, without reference counting."""
     kind = types.Array(dtype, len(shape), "C")
-    array = context.make_array(kind)(context, builder)
-    pointer = builder.inttoptr(address, context.get_value_type(types.CPointer(dtype)))
     item = context.get_constant(types.intp, 8)
-    strides = [item]
-    for size in reversed(shape[1:]):
-        strides.insert(0, builder.mul(strides[0], size))
-    populate_array(array, pointer, shape, strides, item, meminfo=None)
-    return array._getvalue()
+    strides, count = [item], shape[-1]
+    for size in reversed(shape[:-1]):
+        strides.insert(0, builder.mul(item, count))
+        count = builder.mul(count, size)
+    place = context.data_model_manager[kind].get_field_position
+    pointer = builder.inttoptr(address, context.get_value_type(types.CPointer(dtype)))
+    # Numba's own helpers build the same in memory: four times as much code for LLVM
+    array = ir.Constant(context.get_value_type(kind), None)
+    for name, value in (("data", pointer), ("nitems", count), ("itemsize", item)):
+        array = builder.insert_value(array, value, place(name))
+    for name, values in (("shape", shape), ("strides", strides)):
+        for axis, value in enumerate(values):
+            array = builder.insert_value(array, value, [place(name), axis])
+    return array

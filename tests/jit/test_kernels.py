@@ -22,7 +22,7 @@ import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.jit import kernels, vectors
 from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
-from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, inlined, kernel, kernel_modules
+from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, fused, kernel, kernel_modules
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import (
     Flag,
@@ -278,7 +278,7 @@ def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
     assert data_of(regular).arrays.functions.row != 0
 
 
-@inlined
+@fused
 def twice(x):
     return square(x) + square(2.0 * x)
 
@@ -293,12 +293,13 @@ def one_and_two(x: NUMBER):
     return twice(x)
 
 
-def test_what_an_inlined_kernel_calls_is_not_inlined_with_it():
+@pytest.mark.parametrize("option", ["alwaysinline", "contract"])
+def test_what_a_kernel_calls_does_not_inherit_its_options(option):
     one_and_two._part.compile(argument_types(one_and_two))  # parts are in no cache
-    (inlined_code,) = twice._part.inspect_llvm().values()
+    (calling_code,) = twice._part.inspect_llvm().values()
     (called_code,) = square._part.inspect_llvm().values()
-    assert "alwaysinline" in inlined_code
-    assert "alwaysinline" not in called_code
+    assert option in calling_code
+    assert option not in called_code
 
 
 def test_a_scene_without_guards_compiles_none_of_their_functions(welded_ur5_system):

@@ -22,7 +22,6 @@ NAMES = [
     ("numba.core.typing.templates", "infer_global"),
     ("numba.extending", "lower_getattr_generic"),
     ("numba.extending", "lower_setattr_generic"),
-    ("numba.np.arrayobj", "populate_array"),
 ]
 LIBRARY = [
     "_finalize_final_module", "_get_module_for_linking", "add_llvm_module",

@@ -79,7 +79,7 @@ def static_forces(Wo, weight, force):
 @allocating
 def share_wrench(Wo, wrench, y):
     """Write the ``y`` of these forces :math:`W_o^T y` for a wrench (6,)."""
-    A, b, scale = np.zeros((6, 6)), np.zeros(6), np.empty(6)
+    A, b, scale = np.empty((6, 6)), np.empty(6), np.empty(6)
     write_wrench_products(Wo, A, scale)
     for i in range(6):
         b[i] = scale[i] * wrench[i]

@@ -79,12 +79,14 @@ def solve_semidefinite(A, b, x):
     rank.  Below full rank ``x`` is the least-squares solution of least norm, which varies
     continuously with ``A`` and ``b`` as long as the rank stays: with the columns ``t`` of ``L``
     rotated until they are orthogonal, the sum of ``t (t . b) / |t|^4``.  Rows should be scaled so
-    that the diagonal entries can be compared.  ``A`` is destroyed, ``x`` (n,) is written.
+    that the diagonal entries can be compared.  ``A`` becomes ``L``, whose columns are those of the
+    pivots, and ``x`` (n,) is written.
     """
     n = b.size
-    L, y, order = np.zeros((n, n)), np.zeros(n), np.arange(n)
+    order = np.empty(n, dtype=np.int64)
     largest = 0.0
     for i in range(n):
+        order[i], x[i] = i, 0.0
         largest = max(largest, A[i, i])
     rank = n
     for k in range(n):
@@ -97,18 +99,17 @@ def solve_semidefinite(A, b, x):
         if not A[p, p] > SEMIDEFINITE_PIVOT * largest:
             rank = k
             break
-        L[p, k] = math.sqrt(A[p, p])
+        A[p, p] = math.sqrt(A[p, p])
         for i in range(k + 1, n):
-            L[order[i], k] = A[order[i], p] / L[p, k]
+            A[order[i], p] /= A[p, p]
         for i in range(k + 1, n):
             for j in range(k + 1, n):
-                A[order[i], order[j]] -= L[order[i], k] * L[order[j], k]
-    x[:] = 0.0
+                A[order[i], order[j]] -= A[order[i], p] * A[order[j], p]
     if rank < n:
         columns = np.empty((rank, n))
         for k in range(rank):
             for i in range(n):
-                columns[k, i] = L[i, k]
+                columns[k, order[i]] = A[order[i], order[k]] if i >= k else 0.0
         orthogonalize(columns, rank, n, columns, 0)
         for k in range(rank):
             square = along = 0.0
@@ -120,16 +121,15 @@ def solve_semidefinite(A, b, x):
         return rank
     for k in range(rank):
         p = order[k]
-        y[k] = b[p]
+        x[p] = b[p]
         for j in range(k):
-            y[k] -= L[p, j] * y[j]
-        y[k] /= L[p, k]
+            x[p] -= A[p, order[j]] * x[order[j]]
+        x[p] /= A[p, p]
     for k in range(rank - 1, -1, -1):
         p = order[k]
-        s = y[k]
         for i in range(k + 1, rank):
-            s -= L[order[i], k] * x[order[i]]
-        x[p] = s / L[p, k]
+            x[p] -= A[order[i], p] * x[order[i]]
+        x[p] /= A[p, p]
     return rank
 
 
