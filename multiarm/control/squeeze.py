@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.dynamics.forces.internal_forces import decompose, internal_forces
+from multiarm.dynamics.forces.internal_forces import decompose, pressing_forces
 from multiarm.dynamics.model import Data, Model
 from multiarm.errors import ControlError, GraspError
 from multiarm.geometry.screws import skew
@@ -88,12 +88,10 @@ def _require_pressing(data: Data, W_o: np.ndarray, of_arms: np.ndarray) -> None:
 
 
 def _pushing(W_o: np.ndarray, names: list[str]) -> np.ndarray:
-    """Internal forces of fingertips (N,): all push, as evenly as they can, 1 N in the mean."""
     try:
-        forces = internal_forces(W_o.T, form="nonnegative", names=names).basis[:, 0]
+        return pressing_forces(W_o.T, names)
     except GraspError as error:
         raise ControlError(f"control.squeeze: {error}") from None
-    return forces / np.mean(forces)
 
 
 def _towards_the_middle(model: Model) -> np.ndarray:

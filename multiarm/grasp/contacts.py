@@ -287,6 +287,8 @@ def _numbered(count: int) -> tuple[str, ...]:
 Shape = tuple[Any, ...]
 # Messages show arrays of up to this many numbers, and the shape of larger ones.
 SHOWN = 7
+# How far the product of a rotation matrix with its transpose may be from the identity.
+RIGID = 1e-6
 
 
 def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False) -> np.ndarray:
@@ -322,6 +324,16 @@ def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False)
         first = int(np.argwhere(wrong)[0, 0])
         raise GraspError(f"{needed}; number {first + 1} is {array[first].tolist()}")
     return array
+
+
+def pose_of(values: Any, needed: str) -> np.ndarray:
+    """A pose (4, 4), rigid but for seven digits; else a GraspError that begins with ``needed``."""
+    pose = numbers_of(values, needed, (4, 4))
+    R = pose[:3, :3]
+    off = max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max())
+    if off > RIGID or np.linalg.det(R) < 0.0:
+        raise GraspError(needed)
+    return pose
 
 
 def _fits(lengths: Shape, shape: Shape) -> bool:

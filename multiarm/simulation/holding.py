@@ -33,6 +33,7 @@ from multiarm.dynamics.solver.bounds import RANK_TOLERANCE
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
+from multiarm.geometry.screws import lever_arm, row_scale
 from multiarm.programs import LinearRows
 from multiarm.results.limit_use import ROUNDING
 
@@ -93,8 +94,7 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
     unloaded = np.concatenate(
         [system.arms[n].gravity_torque(state.joint_positions[n], gravity) for n in system.arm_names]
     )
-    reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
-    scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
+    scale = row_scale(lever_arm(W_o))
     size = float(np.linalg.norm(weight))
     family, _ = forces_for(scale[:, None] * W_o, scale * weight / size, RANK_TOLERANCE)
     left = W_o @ (size * family.least_norm) - weight

@@ -435,7 +435,7 @@ def test_contradictions_are_refused_with_the_offender():
         ({"point_covariance": np.diag([1.0, 1.0, -1.0])}, "negative eigenvalue"),
         ({"point_covariance": np.triu(np.ones((3, 3)))}, "symmetric"),
         ({"polygons": [np.eye(3)]}, "as many polygons"),
-        ({"previous": np.eye(3)}, "previous has shape (4, 4)"),
+        ({"previous": np.eye(3)}, "previous is a pose"),
     ],
 )
 def test_unusable_data_are_refused_by_name(change, place):

@@ -149,6 +149,18 @@ def internal_forces(
     return InternalForces(A, screws.rank, chosen, form)
 
 
+def pressing_forces(W_o: np.ndarray, names: Sequence[str] | None = None) -> np.ndarray:
+    """Internal forces (N,) that press all contacts, as evenly as they can, 1 N in the mean.
+
+    Raises
+    ------
+    GraspError
+        No combination presses all contacts.
+    """
+    forces = internal_forces(W_o, "nonnegative", names=names).basis[:, 0]
+    return forces / np.mean(forces)
+
+
 def distribute(
     W_o: np.ndarray,
     wrench: np.ndarray,

@@ -31,7 +31,7 @@ from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
 from multiarm.programs import LinearSolution, linear_program
 from multiarm.scene import meshes
-from multiarm.scene.solids import TOO_THIN, hull_triangles
+from multiarm.scene.solids import TOO_THIN, hull_triangles, moments
 
 # A body of half-spaces is bounded when the origin is inside the hull of their duals by more than
 # this; it has a ball inside that is larger.
@@ -362,8 +362,8 @@ def read_mesh(file: str | Path, scale: float) -> Boundary:
         raise GraspError(f"{file}: {TOO_THIN}")
     check_one_solid(len(vertices), [[tri] for tri in triangles.tolist()], what, REPAIR)
     tolerance = GROWN * rounding
-    a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
-    volume = float(np.sum(a * np.cross(b, c))) / 6.0
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    volume = moments(vertices, triangles).volume
     surface = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
     if abs(volume) <= 0.1 * tolerance * surface:
         raise GraspError(f"{file}: {TOO_THIN}")

@@ -21,12 +21,10 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.body import boundaries
 from multiarm.grasp.body.face import OFF_PLANE, PLANE_TOLERANCE, Face
-from multiarm.grasp.contacts import numbers_of
+from multiarm.grasp.contacts import numbers_of, pose_of
 from multiarm.notation import count_of
 from multiarm.scene.solids import MassProperties, Moments, moments
 
-ORTHOGONAL = 1e-6
-"""How far a rotation matrix may be from one: it may have been typed with seven digits."""
 Loop = tuple[int, ...]
 """Numbers of corners, in the order in which an edge runs through them."""
 
@@ -289,10 +287,7 @@ class Polyhedron:
         GraspError
             A pose that is not a rotation and a displacement.
         """
-        needed = "a pose has shape (4, 4): a rotation matrix and a displacement in it"
-        X = numbers_of(pose, needed, (4, 4))
-        if not _is_rotation(X[:3, :3]):
-            raise GraspError(needed)
+        X = pose_of(pose, "a pose has shape (4, 4): a rotation matrix and a displacement in it")
         return self._with(self.vertices @ X[:3, :3].T + X[:3, 3], self.rounding)
 
     def centred(self) -> Polyhedron:
@@ -318,7 +313,3 @@ class Polyhedron:
         kinds = Counter(len(face.vertices) for face in self.faces)
         faces = ", ".join(f"{count} with {k} corners" for k, count in sorted(kinds.items()))
         return f"<Polyhedron: {len(self.vertices)} corners, {len(self.loops)} faces ({faces})>"
-
-
-def _is_rotation(R: np.ndarray) -> bool:
-    return bool(np.abs(R.T @ R - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0.0)

@@ -12,7 +12,8 @@ motion proves that there is none.  This module finds one or the other for scaled
 middle of the contacts, with moments over their spread.
 
 Geometrically, closure says that the origin is inside the convex hull of the wrenches.  How far
-inside is the ``distance``: closure survives every change of each wrench by less than it.
+inside is the ``distance``, the quality of Ferrari and Canny (1992) without friction: closure
+survives every change of each wrench by less than it.
 
 - ``N = n + 1``: the hull is a simplex.  With ``G`` the inverse of ``[W; 1 ... 1]``, the last column
   of ``G`` holds the pushes :math:`\lambda_j` (of sum 1) and the rest of row j is the normal

@@ -10,7 +10,7 @@ circumscribed one, which is larger by half a per cent; so a bound holds for the 
 
 **Choices of faces.**  A choice is a multiset of regions for each gripper, which its hand reaches
 from one side (:mod:`multiarm.grasp.designs.grippers`). It can close only if the normals span space
-positively, which needs on both sides of every plane through two of them another one; and no more
+positively, as wrenches that close do (:mod:`multiarm.grasp.closure.balances`); and no more
 than three normals are parallel (thesis, 2.2.1: of seven contacts that close any six are
 independent).
 
@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, combinations_with_replacement, pairwise, permutations
+from itertools import combinations_with_replacement, pairwise, permutations
 from math import comb
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.body.face import across, cut_into_triangles
+from multiarm.grasp.closure.balances import balance
 from multiarm.grasp.contacts import numbers_of, wrenches_of
 from multiarm.grasp.designs.grippers import hand_reaches
 
@@ -194,7 +195,7 @@ def _ring(polygon: Polygon) -> np.ndarray:
 
 # --- Choices of faces that can close --------------------------------------------------------------
 
-# Normals are parallel, or lie on a plane, within this.
+# Normals are parallel within this.
 PARALLEL = 1e-9
 # Most normals that may be parallel, either sense.
 MOST_PARALLEL = 3
@@ -262,19 +263,8 @@ def face_choices(regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, i
 
 
 def positively_spanning(normals: np.ndarray) -> bool:
-    """Whether nonnegative combinations of normals (K, 3) fill space.
-
-    They do not if and only if all lie on one side of a plane through the origin; if they span
-    space, through two of them.
-    """
-    if len(normals) < 4 or np.linalg.svd(normals, compute_uv=False)[2] <= PARALLEL:
-        return False
-    i, j = np.array(list(combinations(range(len(normals)), 2))).T
-    across = np.cross(normals[i], normals[j])
-    length = np.linalg.norm(across, axis=1)
-    across = across[length > PARALLEL] / length[length > PARALLEL, None]
-    height = across @ normals.T
-    return bool(np.all(height.max(axis=1) > PARALLEL) and np.all(height.min(axis=1) < -PARALLEL))
+    """Whether nonnegative combinations of normals (K, 3) fill space: they span it and balance."""
+    return len(normals) > 3 and balance(normals.T, 0.0).closed
 
 
 def _multisets(size: int, count: int) -> int:

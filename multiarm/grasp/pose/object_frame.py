@@ -35,7 +35,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.geometry.screws import skew
-from multiarm.grasp.contacts import numbers_of
+from multiarm.grasp.contacts import numbers_of, pose_of
 from multiarm.grasp.pose.rotations_from_planes import (
     ContactData,
     RotationEquations,
@@ -271,8 +271,6 @@ DEVIATIONS = 5.0
 WITHOUT_ERROR = 1e-5
 # Smallest singular value of the scaled J, over the largest, of a locally unique pose.
 UNIQUE = 1e-7
-# A previous pose is rigid when R R^T is the identity to this.
-RIGID = 1e-6
 # The pose nearest to the previous one is chosen if the next is this factor farther away.
 NEARER = 1.5
 
@@ -465,12 +463,8 @@ def _certainty(data: ContactData, pose: FrameCandidate) -> tuple[float, np.ndarr
 def _previous_pose(previous: Any) -> np.ndarray | None:
     if previous is None or isinstance(previous, ObjectFrame):
         return None if previous is None else previous.pose
-    pose = numbers_of(previous, "previous has shape (4, 4) and finite numbers", (4, 4))
-    R = pose[:3, :3]
-    turned = np.abs(R @ R.T - np.eye(3)).max() < RIGID and np.linalg.det(R) > 0.0
-    if not turned or np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > RIGID:
-        raise GraspError("previous is a pose: a rotation (3, 3) and a position, no scale or mirror")
-    return pose
+    needed = "previous is a pose (4, 4): a rotation and a position, no scale or mirror"
+    return pose_of(previous, needed)
 
 
 def _pose(R: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ import numpy as np
 
 from multiarm.assembly.bases import Stand
 from multiarm.control.object_path import pose_path, reference_motion
-from multiarm.dynamics.forces.internal_forces import distribute, internal_forces
+from multiarm.dynamics.forces.internal_forces import distribute, pressing_forces
 from multiarm.errors import GraspError
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
@@ -334,7 +334,6 @@ def needed_squeeze(contacts: Contacts, wrenches: np.ndarray, least: float) -> fl
     GraspError
         When the contacts are not in form closure.
     """
-    pressing = internal_forces(contacts.wrenches, "nonnegative", names=contacts.names).basis[:, 0]
-    pressing = pressing / np.mean(pressing)
+    pressing = pressing_forces(contacts.wrenches, contacts.names)
     shares = np.array([distribute(contacts.wrenches, wrench) for wrench in wrenches])
     return float(np.max((least - shares) / pressing, initial=0.0))
