@@ -51,6 +51,7 @@ SHAKES = 3  # draws of rounded states
 PROCESSORS = (
     {"OPENBLAS_CORETYPE": "Prescott"},
     {"OPENBLAS_CORETYPE": "Haswell"},
+    {"OPENBLAS_CORETYPE": "SkylakeX"},
     {"OPENBLAS_CORETYPE": "Prescott", "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
 )
 OTHER_ARMS = {"pinocchio": "compiled", "compiled": "pinocchio"}
