@@ -223,7 +223,7 @@ def store_chart(data, base, z):
     copy_numbers(data, places, z)
 
 
-@inlined
+@plain
 def copy_numbers(data, places, z):
     """Copy what the state and a chart's vector share: all numbers but the poses of the frames."""
     for j in range(data.state.joint_positions.size):

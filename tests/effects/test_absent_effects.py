@@ -74,8 +74,10 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
         "pinocchio",
         "dense",
         "coupled",
+        "decomposed",
         "near_singular",
         "row",
+        "command",
     }
     run = ma.simulate(system, 0.02)
     assert not [name for name in run.channels if name.startswith("effects/")]

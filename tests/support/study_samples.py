@@ -48,7 +48,7 @@ def law(solver: str, method: str, kind: str, order: int, cost: float) -> list[Po
 
 def no_samples() -> Trajectory:
     """A run that recorded nothing."""
-    store = MemoryStore((), np.empty((0, 0)), lambda _channels: {}, {})
+    store = MemoryStore((), np.empty((0, 0)), {})
     return Trajectory(store, Outcome("completed", ""))
 
 
