@@ -201,9 +201,10 @@ def planned_step(clock, settings):
     if clock.control_due < stop - near:
         stop = clock.control_due
     if not settings.adaptive:
-        past = math.floor((t - settings.begin) / clock.step + CLOSE_IN_STEP)
+        rounding = min(max(CLOSE_IN_STEP, shortest_step(t) / clock.step), 0.5)  # in steps
+        past = math.floor((t - settings.begin) / clock.step + rounding)
         end = settings.begin + (past + 1) * clock.step
-        if end > stop - CLOSE_IN_STEP * clock.step:
+        if end > stop - rounding * clock.step:
             end = stop
         return end - t, end
     if clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] < stop - near:

@@ -109,8 +109,8 @@ class RunEvent:
         }
 
     def _entry_of(self, side: Side) -> dict[str, Any]:
-        rate = "gap_rate_rad_s" if self.turns else "gap_rate_m_s"
-        numbers = {rate: side.gap_rate, "impulse": side.impulse}
+        of_rate, of_impulse = ("rad_s", "N_m_s") if self.turns else ("m_s", "N_s")
+        numbers = {f"gap_rate_{of_rate}": side.gap_rate, f"impulse_{of_impulse}": side.impulse}
         known = {key: value for key, value in numbers.items() if value is not None}
         return {"state": side.state.word, **known}
 

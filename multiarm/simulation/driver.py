@@ -54,7 +54,7 @@ from multiarm.results.files import RunStatus
 from multiarm.scene import RunSpec
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
-from multiarm.simulation.setup import Run, Task
+from multiarm.simulation.setup import Run, Task, control_end
 from multiarm.tableaus import METHODS
 
 FOR_STIFF_SCENES = "rodas5p"
@@ -124,6 +124,7 @@ class Driver:
         self._pace, self._switch = Pace(run, task.spec), Switch()
         self._settings = struct_of(run.settings)
         self._loaded: tuple[int, str] | None = None
+        self._span = task.data.model.control_span  # None, too, after the control has ended
 
     def load(self) -> None:
         """Load the compiled loop and write the first sample, which is no part of ``wall``."""
@@ -191,6 +192,9 @@ class Driver:
         """
         run, events, fault = self.run, self.events, ""
         reason = advance(run.stepping.struct, run.clock.struct, self._settings, run.block, budget)
+        if self._span is not None and run.clock.t > self._span.end:
+            run.log.add(control_end(self._span))
+            self._span = None
         if events is not None and reason in (EVENT, STOPPED):
             self.event_stops += 1
             fault = events.handle(run, reason == STOPPED)

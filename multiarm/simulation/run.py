@@ -30,7 +30,6 @@ from multiarm.simulation.setup import (
     check_control_span,
     method_and_tolerance,
     prepare,
-    span_notice,
 )
 
 MESSAGE_LENGTH = 600  # [characters], including the summary of events
@@ -82,7 +81,6 @@ def carry_out(
     check_control_span(task.data.model, task.begin, task.end)
     driver = begin(task, sink, tighten)
     run, log = driver.run, driver.run.log
-    log.add(*span_notice(task.data.model, task.end))
     open_sink(sink, system, spec, with_state)
     try:
         driver.load()

@@ -15,7 +15,7 @@ from multiarm.assembly.start import project_start
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.model import ControlSpan, Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System
@@ -306,13 +306,10 @@ def check_control_span(model: Model, begin: float, end: float) -> None:
         )
 
 
-def span_notice(model: Model, end: float) -> list[RunEvent]:
-    """An event where a run until ``end`` [s] leaves the times at which its control is defined."""
-    span = model.control_span
-    if span is None or span.end >= end:
-        return []
+def control_end(span: ControlSpan) -> RunEvent:
+    """The event of a run that leaves the times at which its control is defined."""
     rest = "is zero" if span.outside == "zero" else "holds its last row"
-    return [RunEvent(span.end, EventKind.CONTROL_ENDS, f"{span.what} ends and {rest}")]
+    return RunEvent(span.end, EventKind.CONTROL_ENDS, f"{span.what} ends and {rest}")
 
 
 def _samples(task: Task) -> tuple[int, int]:
@@ -333,7 +330,7 @@ def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
     return Settings(
         begin=task.begin,
         sample_step=float(spec.output_step),
-        sample_times=np.zeros(0) if times is None else times,
+        sample_times=np.zeros(0) if times is None else np.minimum(times, task.end),
         adaptive=tolerance is not None,
         longest_step=positive("max_step", task.longest_step),
         tolerance=1.0 if tolerance is None else tolerance.smallest,

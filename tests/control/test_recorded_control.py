@@ -213,6 +213,24 @@ def test_a_run_longer_than_a_table_of_torques_is_refused_unless_told_what_then(
         assert [e["time"] for e in run.events if e["kind"] == "control ends"] == [1.0]
 
 
+def test_a_control_that_has_not_ended_yet_is_no_event(tmp_path, force_table):
+    """The user stops the run before the end of the table; a stepper passes it in its third call."""
+
+    def stop(t):
+        if t > 0.2:
+            raise KeyboardInterrupt
+
+    system = cart(tmp_path, recorded(force_table, outside="zero"))
+    run = ma.simulate(system, 1.5, integrator="rk4", step=1e-5, progress=stop)
+    assert run.status == "interrupted" and run.time[-1] < 1.0
+    assert "control ends" not in [e["kind"] for e in run.events]
+    stepper, times = ma.Stepper(system, accuracy=1e-6), []
+    for _ in range(4):
+        stepper.advance(0.5)
+        times.append([e["time"] for e in stepper.events if e["kind"] == "control ends"])
+    assert times == [[], [], [1.0], [1.0]]
+
+
 def test_a_table_that_begins_late_is_held_or_zero_before(tmp_path):
     path = write_csv(tmp_path / "late.csv", {"time": [0.2, 0.4], "cart/slide": [3.0, 5.0]})
     with refused(SolverError, "late.csv"):

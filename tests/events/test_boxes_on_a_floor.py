@@ -79,7 +79,7 @@ def test_a_box_that_falls_flat_hits_with_four_corners_at_once(restitution):
     assert hits[0] == pytest.approx(fall_time(0.3), abs=1e-9)
     share = 2.0 * (1 + restitution) * GRAVITY * fall_time(0.3) / 4
     for event in trajectory.events[:4]:
-        assert event["after"]["impulse"] == pytest.approx(share, abs=1e-9)
+        assert event["after"]["impulse_N_s"] == pytest.approx(share, abs=1e-9)
     np.testing.assert_allclose(trajectory.object_position[-1], [0, 0, 0.1], atol=1e-9)
     np.testing.assert_allclose(trajectory.contact_forces["floor"][-1, 1::3], 0.0, atol=1e-9)
 

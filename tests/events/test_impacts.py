@@ -47,7 +47,7 @@ def test_a_ball_bounces_when_a_textbook_says(restitution):
         speed = GRAVITY * fall_time(HEIGHT) * restitution**k
         assert event["before"]["gap_rate_m_s"] == pytest.approx(-speed, abs=1e-8)
         assert event["after"]["gap_rate_m_s"] == pytest.approx(restitution * speed, abs=1e-8)
-        assert event["after"]["impulse"] == pytest.approx((1 + restitution) * speed, abs=1e-8)
+        assert event["after"]["impulse_N_s"] == pytest.approx((1 + restitution) * speed, abs=1e-8)
     assert np.max(np.abs(trajectory.energy_balance)) < 1e-8
 
 

@@ -166,7 +166,7 @@ def test_an_impact_off_the_rail_is_braked_by_the_impulses_in_it():
     assert hit["time"] == pytest.approx(0.05 / speed, abs=1e-9)
     assert hit["after"]["gap_rate_m_s"] == pytest.approx(bounce * speed, rel=1e-9)
     impulse = MASS * (1.0 + bounce) * speed / (1.0 - 2.0 * mu * offset / SIZE)
-    assert hit["after"]["impulse"] == pytest.approx(impulse, rel=1e-9)
+    assert hit["after"]["impulse_N_s"] == pytest.approx(impulse, rel=1e-9)
     assert trajectory.object_twist[-1, 2] == pytest.approx(bounce * speed, rel=1e-9)
 
 

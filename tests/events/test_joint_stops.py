@@ -12,6 +12,7 @@ from mechanics import ur5_pair
 from scipy.optimize import brentq
 
 import multiarm as ma
+from multiarm.results.event_log import change
 
 MASS = 5.0  # [kg] cart and box
 
@@ -34,12 +35,24 @@ def test_a_cart_stops_at_the_end_of_its_rail(tmp_path, restitution):
     assert "cart: slide" in hit["text"] and "its upper limit" in hit["text"]
     assert hit["before"]["gap_rate_m_s"] == pytest.approx(-0.5, abs=1e-10)
     assert hit["after"]["gap_rate_m_s"] == pytest.approx(0.5 * restitution, abs=1e-10)
-    assert hit["after"]["impulse"] == pytest.approx(MASS * 0.5 * (1 + restitution), rel=1e-9)
+    assert hit["after"]["impulse_N_s"] == pytest.approx(MASS * 0.5 * (1 + restitution), rel=1e-9)
+    assert change(hit).endswith(" N s")
     assert trajectory.joint_velocities["cart"][-1, 0] == pytest.approx(-0.5 * restitution, abs=1e-9)
     lost = trajectory.effect_works["impacts"][-1]
     assert lost == pytest.approx(-0.5 * MASS * 0.25 * (1 - restitution**2), abs=1e-9)
     assert np.max(np.abs(trajectory.energy_balance)) < 1e-9
     assert np.max(trajectory.joint_positions["cart"]) < 0.8 + 1e-9
+
+
+def test_a_joint_beyond_its_limit_is_named_with_its_arm(tmp_path):
+    limits = {"range": {"cart": {"slide": [-1.0, 0.8]}}}
+    system = ma.compile_system(ma.Scene(**cart_with_box(tmp_path, {"joint_limits": limits})))
+    state = system.initial_state()
+    state.position[0] += 0.9
+    state.joint_positions["cart"][:] = 0.9
+    ev = ma.evaluate(system, 0.0, state)
+    assert ev.contradictions == ("cart/slide",)
+    assert "cart/slide" in ev.message
 
 
 def test_limits_of_the_robots_file_stop_a_joint_too(tmp_path):
@@ -80,10 +93,10 @@ def test_an_elbow_stops_with_a_held_box():
         certificate=False,
     )
     assert trajectory.status == "completed", trajectory.message
-    assert (
-        "left" in happened(trajectory)[0]["text"]
-        and "elbow_joint" in happened(trajectory)[0]["text"]
-    )
+    hit = happened(trajectory)[0]
+    assert "left" in hit["text"] and "elbow_joint" in hit["text"]
+    assert hit["after"]["gap_rate_rad_s"] == pytest.approx(0.0, abs=1e-9)
+    assert hit["after"]["impulse_N_m_s"] > 0.0
     elbow = trajectory.joint_positions["left"][:, 2]
     assert np.all(np.abs(elbow - start) < 0.02 + 1e-7)
     assert np.max(np.abs(trajectory.energy_balance)) < 1e-4

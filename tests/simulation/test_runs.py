@@ -326,6 +326,26 @@ def test_samples_come_at_the_times_that_are_given(tmp_path):
     np.testing.assert_array_equal(shorter.time, times)
 
 
+@pytest.mark.parametrize(("start", "step"), [(1024.0, 1e-4), (2e4, 1e-3), (1e5, 1e-3)])
+def test_fixed_steps_go_on_at_times_whose_rounding_is_larger_than_that_of_a_step(
+    free_block_system, start, step
+):
+    run = ma.simulate(
+        free_block_system, 50.0 * step, integrator="rk4", step=step, start_time=start,
+        output_step=10.0 * step,
+    )  # fmt: skip
+    assert run.status == "completed", run.message
+    assert run.statistics["steps"] == 50
+    np.testing.assert_allclose(run.time, start + 10.0 * step * np.arange(6), rtol=1e-12)
+
+
+def test_an_output_time_that_a_rounding_puts_after_the_end_is_taken_there(free_block_system):
+    times = [0.0, 0.005, 0.01 + 5e-13]
+    run = ma.simulate(free_block_system, 0.01, integrator="rk4", step=1e-4, output_times=times)
+    assert run.status == "completed"
+    np.testing.assert_array_equal(run.time, [0.0, 0.005, 0.01])
+
+
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_run_when_it_is_streamed(free_block_system, tmp_path):
     """Many more samples, the same peak; the samples themselves would be megabytes more."""

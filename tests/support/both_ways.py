@@ -69,7 +69,7 @@ def event() -> golden.Results:
     return {
         "kind": touches["kind"],
         "time": touches["time"],
-        "impulse": touches["after"]["impulse"],
+        "impulse": touches["after"]["impulse_N_s"],
         "twist": run.object_twist[-1],
     }
 
