@@ -147,7 +147,7 @@ class Arm:
         kind = pin.FrameType.BODY
         if not self.model.existFrame(name, kind):  # a site of an MJCF file
             kind = pin.FrameType.OP_FRAME
-        frame = self.model.frames[self.model.getFrameId(name, kind)]
+        frame = self.model.frames[_frame_id(self.model, name, self.name, kind)]
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
@@ -327,11 +327,11 @@ def _positive_or_infinite(values: np.ndarray) -> np.ndarray:
     return np.where((values > 0) & np.isfinite(values) & (values < 1e300), values, np.inf)
 
 
-def _frame_id(model: pin.Model, frame: str, arm: str) -> int:
-    if not model.existFrame(frame):
+def _frame_id(model: pin.Model, frame: str, arm: str, *kind: pin.FrameType) -> int:
+    if not model.existFrame(frame, *kind):
         names = ", ".join(f.name for f in model.frames if f.type == pin.FrameType.BODY)
         raise ModelError(f"arm '{arm}': no frame '{frame}'; links are {names}")
-    return model.getFrameId(frame)
+    return model.getFrameId(frame, *kind)
 
 
 def _from_urdf(name: str, urdf: Path | str) -> pin.Model:

@@ -281,7 +281,7 @@ class ArmGroup:
 
         update()
         at = _address(data.C)
-        _require_layout(sorted(data.C.strides) == [8, 8 * n] or n == 1, "C is not stored densely")
+        _require_layout(data.C.strides == (8, 8 * n) or n == 1, "C is not stored densely")
         first_dof, group = self._first_dof[:-1], slice(self.place, self.place + len(self.pointers))
         of_group = fields_of(MatrixAddress, matrices[group])
         of_group.at[:], of_group.stride[:] = at + 8 * (n + 1) * first_dof, n

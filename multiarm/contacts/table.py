@@ -250,7 +250,7 @@ def _follows_its_normal(tangent: Contact, contacts: Sequence[Contact | JointRow]
     normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
     return (
         isinstance(normal, Contact)
-        and not normal.tangent
+        and not (normal.tangent or normal.is_combined)
         and (_same(normal.arm, tangent.arm) and _same(normal.object, tangent.object))
     )
 

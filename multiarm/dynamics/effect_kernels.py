@@ -64,9 +64,9 @@ import numpy as np
 
 from multiarm.dynamics.arrays import EFFECTS, open_data
 from multiarm.errors import ModelError
-from multiarm.jit.kernels import cfunc, inlined
+from multiarm.jit.kernels import Kernel, cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
-from multiarm.jit.structs import Numbers, ints1, make_struct, struct_of, view_at
+from multiarm.jit.structs import ints1, make_struct, misfit, struct_of, view_at
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 
@@ -186,6 +186,15 @@ class EffectKernel:
                 f"{type(self.arrays).__name__}; give the one that `view_of_effect` opens"
             )
 
+    def require_usable(self, who: str) -> None:
+        """Raise a ``ModelError`` where a kernel could not be called, or read what is not there."""
+        for kernel in filter(None, (self.kernel, self.derivative)):
+            if not isinstance(kernel, Kernel) or not kernel.is_called_by_address:
+                raise ModelError(f"{who} returned a kernel that is no `multiarm.jit.kernels.cfunc`")
+        fault = misfit(self.arrays)
+        if fault:
+            raise ModelError(f"{who} returned a kernel with wrong arrays: {fault}")
+
 
 class EffectData(NamedTuple):
     """What one kernel reads and writes: places of its power and states, its numbers and arrays."""
@@ -200,7 +209,7 @@ class EffectData(NamedTuple):
 
 
 def _copied(arrays: Any) -> Any:
-    parts = [part.copy() if isinstance(part, (np.ndarray, Numbers)) else part for part in arrays]
+    parts = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
     return type(arrays)._make(parts)
 
 

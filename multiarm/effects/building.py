@@ -190,4 +190,6 @@ def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKer
         raise ModelError(
             f"{who} returned {shown(kernels)}; return a list of multiarm.effects.EffectKernel"
         )
+    for kernel in kernels:
+        kernel.require_usable(who)
     return kernels

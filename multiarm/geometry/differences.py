@@ -98,8 +98,10 @@ def check_certainty(
     """Raise a ModelError where halving the steps of the differences changes the derivatives."""
     coarse, lengths = derivative(x), differences.lengths
     differences.lengths = 0.5 * lengths  # in place, it would be that of all threads
-    error = float(np.max(np.abs(derivative(x) - coarse))) / scale
-    differences.lengths = lengths
+    try:
+        error = float(np.max(np.abs(derivative(x) - coarse))) / scale
+    finally:
+        differences.lengths = lengths
     if not error <= 1e-7:
         raise ModelError(
             f"differences of {name} are uncertain by {error:.1e} (relative) at {shown(x)}; set "

@@ -231,6 +231,8 @@ class Contact:
                 return "a number that is not finite or a direction that is zero"
             if surface.kind in (SPHERE, CYLINDER, TORUS, ELLIPSOID) and min(surface.sizes) < 0.0:
                 return f"a negative size of its surface on the {side}"
+        if self.tangent and self.is_combined:
+            return "a weight or a minus, which no row without slip has"
         return "" if self.minus is None else self.minus.fault()
 
     @property

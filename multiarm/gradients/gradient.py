@@ -236,7 +236,7 @@ def gradient(
     integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
         linearised = LinearisedRun(
-            system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand
+            system, begin, begin + duration, accuracy, start, parameters, np.zeros(0), integrand
         )
 
         def solve(linearisation: Linearisation, report: Done) -> _AdjointSolution:

@@ -114,7 +114,7 @@ class LinearisedRun:
     Parameters
     ----------
     system : System
-    begin, duration : float
+    begin, end : float
         [s]
     accuracy : float or None
         Of the run; None: the scene's.
@@ -146,7 +146,7 @@ class LinearisedRun:
         self,
         system: System,
         begin: float,
-        duration: float,
+        end: float,
         accuracy: float | None,
         start: State | None,
         parameters: Parameters,
@@ -154,7 +154,7 @@ class LinearisedRun:
         integrand: Slope | None = None,
     ) -> None:
         _refuse(system)
-        self.system, self.begin, self.end = system, begin, begin + duration
+        self.system, self.begin, self.end = system, begin, end
         self.bounds, self._integrand = bounds, integrand
         self._start = start
         written = system.scene.run.accuracy

@@ -179,20 +179,18 @@ def sensitivities(
             f"'times' must be after the start of the run at {begin:.9g} s, got {at[0]:.9g} s"
         )
     with displayed(progress, Progress) as show:
-        duration = float(at[-1]) - begin
-        linearised = LinearisedRun(system, begin, duration, accuracy, start, parameters, at)
+        linearised = LinearisedRun(system, begin, float(at[-1]), accuracy, start, parameters, at)
         solution, quality = linearised.to_accuracy(
             lambda linearisation, report: _ForwardSolver(linearised, linearisation).solve(report),
             show,
         )
-    rows, columns = linearised.layout.columns, linearised.layout.columns
-    for path in linearised.paths:
-        columns[path] = slice(end := max(part.stop for part in columns.values()), end + 1)
+    rows, size = linearised.layout.columns, linearised.size
+    of_parameters = {path: slice(size + k, size + k + 1) for k, path in enumerate(linearised.paths)}
     return Sensitivities(
         time=at,
         matrix=np.stack([solution.at[t] for t in at.tolist()]),
         rows=rows,
-        columns=columns,
+        columns=rows | of_parameters,
         states=[linearised.state(t) for t in at.tolist()],
         trajectory=linearised.trajectory,
         **quality._asdict(),

@@ -29,6 +29,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar, get_type_hints
+from zlib import crc32
 
 import numpy as np
 from llvmlite import ir
@@ -158,7 +159,9 @@ class Row(types.Type):
     def __init__(self, kind: type, number: types.Type) -> None:
         self.fields, self.number = _fields(kind), number
         self.lanes = LANES if number is PACK else 1
-        super().__init__(name=f"Row({kind.__module__}.{kind.__qualname__}, {number})")
+        # Numba takes types of one name for one type, and a class may be defined again
+        layout = f"{crc32(repr(self.fields).encode()):08x}"
+        super().__init__(name=f"Row({kind.__module__}.{kind.__qualname__}, {number}, {layout})")
 
 
 @register_model(Row)

@@ -38,6 +38,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from struct import Struct as Format
 from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
+from zlib import crc32
 
 import numpy as np
 from llvmlite import ir
@@ -147,11 +148,12 @@ def misfit(holder: tuple) -> str:
 
     Kernels trust these types; what users make must be looked at.
     """
-    fields = zip(holder._fields, holder, _fields_of(type(holder)), strict=True)  # type: ignore[attr-defined]
-    for name, entry, (kind, axes) in fields:
-        if axes < 0:
-            fits, what = False, "a number or an array"
-        elif axes == 0:
+    hints = get_type_hints(type(holder), include_extras=True)
+    for name, entry in zip(holder._fields, holder, strict=True):  # type: ignore[attr-defined]
+        if not hasattr(hints.get(name), "__metadata__"):
+            return f"{name!r} is not annotated with `multiarm.jit.structs.Floats1` or the like"
+        kind, axes = hints[name].__metadata__[0]
+        if axes == 0:
             fits, what = isinstance(entry, (int, float, np.number, np.bool_)), "a number"
         else:
             dtype = np.dtype(_NUMPY[kind])
@@ -257,7 +259,9 @@ class View(types.Type):
                 kind = View(kind, place if axes == _GROUP else 0)
             self.fields[name] = place, kind, axes
         self.settable = issubclass(holder, Numbers)
-        super().__init__(name=f"View({holder.__module__}.{holder.__qualname__}, {at})")
+        # Numba takes types of one name for one type, and a class may be defined again
+        layout = f"{crc32(repr(self.fields).encode()):08x}"
+        super().__init__(name=f"View({holder.__module__}.{holder.__qualname__}, {at}, {layout})")
 
 
 @register_model(View)

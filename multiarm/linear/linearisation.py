@@ -205,8 +205,8 @@ class LinearSystem:
         return control.ss(
             *self._matrices(inputs, outputs),
             states=list(self.state_names),
-            inputs=list(inputs or self.input_names),
-            outputs=list(outputs or self.output_names),
+            inputs=list(self.input_names if inputs is None else inputs),
+            outputs=list(self.output_names if outputs is None else outputs),
         )
 
     def _matrices(

@@ -17,6 +17,7 @@ from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SolverError
 from multiarm.linear.linearisation import LinearSystem
 from multiarm.linear.modes import Mode
+from multiarm.notation import count_of
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
 from multiarm.results.files import RunStatus
@@ -47,12 +48,14 @@ def modes_trajectory(
     Raises
     ------
     SolverError
-        For a mode that does not exist, or an amplitude that is not greater than 0.
+        For no mode or one that does not exist, or an amplitude that is not greater than 0.
     """
     if not (math.isfinite(amplitude) and amplitude > 0.0):
         raise SolverError(f"amplitude: expected a number greater than 0, got {amplitude!r}")
     count = len(linear.modes)
     chosen = range(1, count + 1) if modes is None else modes
+    if not chosen:
+        raise SolverError(f"modes: none is chosen; the system has {count_of(count, 'mode')}")
     for number in chosen:
         if not 1 <= number <= count:
             raise SolverError(f"mode {number}: the system has modes 1 to {count}")

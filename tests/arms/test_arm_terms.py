@@ -178,6 +178,12 @@ def test_unknown_tip_names_the_links():
         arm_of(find_robot("textbook_6r").urdf, "hand")
 
 
+def test_an_unknown_link_names_the_links():
+    arm = arm_of(find_robot("textbook_6r").urdf, "tool")
+    with refused(ModelError, "'arm'", "'hand'"):
+        arm.link("hand")
+
+
 def test_results_are_copies_of_pinocchios_live_views():
     arm = arm_of(find_robot("textbook_6r").urdf, "tool")
     first = arm.terms(np.full(6, 0.3), np.full(6, 0.5))

@@ -73,6 +73,15 @@ def test_rows_without_slip_lie_in_the_tangent_plane(met):
         np.testing.assert_allclose(W[3:], np.cross(point, W[:3].T).T, atol=1e-10, err_msg=name)
 
 
+def test_slip_does_not_depend_on_the_weight_of_the_normal_row(met):
+    contacts = [replace(met.contact, tangent=k, weight=1.0 if k else 2.0) for k in range(3)]
+    rows, weighted = rolling_rows(met), met.rows(0.0, contacts)
+    np.testing.assert_allclose(weighted.W_o[:, 0], 2.0 * rows.W_o[:, 0], atol=1e-14)
+    for name in ("W_m", "W_o", "c", "phi_dot"):
+        expected = getattr(rows, name)[..., 1:]
+        np.testing.assert_allclose(getattr(weighted, name)[..., 1:], expected, atol=1e-12)
+
+
 def test_slip_is_the_difference_of_the_material_velocities(met):
     rows, pair = rolling_rows(met), met.at(0.0)
     at = met.X_WO[:3, :3] @ pair.on_object + met.X_WO[:3, 3]

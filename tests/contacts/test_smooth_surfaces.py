@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from multiarm.errors import ModelError
+from multiarm.geometry.differences import Differences, check_certainty
 from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 TURN = (0.0, 2.0 * math.pi)
@@ -283,6 +284,19 @@ def test_a_function_that_is_no_distance_is_told_with_its_gradient():
 )
 def test_functions_that_are_not_what_they_should_be_are_refused(make, expected):
     assert expected in message_of(make)
+
+
+def test_differences_keep_their_steps_where_the_function_fails():
+    differences = Differences(lambda x: x, [0.5])
+
+    def fails_at_halved_steps(x):
+        if differences.lengths < 0.5:
+            raise ModelError("the function failed")
+        return x
+
+    with pytest.raises(ModelError):
+        check_certainty("the surface", differences, fails_at_halved_steps, np.ones(1), 1.0)
+    assert differences.lengths.tolist() == [0.5]
 
 
 def test_a_branch_that_loses_complex_numbers_is_noticed_when_the_contact_comes_there():

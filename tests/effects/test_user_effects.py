@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from user_classes import empty_registries, offered
 import multiarm as ma
 from multiarm.effects import APPLIED, EffectKernel
 from multiarm.effects.defaults import defaults
-from multiarm.jit.kernels import cfunc
+from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.structs import Floats1, Ints1
 from multiarm.scene import EFFECTS, dump_scene, parse_scene, with_code
 
 RING = parse_scene((SCENES / "ring_weld.yaml").read_text(), SCENES)
@@ -389,6 +391,46 @@ def test_what_build_returns_is_checked():
             ma.compile_system(RING.replace(effects={"push": {}}))
 
 
+@cfunc
+def overload(_address, _size, _at, t):
+    """Fails after 0.05 s."""
+    return 3 if t > 0.05 else 0
+
+
+class Table(NamedTuple):
+    """Arrays of an effect."""
+
+    places: Ints1
+    points: Floats1
+
+
+class Nested(NamedTuple):
+    """A table within a table."""
+
+    table: Table
+
+
+PLACES, POINTS = np.zeros(2, dtype=np.int64), np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        EffectKernel("push", overload, APPLIED, Table(np.zeros(2), POINTS)),
+        EffectKernel("push", overload, APPLIED, Table(PLACES, np.zeros((3, 4)))),
+        EffectKernel("push", overload, APPLIED, Table(PLACES, np.zeros(6)[::2])),
+        EffectKernel("push", overload, APPLIED, Nested(Table(PLACES, POINTS))),
+        EffectKernel("push", lambda *arguments: 0, APPLIED),
+        EffectKernel("push", overload, APPLIED, derivative=kernel(lambda *arguments: 0)),
+    ],
+    ids=["floats for integers", "two axes", "strided", "nested", "Python", "not by address"],
+)
+def test_kernels_and_arrays_of_users_are_what_compiled_code_expects(kernel):
+    effect_of(lambda t, s: None, build=lambda self, site: [kernel])
+    with refused(ma.MultiarmError, "effects.push"):
+        ma.compile_system(RING.replace(effects={"push": {}}))
+
+
 def test_an_effect_with_usual_parameters_is_a_candidate():
     effect_of(lambda t, s: ma.Loads(), default={"size": 2.0})
     effect_of(lambda t, s: ma.Loads(), "pull")
@@ -418,12 +460,6 @@ def test_the_package_of_the_example_offers_effects_that_scenes_can_name(package,
     for name in points:
         scene = with_code(RING.replace(effects={name: {"at": [0, 0, 1], "strength": 1.0}}))
         assert type(scene.effects.named[name]) is package.Magnet.Spec
-
-
-@cfunc
-def overload(_address, _size, _at, t):
-    """Fails after 0.05 s."""
-    return 3 if t > 0.05 else 0
 
 
 class Overload(ma.Effect):

@@ -691,6 +691,13 @@ def test_runs_without_such_derivatives_are_refused_with_the_reason():
         ma.gradient(ma.compile_system(falling), 2.0, final=height)
 
 
+def test_a_run_ends_at_the_last_time_whatever_its_duration_rounds_to():
+    times, begin = [0.9], 0.2
+    assert begin + (times[-1] - begin) < times[-1]
+    S = ma.sensitivities(ma.compile_system(CHAINS["open loop"]), times, start_time=begin)
+    assert S.trajectory.time[-1] == S.time[-1] == times[-1]
+
+
 def test_wrong_questions_are_answered_with_the_remedy():
     pair = CHAINS["open loop"]
     assert_refused(SceneError, "'object.mass'", pair, parameters="object.mass")

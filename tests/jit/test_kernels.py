@@ -8,6 +8,7 @@ import math
 import os
 import subprocess
 import sys
+from collections import namedtuple
 from pathlib import Path
 from threading import Barrier, Thread
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from mechanics import data_of
+from numba import njit
 from repository import ROOT
 from scipy.spatial.transform import Rotation
 
@@ -123,7 +125,19 @@ def test_the_fields_of_groups_stand_one_after_the_other_in_a_struct():
 
 
 def test_numbers_of_users_have_no_groups():
-    assert misfit(Groups(things(), 0.5, things())) == "'first' is not a number or an array"
+    assert misfit(Groups(things(), 0.5, things())).startswith("'first' is not annotated")
+    assert misfit(namedtuple("Bare", "first")(1.0)).startswith("'first' is not annotated")
+
+
+def test_a_class_that_is_defined_again_has_its_own_fields():
+    def first_of(*names):
+        holder = NamedTuple("Again", [(name, Float) for name in names])
+        open_again = view(holder)
+        return njit(lambda struct: open_again(struct).first)(struct_of(holder(*range(len(names)))))
+
+    assert first_of("first", "second") == 0.0
+    assert first_of("second", "first") == 1.0
+    assert first_of("second", "third", "first") == 2.0
 
 
 def test_views_do_not_exist_in_python():

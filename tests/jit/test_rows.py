@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba import njit
 
 from multiarm.jit.kernels import kernel
 from multiarm.jit.rows import (
@@ -113,3 +114,11 @@ def test_interpreted_rows_are_the_same_and_know_where_they_end(lanes, rng):
     np.testing.assert_array_equal(fields.vector, fields.pair[:, 3:])
     with pytest.raises(IndexError):
         _python_row(Every, lanes)(numbers, 1)
+
+
+def test_a_class_that_is_defined_again_has_its_own_fields():
+    def first_of(*names):
+        open_again = row_of(NamedTuple("Again", [(name, Number) for name in names]))
+        return njit(lambda row: open_again(row).first)(np.arange(2.0))
+
+    assert (first_of("first", "second"), first_of("second", "first")) == (0.0, 1.0)

@@ -439,6 +439,7 @@ def test_the_system_goes_to_the_package_control(cart):
     linear = ma.linearise(cart())
     found = linear.to_control(inputs=["a/rail/torque"], outputs=["a/rail"])
     assert isinstance(found, control.StateSpace) and found.output_labels == ["a/rail"]
+    assert linear.to_control(inputs=[]).input_labels == []
     np.testing.assert_allclose(np.sort_complex(control.poles(found)), eigenvalues(linear))
 
 
@@ -455,7 +456,7 @@ def test_modes_move_on_the_joints():
     )  # fmt: skip
     assert 0.03 < np.abs(moved).max() < 0.06
     assert "damping ratio" in shown.events[0]["text"]
-    for wrong in ({"modes": [99]}, {"amplitude": 0.0}):
+    for wrong in ({"modes": [99]}, {"modes": []}, {"amplitude": 0.0}):
         with refused(SolverError, *wrong):
             modes_trajectory(linear, **wrong)
 

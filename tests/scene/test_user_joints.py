@@ -473,6 +473,8 @@ GOOD = [Contact("a", point(np.zeros(3)), plane(np.zeros(3), [0, 0, 1]))]
         lambda self: two_contacts("a", "b", "a1", parent="c"),
         lambda self: two_contacts("a1", "a"),
         lambda self: two_contacts("a1", "a", parent=""),
+        lambda self: [GOOD[0], replace(GOOD[0], tangent=1, weight=2.0)],
+        lambda self: [GOOD[0], replace(GOOD[0], tangent=1, minus=GOOD[0])],
     ],
 )
 def test_records_that_cannot_be_are_one_clear_error(records):

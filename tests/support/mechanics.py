@@ -326,8 +326,10 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     answer = PythonCallback(user_surface_callback(table.functions, query), Status())
     codes, columns = fields_of(Code, table.codes), fields_of(ContactRow, rows)
     for k in range(n):
-        if codes.kind[k] == PAIR:
-            places[codes.shape[k]] = near[k]
+        first = codes.first_part[k]
+        for piece in (k, codes.normal_part[k] or k, *range(first, first + codes.parts[k])):
+            if codes.kind[piece] == PAIR:
+                places[codes.shape[piece]] = near[k]
         write_row(
             k, arm, body, table.codes, table.geometry, table.shapes, answer.address, rows, parts,
             relative, query, places, located,
