@@ -55,6 +55,7 @@ from multiarm.jit.rows import fields_of
 RADIUS = 0.1
 # Largest motion of any part altogether [rad, fractions of the scene's size].
 FARTHEST = 0.5
+MOST_STEPS = 120
 
 
 def scene_size(data: Data) -> float:
@@ -106,6 +107,7 @@ class Outcome(Enum):
     CLOSED = "the gaps are closed"
     STUCK = "no motion reduces the gaps"
     FAR = "a part moved too far"
+    TOO_SLOW = "gaps were left after the last step"
 
 
 @dataclass(frozen=True)
@@ -142,8 +144,8 @@ def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
     begin = posture = linkage.posture()
     radius, crossings, ranks = RADIUS, 0, linkage.branches(begin)
     guards = np.zeros((0, linkage.unit.size))
-    outcome = Outcome.STUCK
-    for _ in range(120):
+    outcome = Outcome.TOO_SLOW
+    for _ in range(MOST_STEPS):
         if posture.worst <= tolerance:
             outcome = Outcome.CLOSED
             break
@@ -155,6 +157,7 @@ def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
         if not promised > 1e-8:  # of the squared gaps
             out = None if guards.size else _buckled(linkage, posture)
             if out is None:
+                outcome = Outcome.STUCK
                 break
             posture, radius = out, RADIUS
             continue

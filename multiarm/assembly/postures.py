@@ -86,11 +86,12 @@ class PostureSearch:
 
         def accepted(posture: np.ndarray, _number: int) -> bool:
             nonlocal coincide
-            coincide = True
+            coincide = coincide or not shifted
             return allowed is None or allowed(posture)
 
         for search, starts in self._searches():
-            if coincide and any(k < 3 for k in search.free):
+            shifted = any(k < 3 for k in search.free)
+            if coincide and shifted:
                 continue
             if search.farther_than_it_reaches(self.place) is None:
                 rng = np.random.default_rng(0)

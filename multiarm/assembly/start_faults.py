@@ -6,6 +6,7 @@ import numpy as np
 
 from multiarm.assembly.loop_closure import (
     FARTHEST,
+    MOST_STEPS,
     Closing,
     Linkage,
     Outcome,
@@ -82,13 +83,17 @@ def cannot_close(
         why = f"{names[worst]} would have to move by more than "
         why += f"{FARTHEST * linkage.unit[worst]:.3g} rad or m for it, which is no correction"
     else:
-        left = {
-            arm: f"{gap:.3g} m at '{_worst_contact(data, arm)}'"
+        gaps_left = ", ".join(
+            f"{arm}: {gap:.3g} m at '{_worst_contact(data, arm)}'"
             for arm, gap in gaps_by_arm(data).items()
-        }
-        why = "no motion of the arms and the object lessens what then is left, "
-        why += ", ".join(f"{arm}: {text}" for arm, text in left.items())
-        why += "; the arms are at the end of their reach, or have too few joints for these contacts"
+        )
+        if end.outcome is Outcome.TOO_SLOW:
+            why = f"{MOST_STEPS} steps were too few, {gaps_left} is left"
+        else:
+            why = (
+                f"no motion of the arms and the object lessens what then is left, {gaps_left}; "
+                "the arms are at the end of their reach, or have too few joints for these contacts"
+            )
         stopped = joints_at_limit(data)
         if stopped:
             why += f"; at a limit: {', '.join(stopped)}"

@@ -2,8 +2,8 @@
 
 Both are read in blocks, so that memory does not grow with the length of the run.  Compared are
 position of the object [m], its rotation (the angle of the relative quaternion) [rad], the joints of
-every arm (sliding ones in m, turning ones in rad) and the contact forces of every arm [N], of those
-contacts that both runs have.
+every arm (sliding ones in m, turning ones in rad) and the contact forces of every arm and of the
+floor [N], of those contacts that both runs have.
 
 *Undetermined forces.*  Where the constraints are dependent, the equations leave some forces open,
 and the reported ones depend on roundings.  At samples whose rank is below the number of contacts
@@ -28,6 +28,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data
+from multiarm.results.channels import channels_of
 from multiarm.results.trajectory import Trajectory
 
 POSITION, ROTATION, FORCE = "position_m", "rotation_rad", "force_N"
@@ -48,7 +49,7 @@ class Output:
     channel: str
     columns: np.ndarray
     others: np.ndarray  # the columns of the other run
-    arm: str = ""  # empty for the object
+    arm: str = ""  # or "floor"; empty for the object
 
     @property
     def name(self) -> str:
@@ -62,7 +63,7 @@ class Difference:
 
     kind: str
     noun: str  # of the output
-    arm: str = ""  # empty for the object
+    arm: str = ""  # or "floor"; empty for the object
     worst: float = 0.0
     time: float = 0.0  # [s], of the largest difference
     size: float = 0.0  # of the values themselves
@@ -92,7 +93,7 @@ class Comparison:
 
 
 def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
-    """Outputs that are compared: the object's position and rotation, joints and forces by arm."""
+    """Outputs that are compared: the object's pose, joints of the arms, contact forces."""
     place, turn = np.arange(3), np.arange(4)
     outputs = [
         Output("object position", POSITION, "object/position", place, place),
@@ -105,12 +106,14 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
             columns = np.flatnonzero(units == UNITS[kind])
             if columns.size:
                 outputs.append(Output(noun, kind, joints.name, columns, columns, arm))
-        name = f"arms/{arm}/contact_force"
+    for owner, name in channels_of(run.channels, "contact_force").items():
+        if name not in other.channels:
+            continue
         labels, others = (r.channels[name].labels for r in (run, other))
         columns = np.flatnonzero([label in others for label in labels])
         if columns.size:
             same = np.flatnonzero([label in labels for label in others])
-            outputs.append(Output("contact forces", FORCE, name, columns, same, arm))
+            outputs.append(Output("contact forces", FORCE, name, columns, same, owner))
     return outputs
 
 

@@ -143,21 +143,38 @@ def test_a_posture_near_the_limits_is_found(name, rng):
 
 def test_sliding_joints_are_sought_as_far_as_they_go_and_however_short_they_are(tmp_path):
     """Travels of 9 m and of 2 cm; a turn either way, or a margin, would leave nothing of them."""
-    path = tmp_path / "gantry.urdf"
-    slides = "".join(
+    arm = gantry(tmp_path, ("1 0 0", 9.0), ("0 1 0", 0.02))
+    q = np.array([8.7, 0.017])
+    np.testing.assert_allclose(posture_search(arm, arm.tip_pose(q)).best(), q, atol=1e-7)
+
+
+def test_frames_that_cannot_coincide_are_sought_up_to_the_limits_where_no_other_posture_is_allowed(
+    tmp_path,
+):
+    """Two slides along x, below their place; the joint slides along z."""
+    arm = gantry(tmp_path, ("1 0 0", 1.0), ("1 0 0", 1.0))
+    there = arm.tip_pose(np.array([0.9, 0.9]))
+    there[2, 3] += 0.1
+    posture = posture_search(arm, there, free=(2,)).best(lambda q: q[0] > 0.97)
+    assert posture is not None and posture[0] > 0.97
+    assert posture.sum() == pytest.approx(1.8, abs=1e-7)
+
+
+def gantry(folder, *slides: tuple[str, float]) -> Arm:
+    """Slides on each other, each with its axis and its travel [m]."""
+    joints = "".join(
         f"<joint name='j{k}' type='prismatic'><parent link='l{k}'/><child link='l{k + 1}'/>"
         f"<axis xyz='{axis}'/><limit lower='0' upper='{travel}' effort='1' velocity='1'/></joint>"
-        for k, (axis, travel) in enumerate([("1 0 0", 9.0), ("0 1 0", 0.02)])
+        for k, (axis, travel) in enumerate(slides)
     )
     links = "".join(
         f"<link name='l{k}'><inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' "
         f"ixz='0' iyz='0'/></inertial></link>"
-        for k in range(3)
+        for k in range(len(slides) + 1)
     )
-    path.write_text(f"<robot name='gantry'>{links}{slides}</robot>")
-    arm = robot(urdf=path, tip="l2")
-    q = np.array([8.7, 0.017])
-    np.testing.assert_allclose(posture_search(arm, arm.tip_pose(q)).best(), q, atol=1e-7)
+    path = folder / "gantry.urdf"
+    path.write_text(f"<robot name='gantry'>{links}{joints}</robot>")
+    return robot(urdf=path, tip=f"l{len(slides)}")
 
 
 def whole_ranges(arm: Arm) -> np.ndarray:
@@ -165,9 +182,11 @@ def whole_ranges(arm: Arm) -> np.ndarray:
     return np.where(endless, [-np.pi, np.pi], arm.position_limits).T
 
 
-def posture_search(arm: Arm, there: np.ndarray, body: ObjectSpec | None = None) -> PostureSearch:
+def posture_search(
+    arm: Arm, there: np.ndarray, body: ObjectSpec | None = None, free: tuple[int, ...] = ()
+) -> PostureSearch:
     body = body or ObjectSpec(mass=1.0, shape={"sphere": 1e-3}, pose=pose_table(far_off(there)))
-    return PostureSearch(arm, np.eye(4), there, (), body)
+    return PostureSearch(arm, np.eye(4), there, free, body)
 
 
 def far_off(there: np.ndarray) -> np.ndarray:

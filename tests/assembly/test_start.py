@@ -60,6 +60,15 @@ def test_a_near_start_is_closed_by_the_arms_alone_and_reported():
     assert report.object_shift == 0.0 and report.object_turn == 0.0
 
 
+def test_a_start_whose_gaps_still_shrink_is_not_called_out_of_reach(monkeypatch):
+    monkeypatch.setattr("multiarm.assembly.loop_closure.MOST_STEPS", 1)
+    joint = {"kind": "weld", "at": displaced(at_tip("left"), [0.02, -0.01, 0.01], [0.1, 0.1, 0.0])}
+    with pytest.raises(SceneError) as caught:
+        ma.compile_system(ur5_pair(joint, {"kind": "weld"}))
+    assert "steps were too few, left: " in str(caught.value)
+    assert "reach" not in str(caught.value)
+
+
 def test_an_object_out_of_the_arms_reach_gives_way():
     """A planar arm cannot lift its tip; the object comes down to it."""
     body = {"shape": {"sphere": 0.2}, "mass": 1.0, "pose": {"xyz": [1.0, 0.2, 0.005]}}

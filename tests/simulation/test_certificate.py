@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from certificate_calibration import run_trial
 from commands import multiarm
+from event_scenes import box, on_floor
 from mechanics import SHORT, data_of, true_error, ur5_pair
 from refusals import refused
 from repository import ROOT
@@ -321,6 +322,19 @@ def tampered(run, **channels):
         block[name] = block[name] + change(block["time"])
     sink.append(rows_of(recorded, block))
     return sink.finish(run.status, run.message, run.statistics)
+
+
+def test_forces_of_the_floor_are_compared_and_count_where_rank_is_lost():
+    run = ma.simulate(ma.compile_system(on_floor(box(), mu=0.3)), 0.002, certificate=False)
+    floor, (arm,) = "environment/contact_force", run.arm_names
+    pushed = tampered(run, **{floor: lambda t: np.full((t.size, 1), 7.0)})
+    assert compare(run, pushed).outputs["floor: contact forces"].worst == pytest.approx(7.0)
+    force = run.channels[f"arms/{arm}/contact_force"]
+    contacts = force.width + run.channels[floor].width
+    dependent = tampered(run, **{"solver/rank": lambda t: contacts - 1.0 - run.read("solver/rank")})
+    pushed = tampered(dependent, **{force.name: lambda t: np.full((t.size, 1), 7.0)})
+    found = compare(dependent, pushed, {arm: np.ones(force.width, dtype=bool)})
+    assert found.outputs[f"{arm}: contact forces"].left_out == len(run)
 
 
 @pytest.mark.parametrize(
