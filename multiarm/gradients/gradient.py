@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multiarm.control.recorded import DEGREES, polynomials
+from multiarm.control.recorded import INTERPOLATIONS, polynomials
 from multiarm.dynamics.sensitivity import ByPath, Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
@@ -131,9 +131,11 @@ class Gradient:
             When the times do not increase, or the interpolation is unknown.
         """
         rows = increasing_times(times, "times")
-        if interpolation not in DEGREES or len(rows) < 2:
+        if interpolation not in INTERPOLATIONS or len(rows) < 2:
             few = "a table needs two rows or more"
-            fault = few if len(rows) < 2 else unknown("interpolation", interpolation, DEGREES)
+            fault = (
+                few if len(rows) < 2 else unknown("interpolation", interpolation, INTERPOLATIONS)
+            )
             raise ModelError(f"by_torque_table: {fault}")
         coefficients = polynomials(rows, np.eye(len(rows)), interpolation)
         # nodes are at the ends of panels, and never at their beginnings
@@ -408,15 +410,15 @@ def _solved_with_error(
     typical = np.zeros_like(integrand)
     typical[:, 1:] = np.abs(stages) @ collocated.scale
     return _PanelSolution(
-        start,
-        weights @ integrand,
-        weights @ np.abs(integrand),
-        weights @ typical,
-        np.einsum("idn,id->in", at.B, stages),
-        start_error,
-        weights @ (_integrand(at, error_stages) + of_series),
-        float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
-        weights @ np.abs(of_series),
+        start=start,
+        integrals=weights @ integrand,
+        magnitudes=weights @ np.abs(integrand),
+        typical=weights @ typical,
+        torque_density=np.einsum("idn,id->in", at.B, stages),
+        start_error=start_error,
+        integral_errors=weights @ (_integrand(at, error_stages) + of_series),
+        series_error=float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
+        series_integrals=weights @ np.abs(of_series),
     )
 
 

@@ -431,8 +431,7 @@ def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, 
     system = ma.compile_system(scene)
     jumped = ma.compile_system(scene.replace({path: value_at(scene, path) + change}))
     parameter = Parameter(system, "object.mass")
-    for weight in list(parameter._systems)[2:]:
-        parameter._systems[weight] = jumped
+    parameter._systems[2:] = [jumped, jumped]
     for state in (None, system.initial_state()):
         with refused(SceneError, "object.mass"):
             parameter.of_start(0.0, state)
