@@ -69,11 +69,12 @@ class Gradient:
     trajectory : Trajectory
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.run_series`).
     error : float
-        Estimated error of the derivatives, relative to the largest; of those by numbers of the
-        scene relative to what each adds up of over the run, or where that is a rounding, to what it
-        would be if the number's size changed the accelerations as a whole.  What the error of the
-        run itself changes is a part of it: the difference from derivatives along a second run with
-        a tenth of the tolerance (:mod:`multiarm.gradients.linearised_run`).
+        Estimated error of the derivatives.  By start and torques: relative to the largest.  By a
+        number of the scene: relative to the integral of its integrand's magnitude over the run, or,
+        where that is a rounding, to what it would be if a change of the number by its size changed
+        the accelerations by theirs.  It contains what the error of the run itself changes: the
+        difference from derivatives along a second run with a tenth of the tolerance
+        (:mod:`multiarm.gradients.linearised_run`).
     digits : int
         How many are right, by this error; 0 of a chaotic run that is too long.
     message : str
