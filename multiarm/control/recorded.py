@@ -27,7 +27,7 @@ from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.structs import Flag, Floats1, Floats3, struct_at
 from multiarm.scene.control import RecordedControl
 
-DEGREES = {"hold": 0, "linear": 1, "cubic": 3}
+INTERPOLATIONS = {"hold": 0, "linear": 1, "cubic": 3}
 
 
 class RecordedTorques(NamedTuple):

@@ -73,6 +73,8 @@ class Effect:
         What it adds, in a sentence of everyday words.
     example : str
         The effect in YAML, as a scene has it.
+    default : mapping, optional
+        Typical parameters, with which the effect's influence on a scene is estimated.
     spec : Spec
         The validated parameters.
     """
@@ -80,6 +82,7 @@ class Effect:
     class_sort: ClassVar[str] = "effect"
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
+    default: ClassVar[Mapping[str, Any] | None] = None
     name: ClassVar[str] = ""
     Spec: ClassVar[type] = UserSpec
 

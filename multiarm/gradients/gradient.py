@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multiarm.control.recorded import DEGREES, polynomials
+from multiarm.control.recorded import INTERPOLATIONS, polynomials
 from multiarm.dynamics.sensitivity import ByPath, Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
@@ -69,11 +69,12 @@ class Gradient:
     trajectory : Trajectory
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.run_series`).
     error : float
-        Estimated error of the derivatives, relative to the largest; of those by numbers of the
-        scene relative to what each adds up of over the run, or where that is a rounding, to what it
-        would be if the number's size changed the accelerations as a whole.  What the error of the
-        run itself changes is a part of it: the difference from derivatives along a second run with
-        a tenth of the tolerance (:mod:`multiarm.gradients.linearised_run`).
+        Estimated error of the derivatives.  By start and torques: relative to the largest.  By a
+        number of the scene: relative to the integral of its integrand's magnitude over the run, or,
+        where that is a rounding, to what it would be if a change of the number by its size changed
+        the accelerations by theirs.  It contains what the error of the run itself changes: the
+        difference from derivatives along a second run with a tenth of the tolerance
+        (:mod:`multiarm.gradients.linearised_run`).
     digits : int
         How many are right, by this error; 0 of a chaotic run that is too long.
     message : str
@@ -131,9 +132,11 @@ class Gradient:
             When the times do not increase, or the interpolation is unknown.
         """
         rows = increasing_times(times, "times")
-        if interpolation not in DEGREES or len(rows) < 2:
+        if interpolation not in INTERPOLATIONS or len(rows) < 2:
             few = "a table needs two rows or more"
-            fault = few if len(rows) < 2 else unknown("interpolation", interpolation, DEGREES)
+            fault = (
+                few if len(rows) < 2 else unknown("interpolation", interpolation, INTERPOLATIONS)
+            )
             raise ModelError(f"by_torque_table: {fault}")
         coefficients = polynomials(rows, np.eye(len(rows)), interpolation)
         # nodes are at the ends of panels, and never at their beginnings
@@ -408,15 +411,15 @@ def _solved_with_error(
     typical = np.zeros_like(integrand)
     typical[:, 1:] = np.abs(stages) @ collocated.scale
     return _PanelSolution(
-        start,
-        weights @ integrand,
-        weights @ np.abs(integrand),
-        weights @ typical,
-        np.einsum("idn,id->in", at.B, stages),
-        start_error,
-        weights @ (_integrand(at, error_stages) + of_series),
-        float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
-        weights @ np.abs(of_series),
+        start=start,
+        integrals=weights @ integrand,
+        magnitudes=weights @ np.abs(integrand),
+        typical=weights @ typical,
+        torque_density=np.einsum("idn,id->in", at.B, stages),
+        start_error=start_error,
+        integral_errors=weights @ (_integrand(at, error_stages) + of_series),
+        series_error=float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
+        series_integrals=weights @ np.abs(of_series),
     )
 
 

@@ -172,7 +172,7 @@ class LinearisedRun:
         self._values: dict[float, VariationalEquation] = {}
         self._built: dict[tuple[Panel, int], Segment] = {}
         # of segments: the defects of their series, and the errors that they alone may make
-        self._quality: dict[tuple[Panel, int], tuple[float, float]] = {}
+        self._segment_errors: dict[tuple[Panel, int], tuple[float, float]] = {}
 
     @cached_property
     def _run(self) -> RunSeries:
@@ -222,7 +222,7 @@ class LinearisedRun:
         times = nodes(*panel, degree)
         pairs = zip(times, self._run.states(times), strict=True)
         segment = Segment(panel, [self._equation_at_node(t, state) for t, state in pairs])
-        self._quality[key] = segment.defect, segment.error
+        self._segment_errors[key] = segment.defect, segment.error
         if len(self._built) * segment.numbers < MOST_KEPT:
             self._built[key] = segment
         return segment
@@ -263,7 +263,7 @@ class LinearisedRun:
             words = "derivatives of the comparison run"
             comparison = solve(_ComparisonRun(self), partial(_show, show, self.count, words))
         error = solution.error + solution.difference(comparison)
-        return solution, _quality(error, self.tolerance, self.end)
+        return solution, _assess(error, self.tolerance, self.end)
 
     def _along_the_run(
         self, solve: Callable[[Linearisation, Done], AnySolution], show: Report
@@ -310,9 +310,9 @@ class LinearisedRun:
         allowed = COARSE * self.tolerance
         while True:
             for k, key in enumerate(self._segments):
-                if key not in self._quality:
+                if key not in self._segment_errors:
                     self.segment(k)
-            errors = np.array([self._quality[key][1] for key in self._segments])
+            errors = np.array([self._segment_errors[key][1] for key in self._segments])
             long = np.array([panel.length > self._shortest for panel, _ in self._segments])
             coarse = (errors > allowed) & long
             if not coarse.any():
@@ -324,7 +324,7 @@ class LinearisedRun:
         large = min(0.5 * self.tolerance / self.count, segment_errors.max())
         segments = []
         for (panel, degree), segment_error in zip(self._segments, segment_errors, strict=True):
-            defect, _ = self._quality[panel, degree]
+            defect, _ = self._segment_errors[panel, degree]
             if segment_error < large:
                 segments.append((panel, degree))
             elif finer := [
@@ -389,7 +389,7 @@ class _ComparisonRun:
         return self._states[t]
 
 
-def _quality(error: float, tolerance: float, end: float) -> Quality:
+def _assess(error: float, tolerance: float, end: float) -> Quality:
     right = max(0, math.floor(-math.log10(max(error, EPSILON))))
     if right >= FEW or (right > 0 and error <= EXPECTED * tolerance):
         return Quality(error, right, "")

@@ -83,15 +83,16 @@ class Panel(NamedTuple):
 
 
 class Halving(NamedTuple):
-    """How a panel came to be divided, which goes on as long as that lessens its error."""
+    """What halving a panel has gained; panels are halved as long as that lessens their errors."""
 
-    error: float = math.inf
-    vain: int = 0
+    error: float = math.inf  # of the panel that was halved last
+    without_gain: int = 0  # halvings in sequence that have not lessened the error
 
     def next(self, error: float, part: float) -> Halving | None:
         """What comes after this error of a panel, a part of the run; None: no further division."""
-        vain = self.vain + 1 if error > LESSENED * self.error else 0
-        return Halving(error, vain) if part > SHORTEST and vain < PATIENCE else None
+        without_gain = self.without_gain + 1 if error > LESSENED * self.error else 0
+        divided = part > SHORTEST and without_gain < PATIENCE
+        return Halving(error, without_gain) if divided else None
 
 
 WHOLE = Halving()

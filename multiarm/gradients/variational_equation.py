@@ -52,7 +52,7 @@ from multiarm.simulation.setup import positive
 
 # Displacement of a difference, as part of the size of a number of the scene; numbers below the
 # second may be roundings of zero, and have the size 1.
-PART, ROUNDING = 1e-3, 1e-6
+PART, PARAMETER_IS_ZERO = 1e-3, 1e-6
 # In place of lengths that are zero.
 TINY = 1e-300
 # Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
@@ -171,13 +171,13 @@ class Parameter:
                 f"{place(parts)}: expected a number to differentiate by, got {shown(value)}"
             )
         if size is None:
-            size = abs(value) if abs(value) > ROUNDING else 1.0
+            size = abs(value) if abs(value) > PARAMETER_IS_ZERO else 1.0
         self.path, self.size = path, positive(f"parameters[{path!r}]", size)
         self._system, step = system, PART * self.size
-        self._systems = {
-            weight / step: _with_value(system, path, value + offset * step)
-            for offset, weight in zip(*CENTRAL_4, strict=True)
-        }
+        self._weights = np.array(CENTRAL_4.weights) / step
+        self._systems = [
+            _with_value(system, path, value + offset * step) for offset in CENTRAL_4.offsets
+        ]
 
     def of_start(self, t: float, state: State | None) -> np.ndarray:
         """The derivative of the state in which runs begin at a time [s], shape (D,).
@@ -191,16 +191,19 @@ class Parameter:
         """
         try:
             start = _start(self._system, state)
-            ends = {w: _start(system, state) for w, system in self._systems.items()}
+            ends = [_start(system, state) for system in self._systems]
         except ModelError as error:
             raise SceneError(
                 f"{self.path}: derivatives by it need runs from `state` in scenes with values "
                 "nearby, and these cannot begin there; name a smaller size, "
                 f"`parameters={{{self.path!r}: ...}}` ({error})"
             ) from None
-        changes = np.array([displacement(start, end) for end in ends.values()])
+        changes = np.array([displacement(start, end) for end in ends])
         before, _ = self._evaluated(self._system, t, start)
-        after = [self._evaluated(self._systems[w], t, end)[0] for w, end in ends.items()]
+        after = [
+            self._evaluated(system, t, end)[0]
+            for system, end in zip(self._systems, ends, strict=True)
+        ]
         faster = (np.array(after) - before) / max(1.0, np.abs(before).max())
         if _jump(changes, START_ROUNDINGS) or _jump(faster, ACCELERATION_ROUNDINGS):
             raise SceneError(
@@ -210,7 +213,7 @@ class Parameter:
                 "(`system.initial_state().joint_positions`); else name another size, "
                 f"`parameters={{{self.path!r}: ...}}`"
             )
-        return np.array(list(ends)) @ changes
+        return self._weights @ changes
 
     def at(self, t: float, state: State, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
         """The derivatives of the state's rate, and of the state itself as it follows the joints.
@@ -233,7 +236,7 @@ class Parameter:
         SolverError
             When the parameter moves contacts that can open.
         """
-        weights, systems = np.array(list(self._systems)), list(self._systems.values())
+        weights, systems = self._weights, self._systems
         moves = np.zeros((len(systems), 2 * state.layout.nv))
         evaluated = [self._evaluated(system, t, state) for system in systems]
         gaps = np.array([residuals for _, residuals in evaluated])

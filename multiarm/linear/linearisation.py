@@ -260,6 +260,7 @@ def linearise(
         turn = slice(6 * f + 3, 6 * f + 6)
         chart[turn, :p] += 0.5 * np.cross(twist[3:], at.displacement[turn], axisb=0, axisc=0)
     inner = D.rows["effect_state_rates"]
+    first_force = D.rows["contact_forces"].start
     forces = np.r_[D.rows["contact_forces"]]
     forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
     names = [f"object/{component}" for component in OBJECT] + system.model.joint_names
@@ -281,7 +282,7 @@ def linearise(
         output_names=(
             *names,
             *(f"{name}'" for name in names),
-            *(_force_name(system, int(row) - size) for row in forces),
+            *(_force_name(system, int(row) - first_force) for row in forces),
         ),
     )
 
