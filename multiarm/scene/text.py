@@ -13,7 +13,7 @@ import re
 import stat
 from collections.abc import Callable, Hashable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 
@@ -133,17 +133,37 @@ class _Loader(yaml.SafeLoader):
             raise _fault(f"there are more than {MOST_VALUES:,} values, those of '*' counted", event)
         return node
 
-    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict:
-        """Refuse keys that stand twice."""
-        seen: set[Hashable] = set()
-        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
-            key = self.construct_object(key_node, deep=True)
-            if isinstance(key, Hashable) and key in seen and key_node.tag != _MERGE:
-                raise _fault(f"key {shown(key)} stands twice in one table", key_node)
-            seen.add(key if isinstance(key, Hashable) else shown(key))
-        return super().construct_mapping(node, deep=deep)
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        """Refuse keys that stand twice, and put what '<<' takes over among a table's entries.
 
-    def construct_merge(self, node: yaml.Node) -> None:
+        Of two entries with one key the table's own counts, then that of the first table named.
+        """
+        node = super().compose_mapping_node(anchor)
+        entries: dict[Hashable, tuple[yaml.Node, yaml.Node]] = {}
+        taken_over: dict[Hashable, tuple[yaml.Node, yaml.Node]] = {}
+        for key_node, value_node in node.value:
+            if key_node.tag == _MERGE:
+                several = isinstance(value_node, yaml.SequenceNode)
+                for table in value_node.value if several else [value_node]:
+                    if not isinstance(table, yaml.MappingNode):
+                        self.construct_merge(key_node)
+                    for entry in table.value:
+                        taken_over.setdefault(self._key(entry[0]), entry)
+                continue
+            key = self._key(key_node)
+            if key in entries:
+                raise _fault(f"key {shown(key)} stands twice in one table", key_node)
+            entries[key] = key_node, value_node
+        node.value = [*{**taken_over, **entries}.values()]
+        return node
+
+    def _key(self, node: yaml.Node) -> Hashable:
+        key = self.construct_object(node, deep=True)
+        if not isinstance(key, Hashable):
+            raise _fault(f"a key is a text or a number, got {shown(key)}", node)
+        return key
+
+    def construct_merge(self, node: yaml.Node) -> NoReturn:
         """Refuse '<<' where there is nothing to take over."""
         raise _fault("'<<' stands for the entries of tables: write '<<: *name'", node)
 
