@@ -22,7 +22,7 @@ from multiarm.scene.run import STEPS_CHOSEN_BY
 from multiarm.scene.values import written
 
 # A key, a key in quotes, a number in a list.
-_PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']*)'\]|\["([^"]*)"\]|\[(\d+)\]""")
+_PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']+)'\]|\["([^"]+)"\]|\[(\d+)\]""")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def parse_path(text: str) -> Parts:
         match = _PART.match(keys, at)
         if match is None or (match[1] and (match[0][0] == ".") != bool(parts)):
             break
-        parts.append(int(match[4]) if match[4] else next(p for p in match.groups()[:3] if p))
+        parts.append(int(match[4]) if match[4] else match[1] or match[2] or match[3])
         at = match.end()
     if at < len(keys) or not parts:
         raise _fault(

@@ -302,10 +302,10 @@ def items_of(*lengths: int) -> dict[str, int]:
 
 def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
     value = as_list(value)
-    if isinstance(value, (list, tuple)) and len(value) == 3:
+    if isinstance(value, (int, float)):
+        numbers: tuple[float, ...] = (_number(value),) * 3
+    elif isinstance(value, (list, tuple)) and len(value) == 3:
         numbers = number_list(value)
-    elif isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
-        numbers = (float(value),) * 3
     else:
         raise fault(f"must be a number, or a list of 3 for {axes}, got {shown(value)}")
     if min(numbers) < 0.0:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, tostring
@@ -95,7 +96,7 @@ def replay(
 
     trajectory = require_trajectory(trajectory, "ma.replay(trajectory)")
     for name, value in (("fps", fps), ("speed", speed)):
-        if not 1.0 / LARGEST_RATE <= value <= LARGEST_RATE:
+        if not isinstance(value, Real) or not 1.0 / LARGEST_RATE <= value <= LARGEST_RATE:
             raise ReplayError(
                 f"{name} must be a number from {1.0 / LARGEST_RATE:g} to {LARGEST_RATE:g}, got "
                 f"{shown(value)}"

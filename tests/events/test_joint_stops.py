@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 import multiarm as ma
 from multiarm.results.event_log import change
+from multiarm.scene.text import parse_yaml
 
 MASS = 5.0  # [kg] cart and box
 
@@ -260,4 +261,8 @@ def test_a_robot_without_a_range_is_told(tmp_path):
     (tmp_path / "wheel.urdf").write_text(text)
     data = cart_with_box(tmp_path, {"joint_limits": "urdf"})
     data["arms"]["cart"]["urdf"] = str(tmp_path / "wheel.urdf")
-    assert any("gives no joint a range" in line for line in ma.Scene(**data).warnings)
+    (warning,) = (line for line in ma.Scene(**data).warnings if "gives no joint a range" in line)
+    remedy = warning.rpartition("write '")[2].rstrip("'")
+    remedy = parse_yaml(remedy.replace("joint", "slide").replace("lower, upper", "-1, 1"))
+    data["effects"] = {"joint_limits": {"range": remedy}}
+    assert ma.Scene(**data).effects.joint_limits.range == {"cart": {"slide": (-1.0, 1.0)}}

@@ -486,6 +486,8 @@ def test_inertias_that_no_body_has_are_refused(inertia):
         ("arms.floor", {"robot": "ur5"}),
         ("joints", {"left": "weld"}),
         ("objet", 1),
+        ("effects", {"drag": {"linear": 10**310}}),
+        ("control", {"kind": "computed_torque", "stiffness": 10**310}),
     ],
 )
 def test_each_fault_is_told_at_its_place_with_a_way_out(path, value):
@@ -751,6 +753,31 @@ def test_a_key_that_stands_twice_is_a_fault():
     text = yaml.safe_dump(TWO_ARMS) + "\ngravity: [0, 0, 0]\n"
     with refused(SceneError, "'gravity'"):
         parse_scene(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("b: &b {mass: 1, xyz: 2}\nc: {<<: *b, xyz: 3}", {"mass": 1, "xyz": 3}),
+        ("b: &b {mass: 1}\nc: {<<: [*b, {mass: 2, xyz: 2}]}", {"mass": 1, "xyz": 2}),
+        ("b: &b {mass: 1}\nl: [&j {<<: *b, mass: 2}]\nc: {<<: *j, z: 3}", {"mass": 2, "z": 3}),
+        ("b: &b {x: 1}\nl: [&j {<<: *b, x: 2}]\nc: {<<: *j, z: 3}", {"x": 2, "z": 3}),
+    ],
+    ids=["overridden", "several", "of a table that overrides too", "of one letter"],
+)
+def test_a_merge_takes_over_the_entries_that_a_table_does_not_have(text, value):
+    assert parse_yaml(text)["c"] == value
+
+
+@pytest.mark.parametrize("text", ["a: {<<: 3}", "a: {<<: [{b: 1}, c]}", "a: <<"])
+def test_a_merge_of_what_is_no_table_is_refused(text):
+    with refused(SceneError, "'<<'"):
+        parse_yaml(text)
+
+
+def test_a_key_that_is_a_list_is_refused():
+    with refused(SceneError, "line 1, column 7"):
+        parse_yaml("a: {? [1] : 2}")
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "just words"])

@@ -186,6 +186,7 @@ def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
         ({"run.integrator": "rk4"}, "$.run"),
         ({"object..mass": 1}, "'object..mass'"),
         ({"": 1}, "''"),
+        ({"arms['']": 1}, "arms['']"),
         ({"joints[x]": 1}, "'joints[x]'"),
         ({"object mass": 1}, "'object mass'"),
         ({7: 1}, "7"),

@@ -312,6 +312,7 @@ def test_without_meshes_the_file_is_small(trajectory, tmp_path):
         {"path": "no/such/folder/a.html"},
         {"fps": 1e300, "speed": 1e-300},
         {"speed": 1e-320},
+        {"fps": "30"},
     ],
 )
 def test_unusable_options_are_named(trajectory, options):

@@ -201,7 +201,9 @@ class JointLimitsSpec(EffectKind):
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         if self.range != "urdf":
             return []
-        text = "the URDF of arm {!r} gives no joint a range; write a table 'joint: [lower, upper]'"
+        text = (
+            "the URDF of arm {0!r} gives no joint a range; write '{0}: {{joint: [lower, upper]}}'"
+        )
         return [
             (("range",), text.format(arm))
             for arm, known in arms.items()

@@ -136,7 +136,8 @@ class CornerGripperJoint(Joint):
                 f"a corner gripper has 4 points and 4 faces, got {len(self.points)} and "
                 f"{len(self.faces)}; other numbers of fingertips are written as 'kind: contacts'"
             )
-        for number, (point, face) in enumerate(zip(self.points, self.faces, strict=True)):
+        sites = zip(self.points, self.faces, strict=True)
+        for number, (point, face) in enumerate(sites, start=1):
             if abs(point["xyz".index(face)]) > 1e-9:
                 raise fault(
                     f"point {number}, {list(point)}, is not on face {face!r}, where {face} = 0; "

@@ -122,7 +122,8 @@ class Joint(UserKind):
 
     @property
     def z_axis(self) -> Vector:
-        """Direction of the z axis of :meth:`frames` in the joint frame."""
+        """Direction of the z axis of :meth:`frames` in the joint frame: the field ``axis`` or
+        ``normal``, where the kind has one, else z."""
         return getattr(self, "axis", getattr(self, "normal", Z))
 
     @property
