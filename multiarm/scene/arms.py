@@ -8,6 +8,7 @@ joints, without the locked ones, carry the arm's coordinates: ONE number each. J
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -430,16 +431,18 @@ def _locked(
         name: value for name, value in spec.lock.items() if name in joints
     }
     for joint in fixed:
-        if joint.mimic is not None and joint.name not in spec.lock and joint.mimic.joint in locked:
-            source = locked[joint.mimic.joint]
-            locked[joint.name] = joint.mimic.multiplier * source + joint.mimic.offset
-    silently = [j.name for j in fixed if j.name not in spec.lock and _leader(j) not in spec.lock]
-    examination.resting = {name: locked[name] for name in silently}
+        chain = [joint]  # each mimics the next
+        while (mimic := chain[-1].mimic) and chain[-1].name not in spec.lock:
+            if mimic.joint not in locked or joints[mimic.joint] in chain:
+                break
+            chain.append(joints[mimic.joint])
+        for leader, follower in pairwise(reversed(chain)):
+            assert follower.mimic is not None
+            position = follower.mimic.multiplier * locked[leader.name] + follower.mimic.offset
+            locked[follower.name] = position
+        if chain[-1].name not in spec.lock:
+            examination.resting[joint.name] = locked[joint.name]
     return locked
-
-
-def _leader(joint: JointOutline) -> str | None:
-    return None if joint.mimic is None else joint.mimic.joint
 
 
 def _start(

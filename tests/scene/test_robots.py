@@ -322,6 +322,16 @@ def test_lock_chooses_positions_and_mimics_follow():
     assert scene.warnings == []
 
 
+def test_mimics_of_mimics_follow_in_whatever_order_a_file_has_them(tmp_path):
+    finger = "<joint name='{0}' type='revolute'><parent link='l1'/><child link='{0}'/><mimic "
+    finger += "joint='{1}' multiplier='2'/><limit lower='-9' upper='9' effort='1' velocity='1'/>"
+    finger += "</joint><link name='{0}'/>"
+    fingers = "".join(finger.format(*pair) for pair in (("c", "b"), ("b", "a"), ("a", "j1")))
+    path = write_urdf(tmp_path / "hand.urdf", chain_text(["revolute"] * 2, fingers))
+    resolved = resolve_arm(ArmSpec(urdf=path, tip="l1", lock={"j1": 0.25}))
+    assert resolved.locked == {"j1": 0.25, "a": 0.5, "b": 1.0, "c": 2.0}
+
+
 def test_a_locked_joint_of_the_chain_is_no_coordinate():
     resolved = resolve_arm(arm(lock={"panda_joint3": 0.3}, posture=[0, 1, -2, 0, 1, 0]))
     assert "panda_joint3" not in resolved.joint_names
