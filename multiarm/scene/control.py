@@ -72,6 +72,11 @@ class ControlKind(UserKind):
         """Whether its torques carry arms and object at the start."""
         return self.compensates_gravity
 
+    @property
+    def object_waypoints(self) -> tuple[Waypoint, ...]:
+        """Poses that the object is to pass; empty where it is to stay, or may go anywhere."""
+        return ()
+
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms: their places in the control, and texts."""
         return [
@@ -206,6 +211,11 @@ control:
     def compensates_gravity(self) -> bool:
         """Where ``gravity_compensation`` says so."""
         return self.gravity_compensation
+
+    @property
+    def object_waypoints(self) -> tuple[Waypoint, ...]:
+        """Those of ``path``."""
+        return self.path or ()
 
 
 class HarmonicControl(SampledControl):
@@ -403,6 +413,11 @@ class _ObjectControl(SampledControl):
     internal_forces: dict[ArmName, ContactForces] | None = None
     """A table 'arm: forces' [N], one for each contact of the arm's joint; the part that is not
     internal is removed."""
+
+    @property
+    def object_waypoints(self) -> tuple[Waypoint, ...]:
+        """Those of ``path``."""
+        return self.path or ()
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Internal forces of arms that are none."""

@@ -150,7 +150,7 @@ def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     from multiarm.control.object_path import pose_path, reference_pose, route
 
     start = trajectory.object_position[0], trajectory.object_quaternion_xyzw[0].copy()
-    waypoints = getattr(trajectory.scene.control, "path", None)
+    waypoints = trajectory.scene.control.object_waypoints
     if not waypoints:
         return start
     pose = Pose(xyz=start[0].tolist(), quaternion_xyzw=start[1].tolist())

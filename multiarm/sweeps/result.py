@@ -175,8 +175,8 @@ class Sweep:
     def trajectory(self, run: int) -> Trajectory:
         """Simulate one run once more.
 
-        Warns when the version of the program, a file or a function that the sweep names has
-        changed: the numbers may differ then.
+        Warns when the version of the program, or a file that the scene names, has changed: the
+        numbers may differ then.
 
         Raises
         ------

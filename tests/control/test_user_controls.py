@@ -33,6 +33,7 @@ from multiarm.scene import CONTROLS, Scene, dump_scene, named_code, parse_scene
 from multiarm.scene.control import BUILT_IN
 from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
+from multiarm.sweeps.quantities import measure
 from multiarm.sweeps.run import Context
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
@@ -195,6 +196,21 @@ def test_a_compiled_control_of_one_s_own_drives_bit_for_bit_as_ours():
     ma.register_control(Push)
     own = run_of({"kind": "push", "pushes": TORQUES})
     require_equal(own, run_of({"kind": "constant", "torques": TORQUES}))
+
+
+def test_a_field_named_path_is_no_path_of_the_object():
+    """A file of a table, say."""
+
+    class Played(Push):
+        kind: Literal["played"] = "played"
+        path: str
+
+    ma.register_control(Played)
+    run = run_of({"kind": "played", "pushes": TORQUES, "path": "table.csv"})
+    numbers, fault = measure(["final_position_error"], run)
+    assert fault == ""
+    moved = np.linalg.norm(run.object_position[-1] - run.object_position[0])
+    assert numbers["final_position_error"] == pytest.approx(moved, rel=1e-12)
 
 
 def test_derivatives_of_laws_that_can_be_held_are_those_of_all_whatever_status_each_returns():
