@@ -234,7 +234,8 @@ STRIP_POINTS = 12_000
 def contact_states(trajectory: Trajectory) -> Figure | None:
     """A row for each contact that can open, slide or stick; None for a run without such contacts.
 
-    Bars change at samples; changes between two samples are visible as events only.
+    Bars change at samples, those of a long run at some of them; changes in between are visible as
+    events only.
     """
     named = channels_of(trajectory.channels, "contact_state")
     rows = [

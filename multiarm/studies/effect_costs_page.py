@@ -63,7 +63,8 @@ def summary(ledger: Ledger) -> str:
             change = _change(ledger, entry, quantity)
             keep.append(f"{entry.name} ({_cost(entry)}, {change})")
         else:
-            doubt = "undecided, as its run does not meet the requested accuracy"
+            whose = "the scene's own" if entry.certified else "its"
+            doubt = f"undecided, as {whose} run does not meet the requested accuracy"
             remainder.append(f"{entry.name} is {doubt}")
     them = "it" if len(go) == 1 else "them"
     sentences = (

@@ -172,6 +172,10 @@ def test_an_effect_that_does_nothing_can_go_and_is_said_to(own):
     assert not result.can_go(entry_of(result, "joint_damping"))
     assert nothing.changes[PATH].value == 0.0
     assert sentence(result, nothing).endswith(", changes nothing beyond the noise: leave it out")
+    doubtful = replace(result, run={**result.run, "certified": False})
+    assert not doubtful.can_go(nothing), "the run that it is compared with misses the accuracy"
+    assert "leave it out" not in sentence(doubtful, nothing)
+    assert "nothing is undecided" in summary(doubtful)
 
 
 @pytest.mark.slow

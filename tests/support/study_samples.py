@@ -94,7 +94,8 @@ def sample_ledger() -> Ledger:
         asked_by_scene=True,
         run={
             "status": "completed", "integrator": "dop853", "stabilization": "projection",
-            "evaluations": 1000, "milliseconds": 10.0, "certificate": "met", "repeats": 9,
+            "evaluations": 1000, "milliseconds": 10.0, "certificate": "met", "certified": True,
+            "repeats": 9,
         },
         entries=(
             entry("joint_damping", PRESENT, 0.03, 0.041),
