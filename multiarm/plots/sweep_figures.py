@@ -28,17 +28,16 @@ from matplotlib.ticker import NullLocator
 from multiarm.errors import SweepError
 from multiarm.plots.style import BLUE, INK, RED, STYLE
 from multiarm.results.files import RunStatus
+from multiarm.sweeps.result import LEVELS
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
 
-LEVELS = 24
+MOST_LEVELS = 24
 """Different values that are levels, at most; more are grouped into parts."""
 PARTS = 12
 """Parts of a value without levels, at most, and the runs in each, at least."""
 PART_RUNS = 8
-BAND = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Quantiles that are drawn."""
 WIDE_RATIO = 30.0
 """Ratio of largest and smallest from which an axis is logarithmic."""
 
@@ -68,22 +67,22 @@ def variable(name: str, values: np.ndarray) -> Variable | None:
     if values.dtype.kind in "if":
         at = values.astype(float)
         levels = np.unique(at)
-        few = len(levels) <= LEVELS
+        few = len(levels) <= MOST_LEVELS
         return Variable(name, at, levels if few else None, (), is_wide(at))
     texts = [_text(value) for value in values.tolist()]
     labels = tuple(dict.fromkeys(texts))
-    if len(labels) > LEVELS:
+    if len(labels) > MOST_LEVELS:
         return None
     place = {label: float(k) for k, label in enumerate(labels)}
     at = np.array([place[text] for text in texts])
     return Variable(name, at, np.arange(len(labels), dtype=float), labels, False)
 
 
-def bands(axis: Variable, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places on the axis, shape (L,), and the quantiles ``BAND`` of the values there, (L, 5)."""
+def bands(axis: Variable, values: np.ndarray) -> tuple[np.ndarray, pandas.DataFrame]:
+    """Places on the axis, shape (L,), and the values' quantiles there: a column for each level."""
     runs = pandas.DataFrame({"at": axis.at, "value": _finite(values)}).groupby(axis.part)
-    quantiles = runs["value"].quantile(BAND).unstack().dropna()
-    return runs["at"].median()[quantiles.index].to_numpy(), quantiles.to_numpy()
+    quantiles = runs["value"].quantile(LEVELS).unstack().dropna()
+    return runs["at"].median()[quantiles.index].to_numpy(), quantiles
 
 
 def cells(x: Variable, y: Variable, values: np.ndarray) -> np.ndarray | None:
@@ -200,9 +199,9 @@ def _draw_curve(panel: Axes, axis: Variable, values: np.ndarray, failed: np.ndar
     shown = _thinned(np.flatnonzero(finite))
     panel.plot(axis.at[shown], values[shown], **_RUN)
     if len(places):
-        panel.fill_between(places, quantiles[:, 0], quantiles[:, 4], **_NINE_TENTHS)
-        panel.fill_between(places, quantiles[:, 1], quantiles[:, 3], **_MIDDLE_HALF)
-        panel.plot(places, quantiles[:, 2], **_MEDIAN, label="median")
+        panel.fill_between(places, quantiles[0.05], quantiles[0.95], **_NINE_TENTHS)
+        panel.fill_between(places, quantiles[0.25], quantiles[0.75], **_MIDDLE_HALF)
+        panel.plot(places, quantiles[0.5], **_MEDIAN, label="median")
     lost = _thinned(np.flatnonzero(failed))
     if len(lost):
         panel.plot(

@@ -17,7 +17,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from multiarm.scene.parameters import description_of, summary_of
-from multiarm.scene.registry import ByName, Registry
+from multiarm.scene.registry import USER_KINDS, ByName, Registry
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -72,9 +72,8 @@ class _Generator(GenerateJsonSchema):
         self, schema: core_schema.WrapValidatorFunctionSchema
     ) -> JsonSchemaValue:
         """Add user kinds to ours; tables without a kind have none of them."""
-        registry = getattr(schema["function"]["function"], "__self__", None)
-        kinds = schema["schema"]
-        if not isinstance(registry, Registry) or kinds["type"] != "tagged-union":
+        registry, kinds = schema.get("metadata", {}).get(USER_KINDS), schema["schema"]
+        if registry is None or kinds["type"] != "tagged-union":
             return super().function_wrap_schema(schema)
         choices = {**kinds["choices"], **self._user_classes(registry)}
         all_kinds: Any = {**kinds, "choices": choices}

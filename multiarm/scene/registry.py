@@ -48,15 +48,15 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     SerializeAsAny,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
-    WrapValidator,
     create_model,
     model_validator,
 )
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
@@ -70,6 +70,8 @@ AnyClass = TypeVar("AnyClass", bound=type)
 
 Classes = Mapping[tuple[str, str], type]
 """User classes that were loaded for a scene, by their sort and name."""
+USER_KINDS = "multiarm_user_kinds"
+"""In the metadata of a schema: the registry that adds kinds to those of the schema."""
 
 
 class UserSpec(Spec):
@@ -123,7 +125,7 @@ class UserKind(UserSpec):
         return ""
 
 
-@dataclass
+@dataclass(eq=False)
 class Registry(Generic[Kind]):
     """The user classes of one sort.
 
@@ -285,7 +287,15 @@ class Registry(Generic[Kind]):
         ours: Any = reduce(or_, self.built_in.values())
         tagged: Any = Annotated[ours, Field(discriminator="kind")]
         with_fields: Any = SerializeAsAny[tagged]  # type: ignore[misc]
-        return Annotated[with_fields, WrapValidator(self._read_kind)]
+        return Annotated[with_fields, self]
+
+    def __get_pydantic_core_schema__(
+        self, ours: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Validate a table whose type is annotated with the registry."""
+        return core_schema.with_info_wrap_validator_function(
+            self._read_kind, handler(ours), metadata={USER_KINDS: self}
+        )
 
     def _read_kind(self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo) -> Any:
         """A part with a key ``kind``: ``ours`` reads it if its kind is ours, else a user class."""

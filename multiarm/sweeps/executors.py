@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import threading
 import time
 import warnings
@@ -32,10 +33,6 @@ Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
 IDLE = 10.0
 """[s] after which a process without work ends."""
-ENDED_EARLY = "A worker stopped while some jobs were given to the "
-"""How loky begins to warn of a process that ended for lack of work, or of memory, as work came; it
-starts another.  Where warnings are errors this would end the thread that serves the processes, and
-the sweep would wait for ever."""
 PATIENCE = 30.0
 """[s] to wait for the scheduler of a cluster, and for its first worker."""
 # two classes in Python 3.10
@@ -73,7 +70,7 @@ def _until_a_worker_dies(
 ) -> Generator[Row, None, list[Job]]:
     """Rows as runs end; returns the runs that were under way when a worker died."""
     from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
+    from joblib.externals.loky import process_executor
 
     under_way: dict[int, Job] = {}
 
@@ -89,11 +86,13 @@ def _until_a_worker_dies(
     rows: Generator[Row, None, None] = parallel(tasks())
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", ENDED_EARLY)
+            # It warns of a process that ended for lack of work as work came, and starts another.
+            # An error would end the thread that serves the processes: the sweep would never end.
+            warnings.filterwarnings("ignore", module=re.escape(process_executor.__name__))
             for row in rows:
                 del under_way[row["run"]]
                 yield row
-    except TerminatedWorkerError:
+    except process_executor.TerminatedWorkerError:
         return [*under_way.values()]
     except Exception as error:
         raise _explained(error) from error

@@ -13,13 +13,13 @@ from refusals import refused
 
 from multiarm.errors import SweepError
 from multiarm.plots.sweep_figures import (
-    BAND,
     PARTS,
     bands,
     cells,
     sweep_overview,
     variable,
 )
+from multiarm.sweeps.result import LEVELS
 
 UNITS = {"gap": "m", "force": "N", "never": "J"}
 MASSES, DRAGS = [5.0, 10.0, 20.0], [0.01, 0.1, 1.0, 10.0]
@@ -83,9 +83,9 @@ def test_bands_are_quantiles_of_the_runs_there(sweep):
     axis = variable("object.mass", table["object.mass"].to_numpy())
     places, quantiles = bands(axis, table["gap"].to_numpy(float, na_value=np.nan))
     assert places.tolist() == MASSES
-    for mass, band in zip(MASSES, quantiles, strict=True):
+    for mass, band in zip(MASSES, quantiles.to_numpy(), strict=True):
         there = table.loc[table["object.mass"] == mass, "gap"].dropna().astype(float)
-        np.testing.assert_allclose(band, np.quantile(there, BAND))
+        np.testing.assert_allclose(band, np.quantile(there, LEVELS))
 
 
 def test_a_value_that_always_differs_is_cut_into_parts_of_equally_many_runs(sweep):
