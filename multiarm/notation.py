@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from enum import Enum
+from numbers import Integral
 from typing import Any
 
 
@@ -32,7 +33,7 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
     """A number and its unit: ``2.5e-09 m``, ``1,234 steps``; a dash for None."""
     if value is None:
         return NOTHING
-    if isinstance(value, int):
+    if isinstance(value, Integral):
         text = f"{value:,}"
     else:
         text = f"{value + 0.0:.{digits}g}"

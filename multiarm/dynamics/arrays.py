@@ -187,8 +187,13 @@ def call_derivative(table, k, column, struct, data):
 
 @inlined
 def failure_of_kernel(address, answer, data):
-    """The status that stands for an answer which is not ``OK``; any other than these is noted."""
-    if answer in (CALLBACK_FAILED, KERNEL_FAILED):
+    """The status that stands for an answer which is not ``OK``.
+
+    It is noted, unless a Python function failed, or a law that this one calls and that is noted.
+    """
+    if answer == CALLBACK_FAILED and data.status.failed:
+        return answer
+    if answer == KERNEL_FAILED and data.status.kernel != 0:
         return answer
     data.status.kernel, data.status.answer = address, answer
     return KERNEL_FAILED

@@ -66,7 +66,7 @@ import numpy as np
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel, inlined
 from multiarm.jit.pointers import address_of
-from multiarm.jit.structs import make_struct, misfit, struct_of, view_at
+from multiarm.jit.structs import count_entries, make_struct, misfit, struct_of, view_at
 
 # ``Constants.control`` without a law.
 NO_CONTROL = np.zeros((0, 4), dtype=np.int64)
@@ -85,7 +85,7 @@ def view_of_law(holder: type) -> Callable[[Any, Any], Any]:
 
 def view_of_work(holder: type, numbers: type | None = None) -> Callable[[Any, Any], Any]:
     """Function of kernels ``(struct, at) -> view`` of the work of a law with these numbers."""
-    before = 0 if numbers is None else len(numbers._fields)  # type: ignore[attr-defined]
+    before = 0 if numbers is None else count_entries(numbers)
     open_view = view_at(holder)
 
     @inlined
@@ -161,5 +161,5 @@ def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:
         derivatives = (law.derivative, law.share_derivative)
         addresses = (0 if kernel is None else address_of(kernel) for kernel in derivatives)
         rows.append((address_of(law.kernel), at, *addresses))
-        at += len(law.numbers) + (0 if law.work is None else len(law.work._fields))
+        at += len(law.numbers) + (0 if law.work is None else count_entries(law.work))
     return np.array(rows, dtype=np.int64).reshape(-1, 4)

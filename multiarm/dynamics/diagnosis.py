@@ -41,7 +41,7 @@ ALIKE = 0.1
 LONGEST = 60
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LostMotion:
     """A direction along which an arm cannot move."""
 

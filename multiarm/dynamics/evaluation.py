@@ -117,7 +117,7 @@ def _copied(arrays: tuple, names: Sequence[str]) -> SimpleNamespace:
     return SimpleNamespace(**{name: getattr(arrays, name).copy() for name in names})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ForceDecomposition:
     """Contact forces as what moves the object and what squeezes it.
 

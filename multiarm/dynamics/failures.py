@@ -78,20 +78,20 @@ def _arm_that_failed(data: Data) -> str:
 
 
 def _kernel_text(data: Data) -> str:
-    """Which control law or effect returned an answer of its own, and which."""
+    """Which control law or effect returned which answer of its own."""
     model, status = data.model, data.arrays.status
     kernels = [("effect", k) for e in model.effects.kernels for k in (e.kernel, e.derivative)]
     for law in model.laws:
         of_law = law.kernel, law.derivative, law.share_derivative
         kernels += [("control law", kernel) for kernel in of_law]
-    kind, name = next(
-        (kind, kernel.py_func.__name__)
+    names = (
+        f"the {kind} `{kernel.py_func.__name__}`"
         for kind, kernel in kernels
         if kernel is not None and address_of(kernel) == status.kernel
     )
     return (
-        f"the {kind} `{name}` returned {status.answer}; a kernel returns 0 when it succeeds: look "
-        f"there for what this number stands for"
+        f"{next(names, 'a kernel')} returned {status.answer}; a kernel returns 0 when it succeeds: "
+        f"look there for what this number stands for"
     )
 
 

@@ -44,6 +44,7 @@ from multiarm.dynamics.equations import (
     update_kinematics,
 )
 from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.held_control import without_samples
 from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
@@ -103,7 +104,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     Of generalised forces and rates of effects' states (e), by the columns of the state
     (:mod:`multiarm.dynamics.layout`) and effects' states, shape (6 + n + e, 12 + 2 n + e); None
     where nothing depends on these.  Without ``closed_loop`` the control's torques are held, and
-    drives with states follow these.
+    drives with states follow these; with it, sampled control is taken as continuous.
     """
     model, layout, e = data.model, data.model.layout, data.arrays.effects.states.size
     constants, columns = model.constants, data.arrays.slopes.torque.shape[1]
@@ -115,7 +116,9 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
         prepare_derivatives(data)
     differences = Differences(laws=len(constants.control), follows=follows, order=4)
     applied = np.zeros((layout.nv + e + data.arrays.effects.power.size, columns))
-    require_ok(data, write_applied(data.struct, differences, model.effects.powers, applied))
+    with without_samples(data.arrays.control):
+        status = write_applied(data.struct, differences, model.effects.powers, applied)
+    require_ok(data, status)
     return applied[: layout.nv + e, : 2 * layout.nv + e]
 
 

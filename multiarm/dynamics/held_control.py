@@ -17,6 +17,8 @@ calls the laws, with all terms that they need at hand, and the next ones use wha
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from numbers import Real
 
@@ -33,7 +35,7 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.status import OK
-from multiarm.dynamics.variables import HELD, ONCE
+from multiarm.dynamics.variables import ALWAYS, HELD, ONCE, ControlVariables
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, copy
 from multiarm.jit.pointers import address_of
@@ -86,6 +88,22 @@ def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = Fals
     )
 
 
+@contextmanager
+def without_samples(control: ControlVariables) -> Iterator[None]:
+    """Within this, sampled laws are evaluated every time and act at once; afterwards as before.
+
+    Torques that a caller holds stay.
+    """
+    sampling, held = control.sampling, control.held_torques
+    due, samples, torques = sampling.due, sampling.samples, held.copy()
+    if sampling.mode == ONCE:
+        sampling.due = ALWAYS
+    try:
+        yield
+    finally:
+        sampling.due, sampling.samples, held[:] = due, samples, torques
+
+
 @cfunc
 def hold_torques(address, size, _at, _t):
     """Write the held torques; where a sample is due, let the laws compute them.
@@ -100,7 +118,7 @@ def hold_torques(address, size, _at, _t):
             status = call_listed(model.sampled, k, struct, data)
             if status != OK:
                 return status
-        at_once = not model.sample_delay or sampling.samples == 0
+        at_once = not model.sample_delay or sampling.samples == 0 or sampling.due == ALWAYS
         for j in range(data.control.torque.size):
             held[0, j] = data.control.torque[j] if at_once else held[1, j]
             held[1, j] = data.control.torque[j]

@@ -45,7 +45,7 @@ from multiarm.notation import count_of
 from multiarm.spatial import quaternion_to_matrix
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InverseDynamics:
     """Torques for a desired motion.
 

@@ -525,6 +525,7 @@ class Data:
         reset_guards(self.guards)
         b.solution.forget()
         b.last_step.solution.known = False
+        b.status.kernel = b.status.answer = 0
         b.status.position_change = b.status.velocity_change = 0.0
         b.last_step.lost_directions[:] = 0
         b.last_step.determinant_signs[:] = 0.0

@@ -155,7 +155,7 @@ def imbalance(data, Wo):
         + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
     )
     largest = m * max(abs(a_o[0]), abs(a_o[1]), abs(a_o[2]))
-    small = IMBALANCE_BOUND * max(largest, abs(f_o[0]), abs(f_o[1]), abs(f_o[2]))
+    small = 0.5 * IMBALANCE_BOUND * max(largest, abs(f_o[0]), abs(f_o[1]), abs(f_o[2]))
     square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
     if forces <= small and m * moments * moments <= small * small * square:
         return 0.0
@@ -167,7 +167,8 @@ def relative_imbalance(data, Wo, forces, moments):
     """Residuals of forces [N] and moments [N m] relative to the largest terms."""
     inertia = data.bodies.object_inertia
     radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
-    push = max(LEAST_ACCELERATION * inertia[0, 0], norm(data.forces.f_o[:3], 3))
+    acceleration = max(LEAST_ACCELERATION, norm(data.accelerations.a_o[:3], 3))
+    push = max(inertia[0, 0] * acceleration, norm(data.forces.f_o[:3], 3))
     turn = norm(data.forces.f_o[3:6], 3)
     for a in range(data.rows.force.size):
         force = abs(data.rows.force[a])

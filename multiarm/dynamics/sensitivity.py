@@ -59,7 +59,7 @@ class ByPath(dict[str, Derivative]):
         raise ModelError(f"these derivatives have none by {path}: {known}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sensitivity:
     """Derivatives of one quantity, shape (m,), as blocks of one matrix.
 
@@ -214,7 +214,7 @@ def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
     ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Derivatives:
     """Derivatives of an evaluation by a displacement of the state, by torques and by parameters.
 

@@ -16,7 +16,7 @@ from multiarm.public import public_names
 from multiarm.scene.faults import shown
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class State:
     """Positions and velocities of object and arms.
 

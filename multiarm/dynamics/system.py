@@ -179,7 +179,9 @@ class System:
                 f"{count_of(rows, 'contact')}, free: "
                 f"{', '.join(self.frames[joint.arm].labels) or 'nothing'}"
             )
-        facts["control"] = self.scene.control.kind
+        python = self.model.python_control
+        of_scene = python is None or python.in_scene
+        facts["control"] = self.scene.control.kind if of_scene else "a function in Python"
         facts["effects"] = ", ".join(self.scene.effects.named)
         facts["start"] = "; ".join(self.start_report.lines())
         return facts_html(f"System: {self.scene.name}", facts)

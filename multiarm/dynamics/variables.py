@@ -33,7 +33,7 @@ class Status(Numbers):
 
     failed: Flag  # a Python function that compiled code called has raised an exception
     arm: Int  # of the last ``ARM_INERTIA`` or ``ARM_NOT_FINITE``
-    kernel: Int  # address of the control law, effect or derivative of the last ``KERNEL_FAILED``
+    kernel: Int  # address of the control law, effect or derivative of the last ``KERNEL_FAILED``, 0
     answer: Int  # that this returned
     position_change: Float  # largest change of a coordinate by the last projection [m, rad]
     velocity_change: Float  # the same of the velocities [m/s, rad/s]

@@ -95,6 +95,24 @@ def test_torques_are_held_and_each_is_that_of_its_sample(tmp_path):
     assert np.abs(run.energy_balance).max() < 1e-10
 
 
+@pytest.mark.parametrize("delay", [False, True])
+@pytest.mark.parametrize("in_python", [False, True])
+def test_near_a_state_a_sampled_control_has_the_poles_of_the_continuous_one(
+    tmp_path, in_python, delay
+):
+    """Also in a system that borrows the data of the first call again."""
+    samples = {"sample_time": SLOW, "sample_delay": delay}
+    system = cart(tmp_path, None if in_python else spring(**samples))
+    if in_python:
+        system = system.with_control(pull, **samples)
+    expected = np.roots([MASS, DAMPING, STIFFNESS])
+    for _ in range(2):
+        found = np.linalg.eigvals(ma.linearise(system).A)
+        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=1e-8)
+    held = np.linalg.eigvals(ma.linearise(system, closed_loop=False).A)
+    np.testing.assert_allclose(held, 0.0, atol=1e-7)
+
+
 @pytest.mark.parametrize("control", ["computed_torque", "gravity_compensation"])
 def test_laws_of_the_scene_are_those_of_the_state_at_each_sample(control):
     """A chain of runs with constant torques, each evaluated where the one before has ended."""

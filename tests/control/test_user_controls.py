@@ -25,10 +25,10 @@ from multiarm.control import (
 from multiarm.control.gravity_compensation import carrying_laws
 from multiarm.control.laws import PROGRAMS
 from multiarm.dynamics.effect_kernels import keep_forces
-from multiarm.dynamics.status import BLOCK_FULL, OK
+from multiarm.dynamics.status import BLOCK_FULL, CALLBACK_FAILED, KERNEL_FAILED, OK
 from multiarm.errors import SolverError
 from multiarm.jit.kernels import cfunc
-from multiarm.jit.structs import Float, Floats1, struct_at
+from multiarm.jit.structs import Float, Floats1, Int, struct_at
 from multiarm.scene import CONTROLS, Scene, dump_scene, named_code, parse_scene
 from multiarm.scene.control import BUILT_IN
 from multiarm.sweeps.executors import run_here, run_in_processes
@@ -128,10 +128,20 @@ class Twice(ma.Control):
         return ControlProgram(laws)
 
 
+class Answer(NamedTuple):
+    """What a law returns."""
+
+    number: Int
+
+
+open_answer = view_of_law(Answer)
+
+
 @cfunc
-def give_up(_address, _size, _at, t):
-    """After 0.05 s it has no torques, which is no status of ours."""
-    return 7 if t > 0.05 else 0
+def give_up(address, size, at, t):
+    """After 0.05 s it has no torques."""
+    answer = open_answer(struct_at(address, size), at)
+    return answer.number if t > 0.05 else 0
 
 
 @cfunc
@@ -144,12 +154,16 @@ class GiveUp(ma.Control):
     """A law that fails after a while, and whose derivative always does."""
 
     kind: Literal["give_up"] = "give_up"
+    answer: int = 7
 
     def build(self, context):
         """One that works before it."""
         pushes = Pushes(1.0, np.ones(len(context.stacked(1.0))))
         return ControlProgram(
-            (ControlLaw(push, pushes, keep_forces), ControlLaw(give_up, (), refuse_derivative))
+            (
+                ControlLaw(push, pushes, keep_forces),
+                ControlLaw(give_up, Answer(self.answer), refuse_derivative),
+            )
         )
 
 
@@ -236,15 +250,18 @@ def test_two_laws_of_one_kind_have_their_derivatives_each_in_its_own_memory():
 
 @pytest.mark.parametrize("samples", [{}, {"sample_time": 0.01}])
 @pytest.mark.parametrize("step", [None, 0.01])
-def test_what_a_law_returns_beside_success_ends_the_run_and_is_in_its_message(samples, step):
+@pytest.mark.parametrize("answer", [7, CALLBACK_FAILED, KERNEL_FAILED])
+def test_what_a_law_returns_beside_success_ends_the_run_and_is_in_its_message(
+    samples, step, answer
+):
     ma.register_control(GiveUp)
     run = {**RUN, **({"step": step, "integrator": "rk4"} if step else {})}
     if step:
         del run["accuracy"]
-    system = ma.compile_system(scene_of({"kind": "give_up", **samples}, run=run))
+    system = ma.compile_system(scene_of({"kind": "give_up", "answer": answer, **samples}, run=run))
     ended = ma.simulate(system, certificate=False)
     assert ended.status == "failed" and 0.039 < ended.time[-1] < 0.061
-    assert "control law `give_up` returned 7" in ended.message
+    assert f"control law `give_up` returned {answer};" in ended.message
 
 
 def test_what_the_derivative_of_a_law_returns_beside_success_is_an_error():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -216,6 +216,14 @@ BALANCED = {
     "sliding and pushed": sliding_and_pushed,
     "on a spring": ball_on_a_spring,
 }
+
+
+def test_results_that_have_arrays_are_compared_by_identity():
+    system = ma.compile_system(ma.load_scene(SCENES / "two_ur5_box.yaml"))
+    derivatives = ma.derivatives(system)
+    for result in (system.initial_state(), derivatives, derivatives.object_acceleration):
+        equal = replace(result, layout=result.layout)
+        assert result != equal and len({result, equal}) == 2
 
 
 @pytest.mark.parametrize("case", BALANCED)

@@ -16,7 +16,7 @@ from multiarm.dynamics.solver.bounds import COUPLED_BELOW
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import couple, make_coupled
-from multiarm.dynamics.status import ARM_INERTIA, DEFICIENT, OK
+from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, DEFICIENT, OK
 
 shapes = st.lists(
     st.integers(1, 16).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, min(n, 6)))),
@@ -131,7 +131,7 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     found = np.zeros(6), np.zeros(9), np.zeros(5)
     assert solve_batched(work, Wo, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
-        assert eliminate_arms(work, Wo) == (ARM_INERTIA, 1) and work.pivot[1] == 0.0
+        assert eliminate_arms(work, Wo) == (ARM_NOT_FINITE, 1) and work.pivot[1] == 0.0
     else:
         assert eliminate_arms(work, Wo) == (OK, 0)
         assert not couple(work, coupled, Wo, system.M_o) > 0.0
@@ -275,14 +275,17 @@ def test_a_deficient_arm_among_regular_ones_is_found(rng, which):
 
 
 @pytest.mark.parametrize("which", [0, 3, 4, 8])
-@pytest.mark.parametrize("inertia", [0.0, -1.0, np.nan, np.inf])
-def test_an_arm_without_inertia_is_named(rng, which, inertia):
+@pytest.mark.parametrize(
+    "inertia, failure",
+    [(0.0, ARM_INERTIA), (-1.0, ARM_INERTIA), (np.nan, ARM_NOT_FINITE), (np.inf, ARM_NOT_FINITE)],
+)
+def test_an_arm_without_inertia_is_named(rng, which, inertia, failure):
     system = random_system(rng, SIZES)
     system.M[which][-1, -1] = inertia
     node_work = loaded(system)
     assert solve_in(node_work, system)[0] == DEFICIENT
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    assert eliminate_arms(node_work, Wo) == (ARM_INERTIA, which)
+    assert eliminate_arms(node_work, Wo) == (failure, which)
     assert node_work.pivot[which] == 0.0
 
 

@@ -314,7 +314,7 @@ def test_only_arms_that_cannot_follow_are_coupled(rng):
 
 @pytest.mark.parametrize(
     "matrix, value, failure",
-    [("M", -1.0, ARM_INERTIA), ("M", np.nan, ARM_INERTIA), ("W", np.nan, ARM_NOT_FINITE)],
+    [("M", -1.0, ARM_INERTIA), ("M", np.nan, ARM_NOT_FINITE), ("W", np.nan, ARM_NOT_FINITE)],
 )
 def test_the_arm_that_fails_is_told_apart_from_its_failure(matrix, value, failure, rng):
     system = random_system(rng, [(6, 3)] * 3)

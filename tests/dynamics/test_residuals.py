@@ -9,7 +9,11 @@ from mechanics import data_of
 from repository import SCENES
 
 import multiarm as ma
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.evaluation import evaluate, residuals_of
+from multiarm.dynamics.residuals import imbalance
+from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
+from multiarm.jit.kernels import kernel
 
 ROUNDING = 1e-12  # of sums of some tens of terms
 
@@ -26,6 +30,33 @@ def test_residuals_of_any_accelerations_and_forces_are_those_of_the_matrices(nam
     motion, gaps = np.abs(M @ x - f_j - W @ force), np.abs(W.T @ x - c)
     expected = [np.max(motion[6:]), np.max(motion[:6]), np.max(gaps)]
     np.testing.assert_allclose(list(vars(found).values()), expected, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("components", [[0], [3], [0, 3]], ids=["force", "moment", "both"])
+def test_no_imbalance_above_the_bound_counts_as_none(components):
+    """Of contact forces in one direction, whose sum is much larger than each of them."""
+    data = data_of(ma.compile_system(ma.load_scene(SCENES / "two_ur5_box.yaml")))
+    evaluate(data, 0.0, data.get_state())
+    b = data.arrays
+    mass, push = b.bodies.object_inertia[0, 0], float(len(b.rows.force))
+    radius = np.sqrt(np.trace(b.bodies.object_inertia[3:, 3:]) / mass)
+    b.rows.Wo[:], b.forces.f_o[:], b.accelerations.a_o[:], b.rows.force[:] = 0.0, 0.0, 0.0, 1.0
+    b.rows.Wo[:, 0], b.accelerations.a_o[0] = 1.0, push / mass
+    scale = np.array([push] * 3 + [push * radius] * 3)
+    shares, found = np.geomspace(0.1, 10.0, 40) * IMBALANCE_BOUND, []
+    for share in shares:
+        b.forces.f_o[components] = share * scale[components]
+        found.append(imbalance_of(data.struct))
+    expected, found = len(components) * shares, np.array(found)
+    assert found[0] == 0.0
+    np.testing.assert_allclose(found[found > 0.0], expected[found > 0.0], rtol=1e-4)
+    assert np.all(found[expected > IMBALANCE_BOUND] > 0.0)
+
+
+@kernel
+def imbalance_of(struct):
+    data = open_data(struct)
+    return imbalance(data, data.rows.Wo)
 
 
 def test_a_residual_that_is_not_a_number_is_not_hidden_by_larger_ones():

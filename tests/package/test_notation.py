@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from multiarm.notation import NOTHING, count_of, number, numbers, value_text
@@ -11,7 +12,7 @@ from multiarm.notation import NOTHING, count_of, number, numbers, value_text
     ("value", "text"),
     [(0.0, "0 m"), (-0.0, "0 m"), (5.4e-11, "5.4e-11 m"), (0.9999, "1 m"), (-0.0123, "-0.0123 m"),
      (135.4, "135 m"), (12345.0, "12300 m"), (1000.0, "1000 m"), (1234567.0, "1.23e+06 m"),
-     (12345, "12,345 m"), (None, NOTHING)],
+     (12345, "12,345 m"), (np.int64(12345), "12,345 m"), (None, NOTHING)],
 )  # fmt: skip
 def test_a_number_has_three_digits_its_unit_and_no_prefix(value, text):
     assert number(value, "m") == text

@@ -45,6 +45,11 @@ def test_tables_of_results_name_what_one_looks_for(system, run):
         assert [word for word in words if word not in text] == [], text
 
 
+def test_a_system_shows_the_controller_that_drives_it(system):
+    shown = Page(system.with_control(lambda t, state: {})._repr_html_()).text
+    assert "a function in Python" in shown and "joint_pd" not in shown
+
+
 def test_names_in_tables_are_text_and_no_markup(system):
     named = ma.compile_system(system.scene.replace(name="<script>alert(1)</script>"))
     assert "<script>" not in named._repr_html_()

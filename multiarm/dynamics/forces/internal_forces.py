@@ -54,7 +54,7 @@ FORMS = ("orthonormal", "nonnegative", "echelon")
 PRESSING_TOLERANCE = 1e-7
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InternalForces:
     """A basis of the internal forces.
 
@@ -81,7 +81,7 @@ class InternalForces:
         return self.basis.shape[1]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Decomposition:
     """Contact forces as what moves the object and what squeezes it.
 

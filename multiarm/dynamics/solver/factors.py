@@ -25,7 +25,7 @@ def factor_cholesky(A, n):
     """Cholesky factor of ``A[:n, :n]`` into its lower triangle, the diagonal inverted.
 
     Returns the smallest pivot relative to its diagonal entry; the factor is usable only when that
-    is positive (and not NaN).
+    is positive; 0 where a pivot is NaN.
     """
     smallest = 1.0
     for j in range(n):

@@ -46,7 +46,7 @@ import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
-from multiarm.dynamics.status import ARM_INERTIA, OK
+from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, OK
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, view
@@ -205,9 +205,19 @@ def mobility(L, n, levers):
     return most
 
 
+@kernel
+def failure_of_inertia(M, n):
+    """The status of an arm whose inertia has no Cholesky factor."""
+    for j in range(n):
+        for k in range(j + 1):
+            if not math.isfinite(M[j, k]):
+                return ARM_NOT_FINITE
+    return ARM_INERTIA
+
+
 @inlined
 def eliminate_arm(i, work, Wo):
-    """Factor arm ``i``, and write its ``NodeWork.pivot``; returns ``OK`` or ``ARM_INERTIA``.
+    """Factor arm ``i``, and write its ``NodeWork.pivot``; returns a status.
 
     ``work.M[i]`` is the arm's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
     contact) and ``Wo`` (sum of rows, 6) the object's rows.
@@ -221,7 +231,7 @@ def eliminate_arm(i, work, Wo):
     inertia_pivot = factor_cholesky(L, n)
     if not inertia_pivot > 0.0:
         work.pivot[i] = 0.0
-        return ARM_INERTIA
+        return failure_of_inertia(work.M[i], n)
     forward_columns(L, Y, n, m)
     for a in range(m):
         for b in range(a + 1):
@@ -266,9 +276,8 @@ def add_to_node(i, work):
 def eliminate_arms(work, Wo):
     """Factor all arms, one after the other, from what :func:`eliminate_arm` describes.
 
-    Returns a status, and the arm whose inertia failed where it is ``ARM_INERTIA``.  The pivots are
-    left in ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y``
-    only.
+    Returns a status, and the arm whose inertia failed where it is not ``OK``.  The pivots are left
+    in ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
     """
     work.by_arm[0] = 1
     for i in range(work.dofs.size - 1):

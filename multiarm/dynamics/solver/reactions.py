@@ -45,6 +45,7 @@ from multiarm.dynamics.solver.factors import (
     forward_columns,
 )
 from multiarm.dynamics.solver.node import (
+    failure_of_inertia,
     mobility,
     node_backward,
     node_forward,
@@ -52,7 +53,7 @@ from multiarm.dynamics.solver.node import (
     unconstrained_motion,
 )
 from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
-from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
+from multiarm.dynamics.status import ARM_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
 
@@ -226,7 +227,7 @@ def factor_arm(i, work):
     copy_block(work.Wr[i], n, m, Yr)
     if not factor_cholesky(L, n) > 0.0:
         work.pivot[i] = 0.0
-        return ARM_INERTIA
+        return failure_of_inertia(work.M[i], n)
     forward_columns(L, Y, n, m)
     forward_columns(L, Yr, n, m)
     gram(Y, Y, n, m, K)
