@@ -27,6 +27,7 @@ from multiarm.dynamics.equations import (
     kinematics,
     right_hand_sides,
     solve,
+    solve_again,
     solve_decomposed,
     solve_deficient,
     write_general_row,
@@ -59,6 +60,7 @@ LAZY_FUNCTIONS = {
     "command": control_of_closed,
     "coupled": solve_deficient,
     "decomposed": solve_decomposed,
+    "solve_again": solve_again,
     "row": write_general_row,
     "near_singular": evaluate_near_singular,
 }

@@ -62,12 +62,40 @@ def evaluate_state(struct: INTS, alpha: NUMBER, beta: NUMBER):
     equations and their solution.  ``alpha`` [1/s] and ``beta`` [1/s] are the gains of the drift
     feedback (0: none).
     """
+    status = write_equations(struct, alpha, beta)
+    if status == OK:
+        status = call_cfunc(open_data(struct).functions.solve, struct, 0.0, 0.0)
+    return status
+
+
+@kernel
+def evaluate_projected(struct: INTS, alpha: NUMBER, beta: NUMBER):
+    """:func:`evaluate_state` right after its velocities have been projected.
+
+    The configuration is the same: arms that were eliminated by directions keep their factors.
+    """
+    status, data = write_equations(struct, alpha, beta), open_data(struct)
+    if status != OK:
+        return status
+    functions = data.functions
+    solver = functions.solve_again if keeps_factors(data) else functions.solve
+    return call_cfunc(solver, struct, 0.0, 0.0)
+
+
+@kernel
+def keeps_factors(data):
+    """Whether the factors of the last projection are those of an evaluation that follows."""
+    functions = data.functions
+    return data.solution.elimination == SPLIT and functions.solve == functions.project
+
+
+@kernel
+def write_equations(struct: INTS, alpha: NUMBER, beta: NUMBER):
+    """Write the terms of the equations at the state in ``data``; returns a status."""
     functions = open_data(struct).functions
     status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
     if status == OK:
         status = call_cfunc(functions.forces, struct, alpha, beta)
-    if status == OK:
-        status = call_cfunc(functions.solve, struct, 0.0, 0.0)
     return status
 
 
@@ -279,6 +307,20 @@ def solve_deficient(address, size, _a, _b):
 
 
 @cfunc
+def solve_again(address, size, _a, _b):
+    """Solve with the factors of the last solution, which eliminated some arms by directions.
+
+    Returns a status.
+    """
+    struct = struct_at(address, size)
+    _, data, work = open_system(struct)
+    solve_factored(data, work, open_coupled(struct))
+    if data.solution.imbalance <= IMBALANCE_BOUND:
+        return OK
+    return call_cfunc(data.functions.coupled, struct, 0.0, 0.0)
+
+
+@cfunc
 def solve_decomposed(address, size, _a, _b):
     """The same with no arm eliminated as a whole; returns a status."""
     struct = struct_at(address, size)
@@ -289,21 +331,27 @@ def solve_decomposed(address, size, _a, _b):
 @kernel
 def solve_coupled_arms(data, work, coupled, decompose_all):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
-    rows, forces, accelerations = data.rows, data.forces, data.accelerations
-    status, data.status.arm = eliminate_arms(work, rows.Wo)
+    status, data.status.arm = eliminate_arms(work, data.rows.Wo)
     if status != OK:
         return status
-    pivot = couple(work, coupled, rows.Wo, data.bodies.object_inertia, decompose_all)
+    pivot = couple(work, coupled, data.rows.Wo, data.bodies.object_inertia, decompose_all)
     work.pivot[data.bodies.pointers.shape[0]] = pivot
     if not pivot > 0.0:
         return OBJECT_INERTIA if pivot == pivot else NOT_FINITE
+    write_coupled_solution(data, coupled)
+    solve_factored(data, work, coupled)
+    return OK
+
+
+@kernel
+def solve_factored(data, work, coupled):
+    """Solve for the right-hand sides in ``data`` with the factors of coupled arms."""
+    rows, forces, accelerations = data.rows, data.forces, data.accelerations
     solve_coupled(
         work, coupled, forces.f_o, forces.f_j, rows.c,
         accelerations.a_o, accelerations.a_j, rows.force,
     )  # fmt: skip
-    write_coupled_solution(data, coupled)
-    data.solution.imbalance = imbalance(data, data.rows.Wo)
-    return OK
+    data.solution.imbalance = imbalance(data, rows.Wo)
 
 
 @inlined

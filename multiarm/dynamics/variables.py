@@ -267,6 +267,7 @@ class Functions(Numbers):
     close_gaps: Int  # the projection of a state
     coupled: Int  # the system with deficient arms
     decomposed: Int  # the same with no arm eliminated as a whole
+    solve_again: Int  # the system with deficient arms, its factors known
     command: Int  # torques of the control laws, with unilateral contacts
     row: Int  # a contact other than a tip on a plane, sphere or cylinder
     near_singular: Int  # an evaluation near a loss of rank

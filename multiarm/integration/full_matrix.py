@@ -19,10 +19,25 @@ forces f, their responses :math:`\partial\dot v/\partial f` are columns of the s
     \frac{d\dot v}{dx} = \frac{\partial\dot v}{\partial x}
         + \frac{\partial\dot v}{\partial f}\,\frac{\partial f}{\partial x}.
 
-Elsewhere, and where stages are projected, they are differences of whole evaluations, central in the
-positions, on which everything depends in the most curved way, and forward in the velocities, of
-which accelerations are quadratic functions: 3 (6 + n) evaluations for n joints of all arms, one for
-each state of an effect, and two more, for the time, where there is control or an effect.
+*Projected stages* have the rates of the projected state, whose positions and velocities
+(:mod:`multiarm.integration.projection`) change on the constraints by
+
+.. math::
+    dq' = (1 - P\,W^T)\, dq, \qquad
+    dv' = (1 - P\,W^T)\, dv - P\, \frac{\partial (W^T v)}{\partial q}\, dq', \qquad
+    P = M^{-1} W (W^T M^{-1} W)^{-1},
+
+where P r are the accelerations from the equations without friction for right-hand sides r of the
+contacts.  The rates of their positions are those of :math:`v'`: with the derivatives
+:math:`B', V'` of these, :math:`R = (1/\gamma - hB')^{-1}` and :math:`R V'` take the places of R in
+:math:`k_p` and beside :math:`k_v`.
+
+Elsewhere the derivatives are differences of whole evaluations: where constraints nearly lose rank,
+since accelerations are interpolated there from six states, and where contacts slide while stages
+are projected.  They are central in the positions, on which everything depends in the most curved
+way, and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n)
+evaluations for n joints of all arms, one for each state of an effect, and two more, for the time,
+where there is control or an effect.
 """
 
 from __future__ import annotations
@@ -32,13 +47,18 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state, unit
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
+    columns_of_arm,
+    gap_weight,
     open_equations,
+    open_links,
+    separate_dependent_rows,
     solve_at_once,
     solve_by_arms,
+    stack_equations,
     write_derivatives,
 )
 from multiarm.dynamics.force_derivatives import (
@@ -57,14 +77,15 @@ from multiarm.dynamics.sliding_derivatives import (
     friction_derivatives,
     open_friction,
 )
-from multiarm.dynamics.solver.factors import factor_lu, solve_lu
+from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.integration.arm_stages import turn_frames
-from multiarm.integration.near_singular import ZONE
+from multiarm.integration.near_singular import ZONE, may_cross
 from multiarm.integration.step import Step, slope_at
-from multiarm.jit.kernels import clear, copy, greatest, inlined, kernel, larger
+from multiarm.jit.kernels import allocating, clear, copy, greatest, inlined, kernel, larger
 from multiarm.jit.structs import Floats1, Floats2, Ints1
+from multiarm.jit.vectors import cross, vec
 
 
 class FullMatrix(NamedTuple):
@@ -74,6 +95,11 @@ class FullMatrix(NamedTuple):
     by_position: Floats2  # (M + w, N)
     by_velocity: Floats2  # (M + w, M)
     turned: Floats2  # (M, N)
+    # of projected stages: positions by positions, their rates by velocities and by positions, with
+    # N + contacts rows at first; R, and R times the second
+    projection: Floats2  # (N + contacts, 3 N)
+    positions: Floats2  # (N, N)
+    by_rates: Floats2  # (N, N)
     # factors of the linear system
     matrix: Floats2  # (M, M)
     pivots: Ints1  # (M,)
@@ -96,8 +122,9 @@ class FullMatrix(NamedTuple):
     def memory(self) -> tuple[np.ndarray, ...]:
         """What steps write, which is zero where a run begins."""
         derivatives = self.by_position, self.by_velocity, self.turned, self.matrix
+        projected = self.projection, self.positions, self.by_rates
         differences = self.displaced, self.ahead, self.behind
-        return (*derivatives, self.solution, self.applied, self.row, *differences)
+        return (*derivatives, *projected, self.solution, self.applied, self.row, *differences)
 
 
 def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatrix:
@@ -109,6 +136,9 @@ def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatri
         by_position=np.zeros((size - n, n)),
         by_velocity=np.zeros((size - n, m)),
         turned=np.zeros((m, n)),
+        projection=np.zeros((n + layout.contacts, 3 * n)),
+        positions=np.zeros((n, n)),
+        by_rates=np.zeros((n, n)),
         matrix=np.zeros((m, m)),
         pivots=np.zeros(m, dtype=np.int64),
         equations=equations,
@@ -140,8 +170,11 @@ def differentiate_full(step, full, slope, time_slope, t, h):
 
 @inlined
 def is_smooth(step):
-    """Whether the constraints are far from a change of their rank."""
-    return not step.stage.projects and open_data(step.system).solution.margin >= ZONE
+    """Whether derivatives are exact: the constraints are far from a change of their rank."""
+    data = open_data(step.system)
+    if step.stage.projects:
+        return not may_cross(data) and not data.modes.slides
+    return data.solution.margin >= ZONE
 
 
 # --- exact ----------------------------------------------------------------------------------------
@@ -153,6 +186,8 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
     struct, stage, differences = step.system, step.stage, full.differences
     model, data, _ = open_system(struct)
     status = write_derivatives(struct, full.equations)
+    if status == OK and stage.projects:
+        status = differentiate_projection(struct, full)
     if status == OK and data.modes.slides:
         status = add_friction(struct, full.equations, full.friction)
     if status == OK:
@@ -169,6 +204,8 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
         if data.modes.slides:
             add_friction_power(struct, full)
         write_responses(data, full, time_slope)
+        if stage.projects:
+            follow_projection(data, full)
     return status
 
 
@@ -242,6 +279,74 @@ def write_responses(data, full, time_slope):
         time_slope[places.velocity + i] = row[columns.time]
 
 
+@allocating
+def differentiate_projection(struct, full):
+    """Write ``full.projection`` after the derivatives of the equations; returns a status."""
+    model, data, system = open_system(struct)
+    links, own, Y = open_links(full.equations), open_equations(full.equations), full.projection
+    size, nv, joints = Y.shape[0], full.turned.shape[1], chart_places(data).joints
+    K, pivots = np.zeros((size, size)), np.zeros(size, np.int64)
+    stack_equations(struct, full.equations, K, full.solution)
+    for i in range(size):
+        clear(Y[i])
+    for i in range(system.dofs.size - 1):
+        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+        columns = columns_of_arm(i, n, links, own)
+        for k in range(system.rows[i], system.rows[i + 1]):
+            row, by_gap = Y[nv + k], gap_weight(model, k)
+            for l in range(nv):
+                row[l], row[nv + l] = by_gap * K[nv + k, l], K[nv + k, l]
+            for c in range(columns.twist):
+                row[2 * nv + c] = own.rates[k, c]
+            for j in range(n):
+                row[2 * nv + joints + d0 + j] = own.rates[k, columns.positions + j]
+    separate_dependent_rows(K, nv, data.solution.dependent)
+    if not factor_lu(K, size, pivots) > 0.0:
+        return SINGULAR
+    solve_rows(K, size, pivots, Y)
+    for i in range(nv):
+        for c in range(3 * nv):
+            Y[i, c] = (1.0 if c == i or c == nv + i else 0.0) - Y[i, c]
+    for i in range(nv):
+        copy(Y[i, 2 * nv :], full.row[:nv])
+        multiply(full.row[:nv], Y, 0, Y[i, 2 * nv :])
+    return OK
+
+
+@kernel
+def follow_projection(data, full):
+    """Make derivatives at a projected state those by the state before its projection.
+
+    The frames' rates of rotation vectors follow the latter.
+    """
+    Y, of_positions, of_velocities = full.projection, full.ahead, full.behind
+    nv, joints = full.turned.shape[1], chart_places(data).joints
+    for i in range(full.by_position.shape[0]):
+        by_position, by_velocity = full.by_position[i], full.by_velocity[i, :nv]
+        copy(by_position, of_positions[:nv])
+        copy(by_velocity, of_velocities[:nv])
+        multiply(of_positions[:nv], Y, 0, by_position)
+        multiply(of_velocities[:nv], Y, nv, by_velocity)
+        multiply(of_velocities[:nv], Y, 2 * nv, of_positions[:nv])
+        for c in range(nv):
+            by_position[c] += of_positions[c]
+    for first in range(0, joints, 6):
+        spin = vec(data.state.velocity, first + 3)
+        for axis in range(3):
+            turn = cross(spin, unit(axis))
+            for k in range(3):
+                Y[first + 3 + k, 2 * nv + first + 3 + axis] += 0.5 * turn[k]
+
+
+@inlined
+def multiply(row, matrix, first, out):
+    """``out = row matrix`` with as many columns from ``first`` on as the row has entries."""
+    clear(out)
+    for l in range(row.size):
+        for c in range(out.size):
+            out[c] += row[l] * matrix[l, first + c]
+
+
 # --- differences ----------------------------------------------------------------------------------
 
 
@@ -269,6 +374,8 @@ def differentiate_by_differences(step, full, slope, time_slope, t, h):
         z[j] = step.z[j]
         for i in range(rows):
             full.by_position[i, j] = (ahead[nv + i] - behind[nv + i]) / (2.0 * position_change)
+        for i in range(nv):
+            full.projection[i, 2 * nv + j] = (ahead[i] - behind[i]) / (2.0 * position_change)
     for j in range(m):
         change = relative_change * (fast if j < nv else strong)
         z[nv + j] = step.z[nv + j] + change
@@ -278,6 +385,8 @@ def differentiate_by_differences(step, full, slope, time_slope, t, h):
         z[nv + j] = step.z[nv + j]
         for i in range(rows):
             full.by_velocity[i, j] = (ahead[nv + i] - slope[nv + i]) / change
+        for i in range(nv if j < nv else 0):
+            full.projection[i, nv + j] = (ahead[i] - slope[i]) / change
     return differentiate_by_time(step, full, slope, time_slope, t, h)
 
 
@@ -305,28 +414,52 @@ def differentiate_by_time(step, full, slope, time_slope, t, h):
 
 
 @kernel
-def factor_full(gamma, full, struct, velocity, h):
+def factor_full(gamma, full, struct, projects, velocity, h):
     """Factors of the linear system of all stages; returns whether they can be used.
 
     ``velocity`` is that at the beginning of the step.
     """
-    frames = chart_places(open_data(struct)).joints
+    frames, nv = chart_places(open_data(struct)).joints, full.turned.shape[1]
     m, a = full.matrix.shape[0], 1.0 / gamma
+    if projects and not factor_positions(full, a, h):
+        return False
     for i in range(m):
-        row, by_position = full.turned[i], full.by_position[i]
-        for j in range(row.size):
-            row[j] = by_position[j] / a
-        turn_frames(frames, a, -0.5 * h, velocity, by_position, row)
+        row, by_position, line = full.turned[i], full.by_position[i], full.matrix[i]
         for j in range(m):
-            full.matrix[i, j] = -h * full.by_velocity[i, j]
-        for j in range(row.size):
-            full.matrix[i, j] -= h * h * row[j]
-        full.matrix[i, i] += a
+            line[j] = -h * full.by_velocity[i, j]
+        if projects:
+            multiply(by_position, full.by_rates, 0, row)
+        else:
+            for j in range(nv):
+                row[j] = by_position[j] / a
+            turn_frames(frames, a, -0.5 * h, velocity, by_position, row)
+        for j in range(nv):
+            line[j] -= h * h * row[j]
+        if projects:
+            multiply(by_position, full.positions, 0, row)
+        line[i] += a
     return factor_lu(full.matrix, m, full.pivots) > 0.0
 
 
+@allocating
+def factor_positions(full, a, h):
+    """Write ``full.positions`` and ``by_rates``; returns whether they can be used."""
+    R, Y, nv = full.positions, full.projection, full.positions.shape[0]
+    matrix, pivots = np.zeros((nv, nv)), np.zeros(nv, np.int64)
+    for i in range(nv):
+        for j in range(nv):
+            R[i, j] = 1.0 if i == j else 0.0
+            matrix[i, j] = a * R[i, j] - h * Y[i, 2 * nv + j]
+    if not factor_lu(matrix, nv, pivots) > 0.0:
+        return False
+    solve_rows(matrix, nv, pivots, R)
+    for i in range(nv):
+        multiply(R[i], Y, nv, full.by_rates[i])
+    return True
+
+
 @kernel
-def solve_full_stage(gamma, full, struct, velocity, h, right, out):
+def solve_full_stage(gamma, full, struct, projects, velocity, h, right, out):
     """Solve a stage's system for the right-hand side ``right``, which is overwritten."""
     places = chart_places(open_data(struct))
     m, a = full.matrix.shape[0], 1.0 / gamma
@@ -339,9 +472,16 @@ def solve_full_stage(gamma, full, struct, velocity, h, right, out):
         rates[i] = s
     solve_lu(full.matrix, m, full.pivots, rates)
     for i in range(nv):
-        right[i] += h * rates[i]
-        out[i] = right[i] / a
-    turn_frames(places.joints, a, 0.5 * h, velocity, right, out)
+        if projects:
+            s = 0.0
+            for j in range(nv):
+                s += full.positions[i, j] * right[j] + h * full.by_rates[i, j] * rates[j]
+            out[i] = s
+        else:
+            right[i] += h * rates[i]
+            out[i] = right[i] / a
+    if not projects:
+        turn_frames(places.joints, a, 0.5 * h, velocity, right, out)
     for i in range(m, full.by_position.shape[0]):
         s = right[nv + i]
         for j in range(nv):

@@ -22,12 +22,12 @@ from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
-from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.equations import evaluate_projected, evaluate_state
 from multiarm.dynamics.residuals import constraint_residual
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.dynamics.status import OK
 from multiarm.integration.projection import project
-from multiarm.jit.kernels import cfunc, clear, copy, greatest, kernel
+from multiarm.jit.kernels import cfunc, clear, copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 
@@ -40,12 +40,16 @@ AT_REST = 1e-8
 
 
 @kernel
-def evaluate_on_branch(struct, gap_tolerance, alpha, beta):
+def evaluate_on_branch(struct, gap_tolerance, projected, alpha, beta):
     """:func:`multiarm.dynamics.equations.evaluate_state`, interpolated near a loss of rank.
 
-    ``gap_tolerance`` is the gap that projection leaves [m].
+    ``gap_tolerance`` is the gap that projection leaves [m]; ``projected`` says that the velocities
+    were projected right before.
     """
-    status = evaluate_state(struct, alpha, beta)
+    if projected:
+        status = evaluate_projected(struct, alpha, beta)
+    else:
+        status = evaluate_state(struct, alpha, beta)
     data = open_data(struct)
     if status != OK or data.solution.coupled_arms == 0:
         return status
@@ -58,9 +62,7 @@ def evaluate_near_singular(address, size, alpha, beta):
     """Continue an evaluation in which some arms are deficient, see :func:`evaluate_on_branch`."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    # before a run the rank elsewhere is unknown: the state may be exactly on the crossing
-    unknown = not data.last_step.solution.known and data.solution.dependent > 0
-    if not (data.solution.margin < ZONE or unknown) or model.calls_user:
+    if model.calls_user or not may_cross(data):
         return OK
     fastest = greatest(data.state.velocity)
     if fastest < AT_REST:
@@ -77,6 +79,14 @@ def evaluate_near_singular(address, size, alpha, beta):
         if not believable(data.solution, constraint_residual(model, data, work)):
             exchange_solution(data)
     return status
+
+
+@inlined
+def may_cross(data):
+    """Whether motions may cross so near to the last solution that it is interpolated."""
+    # before a run the rank elsewhere is unknown: the state may be exactly on the crossing
+    unknown = not data.last_step.solution.known and data.solution.dependent > 0
+    return data.solution.margin < ZONE or unknown
 
 
 @kernel
@@ -98,7 +108,7 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         retract(state.poses.shape[0], start, ahead, state.velocity, state.configuration)
         if (
             project(struct, data.interpolation.settings.gap) != OK
-            or evaluate_state(struct, alpha, beta) != OK
+            or evaluate_projected(struct, alpha, beta) != OK
         ):
             return False
         there = max(there, solution.margin)

@@ -13,7 +13,8 @@ semi-implicit Euler, 2 for explicit Euler and 2.79 for RK4; ``FEEDBACK_RATIO`` i
     \min_{\delta v} \tfrac12 \delta v^T M\, \delta v \ \text{ with }\ W^T (v + \delta v) = 0 .
 
 Both are the node system with other right-hand sides (``f = 0``, ``c = -\varphi`` or
-``-\dot\varphi``), so that projection costs as much as an evaluation and stays linear in the arms.
+``-\dot\varphi``), so that each costs as much as an evaluation and stays linear in the arms.  Of
+deficient arms the factors for the velocities serve the evaluation that follows, too.
 Where the constraints lose rank, small gaps that no motion closes to first order (a flat
 parallelogram, redundant contacts) are left.
 """
@@ -25,7 +26,7 @@ import math
 from multiarm.contacts.kernel import greatest_gaps, open_contact
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
-from multiarm.dynamics.equations import solve_constrained, update_kinematics
+from multiarm.dynamics.equations import keeps_factors, solve_constrained, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
 from multiarm.jit.kernels import (
@@ -54,6 +55,15 @@ def project(struct, tolerance):
     The kinematics left in ``data`` are those from before the velocities' correction.
     """
     return call_cfunc(open_data(struct).functions.close_gaps, struct, tolerance, 0.0)
+
+
+@inlined
+def cost_of_projection(data):
+    """Evaluations as which a projection counts, with the evaluation that follows it.
+
+    One for the positions and one for the velocities, unless that evaluation keeps its factors.
+    """
+    return 1 if keeps_factors(data) else 2
 
 
 @cfunc

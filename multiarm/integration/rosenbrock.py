@@ -28,7 +28,7 @@ was rejected leaves its own to the next one, which begins there too.  A law or e
 derivative is differentiated by differences, which compute its forces and the kinematics that these
 need: n of the longest arm twice where it is local, twelve and twice n of all arms elsewhere, and
 none for a function of a user, which knows the state alone.  Whole evaluations are differentiated
-where constraints nearly lose rank, and where stages are projected.
+where constraints nearly lose rank.
 """
 
 from __future__ import annotations
@@ -112,10 +112,11 @@ def rosenbrock_step(address, size, t, h):
         return status
     places = chart_places(open_data(step.system))
     velocity, gamma, right = step.z[places.velocity : places.states], method.gamma, work.right
+    projects = step.stage.projects != 0
     if blocks.used[0] != 0:
         usable = factor_stages(gamma, blocks, step.system, velocity, h)
     else:
-        usable = factor_full(gamma, full, step.system, velocity, h)
+        usable = factor_full(gamma, full, step.system, projects, velocity, h)
     if not usable:
         return NOT_FINITE
     for i in range(method.stages):
@@ -134,7 +135,7 @@ def rosenbrock_step(address, size, t, h):
         if blocks.used[0] != 0:
             solve_arm_stage(gamma, blocks, step.system, velocity, h, right, step.k[i])
         else:
-            solve_full_stage(gamma, full, step.system, velocity, h, right, step.k[i])
+            solve_full_stage(gamma, full, step.system, projects, velocity, h, right, step.k[i])
     combine(step, method.b, method.stages, h, step.z_new)
     return OK
 
@@ -161,13 +162,10 @@ def differentiate_step(step, work, blocks, full, t, h):
 def differentiate_anew(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
     blocks.used[0] = 0
-    status, projected = OK, step.stage.projects
-    if not projected:
-        status = slope_at(step, t, step.z, work.right)
+    status = slope_at(step, t, step.z, work.right)
     if status != OK:
         return status
-    by_arms = not projected and acts_locally(step) and is_regular(step.system)
-    if by_arms:
+    if not step.stage.projects and acts_locally(step) and is_regular(step.system):
         status = differentiate_arms(step, blocks, t, h)
         if status != SINGULAR:
             blocks.used[0] = 1

@@ -29,7 +29,7 @@ from multiarm.dynamics.guards import follow_stage, open_guards
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.near_singular import evaluate_on_branch
-from multiarm.integration.projection import project
+from multiarm.integration.projection import cost_of_projection, project
 from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, cfunc, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import (
@@ -205,7 +205,7 @@ def evaluate_slope(struct, stage, t, z, base, slope):
 
     With ``stage.projects``, the rate is that at the projection of ``z`` onto the
     constraints: the same on the constraints, and smooth where they lose rank, while the rate off
-    them would drive ``z`` away.  A projection counts as two evaluations.
+    them would drive ``z`` away.
     """
     if not finite(z):
         return NOT_FINITE
@@ -213,13 +213,13 @@ def evaluate_slope(struct, stage, t, z, base, slope):
     load_chart(z, base, data)
     stage.evaluations += 1
     if stage.projects:
-        stage.evaluations += 2
         status = project(struct, stage.gap)
+        stage.evaluations += cost_of_projection(data)
         if status != OK:
             return status
     data.time.now = min(t, stage.latest)
     if stage.projects:
-        status = evaluate_on_branch(struct, stage.gap, stage.alpha, stage.beta)
+        status = evaluate_on_branch(struct, stage.gap, True, stage.alpha, stage.beta)
     else:
         status = evaluate_state(struct, stage.alpha, stage.beta)
     if status == OK:

@@ -44,7 +44,7 @@ from multiarm.dynamics.status import (
 )
 from multiarm.integration.dense_output import interpolate, prepare_dense
 from multiarm.integration.near_singular import evaluate_on_branch
-from multiarm.integration.projection import near_loss, project
+from multiarm.integration.projection import cost_of_projection, near_loss, project
 from multiarm.integration.reporting_guards import count_reports
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import error_estimate, open_step, slope_at, stage_slope
@@ -173,13 +173,13 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
     if projects and not projected:
         status = project(struct, settings.gap_tolerance)
         clock.projections += 1
-        clock.evaluations += 2
+        clock.evaluations += cost_of_projection(data)
         if status != OK:
             return status
     data.time.now = t
     clock.evaluations += 1
     if projects:
-        return evaluate_on_branch(struct, settings.gap_tolerance, alpha, beta)
+        return evaluate_on_branch(struct, settings.gap_tolerance, not projected, alpha, beta)
     return evaluate_state(struct, alpha, beta)
 
 

@@ -76,6 +76,7 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
         "coupled",
         "decomposed",
         "near_singular",
+        "solve_again",
         "row",
         "command",
     }

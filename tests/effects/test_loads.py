@@ -472,7 +472,7 @@ def test_a_function_is_asked_about_the_state_itself_where_motions_cross():
     system = ma.compile_system(scene.replace(effects={"external_wrenches": wrenches}))
     state = state_on("four_bar", math.pi + 1e-4, 6.0)
     data_of(system).set_state(0.0, state)
-    assert evaluate_on_branch(data_of(system).struct, 1e-13, 0.0, 0.0) == OK
+    assert evaluate_on_branch(data_of(system).struct, 1e-13, False, 0.0, 0.0) == OK
     assert asked
     for position in asked:
         np.testing.assert_array_equal(position, state.position)

@@ -9,6 +9,7 @@ import pytest
 from mechanics import (
     UR5_POSTURE,
     chain_urdf,
+    data_of,
     first_difference,
     over_floor,
     panda_trio,
@@ -17,6 +18,7 @@ from mechanics import (
     ur5_pair,
 )
 from steps import (
+    CLOSED,
     FORWARD,
     ORDER_8,
     Slope,
@@ -29,6 +31,9 @@ from steps import (
 from user_classes import empty_registries
 
 import multiarm as ma
+from multiarm.dynamics.coordinates import load_chart
+from multiarm.dynamics.status import OK
+from multiarm.integration.projection import project
 from multiarm.problems import HARD_CASES
 
 WELD, BALL, PLANAR = {"kind": "weld"}, {"kind": "ball"}, {"kind": "planar"}
@@ -165,6 +170,60 @@ def test_derivatives_of_dependent_constraints_are_those_of_their_rank(name):
             assert slope.data.arrays.solution.dependent > 0
             assert_derivatives(np.hstack(derivatives_of(system, stepping)), J, roundings)
             assert stepping.step.stage.evaluations == 1 + 7
+
+
+PROJECTED = {
+    "four_bar": HARD_CASES["four_bar"].scene,
+    "bricard": HARD_CASES["bricard"].scene,
+    "parallelogram": HARD_CASES["parallelogram"].scene,
+    "moving welds": lambda: ur5_pair(WELD, BALL, control=MOVING, effects={"joint_damping": 2.0}),
+    "springs": lambda: ur5_pair(WELD, BALL, effects=SPRINGS),
+}
+
+
+@pytest.mark.parametrize("name", PROJECTED)
+def test_derivatives_of_projected_stages_are_those_of_projected_evaluations(name):
+    """By all of the state, of which displacements off the joints are projected back.
+
+    A projected stage counts as two evaluations where arms are deficient, and keep the factors of
+    the projection, else as three.
+    """
+    displacement, bound = (1e-7, 1e-4) if name == "bricard" else (1e-3, 1e-7)
+    system = ma.compile_system(PROJECTED[name]())
+    n = system.model.layout.nv
+    run = ma.simulate(system, 0.2, integrator="dop853", tolerance=1e-11, output_step=0.1)
+    for k in range(3):
+        state = state_of(system, run, k)
+        slope = Slope(system, state, projects=True)
+        J = slope.jacobian(2 * n, displacement)
+        stepping = step_of_the_package(system, state, 1e-3, projects=True)
+        full, deficient = stepping.work[2], slope.data.arrays.solution.coupled_arms > 0
+        exact = np.hstack([full.by_position, full.by_velocity[:, :n]])
+        assert_derivatives(exact, J[n:], bound)
+        of_rates = full.projection[:n]
+        assert_derivatives(np.hstack([of_rates[:, 2 * n :], of_rates[:, n : 2 * n]]), J[:n], bound)
+        assert deficient == (name in HARD_CASES)
+        assert stepping.step.stage.evaluations == (2 if deficient else 3) * (1 + 7)
+
+
+@pytest.mark.parametrize("name", ["four_bar", "bricard"])
+def test_projected_stages_leave_rodas5p_its_order(name):
+    """One step has an error of order 6: the rates of positions are those of projected velocities,
+    and their derivatives count. Without these it is of order 4.
+    """
+    system = ma.compile_system(HARD_CASES[name].scene())
+    data, closely = data_of(system), {"integrator": "dop853", "tolerance": 1e-13}
+    run = ma.simulate(system, 0.2, output_step=0.2, **closely)
+    start, lengths, errors = state_of(system, run, 1), (0.04, 0.02, 0.01), []
+    for h in lengths:
+        end = state_of(system, ma.simulate(system, h, output_step=h, state=start, **closely), 1)
+        step = step_of_the_package(system, start, h, projects=True).step
+        load_chart(step.z_new, step.base, data.arrays)
+        assert project(data.struct, CLOSED) == OK
+        wrong = data.arrays.state.configuration - end.position
+        errors.append(np.max(np.abs([*wrong, *(data.arrays.state.velocity - end.velocity)])))
+    slope = np.polyfit(np.log(lengths), np.log(errors), 1)[0]
+    assert slope == pytest.approx(6.0, abs=0.4), errors
 
 
 def test_a_step_that_was_rejected_leaves_its_derivatives_to_the_next_one():

@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import plain_gaps, plain_system, random_state, ur5_pair
+from mechanics import data_of, plain_gaps, plain_system, random_state, ur5_pair
 from repository import WORKED
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.integration.projection import FEEDBACK_RATIO
+from multiarm.dynamics.equations import evaluate_projected, evaluate_state, keeps_factors
+from multiarm.dynamics.status import OK
+from multiarm.integration.projection import FEEDBACK_RATIO, project
+from multiarm.problems import HARD_CASES
 
 # Semi-implicit and explicit Euler and RK4 on phi'' + 2 a phi' + a^2 phi = 0 with step 1.
 AMPLIFICATION = {
@@ -66,6 +69,22 @@ def test_projected_velocities_close_all_gap_rates_and_stay(ur5_system, rng):
     assert ma.evaluate(ur5_system, 0.0, once).velocity_residual < 1e-13
     twice = project_velocity(ur5_system, once)
     np.testing.assert_allclose(twice.velocity, once.velocity, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["four_bar", "bricard", "two_joint_arms", "eight_welded"])
+def test_an_evaluation_right_after_a_projection_is_that_of_the_state(name, rng):
+    """Deficient arms keep the factors of the projection; the others are eliminated again."""
+    system = ma.compile_system(HARD_CASES[name].scene())
+    data, state = data_of(system), system.initial_state()
+    state.velocity[:] += rng.uniform(-0.5, 0.5, state.velocity.size)
+    data.set_state(0.0, state)
+    assert project(data.struct, 1e-13) == OK
+    assert keeps_factors(data.arrays) == (name != "eight_welded")
+    results = []
+    for evaluate in (evaluate_projected, evaluate_state):
+        assert evaluate(data.struct, 0.0, 0.0) == OK
+        results.append([*data.arrays.accelerations.a, *data.arrays.rows.force])
+    np.testing.assert_array_equal(*results)
 
 
 # --- drift ---------------------------------------------------------------------------------------

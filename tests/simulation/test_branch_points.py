@@ -157,7 +157,7 @@ def accelerations(name, coordinate, rate, closed):
     """Object's acceleration on the closed form; ``closed`` < 0: not interpolated."""
     system = compiled(name)
     data_of(system).set_state(0.0, state_on(name, coordinate, rate))
-    assert evaluate_on_branch(data_of(system).struct, closed, 0.0, 0.0) == OK
+    assert evaluate_on_branch(data_of(system).struct, closed, False, 0.0, 0.0) == OK
     return data_of(system).arrays.accelerations.a_o.copy(), system
 
 

@@ -36,7 +36,11 @@ def without_derivatives(system):
     return replace(system, model=model)
 
 
-def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
+# Gap to which projected stages are closed [m].
+CLOSED = 1e-13
+
+
+def step_of_the_package(system, state, h, alpha=0.0, beta=0.0, projects=False):
     """The arrays of one step of length ``h`` from time 0; with gains of the drift feedback."""
     method = {"integrator": "rodas5p", "tolerance": 1.0, "stabilization": "none"}
     spec = run_spec(system.scene.run, {**method, "duration": h, "output_step": h})
@@ -46,6 +50,7 @@ def step_of_the_package(system, state, h, alpha=0.0, beta=0.0):
     step, struct = stepping.step, stepping.struct
     step.k[0] = step.slope
     step.stage.alpha, step.stage.beta = alpha, beta
+    step.stage.projects, step.stage.gap = projects, CLOSED
     make = function_at(stepping.coefficients.step)
     assert make(struct.ctypes.data, struct.size, 0.0, h) == OK
     return stepping
@@ -71,14 +76,14 @@ def state_of(system, run, k):
 class Slope:
     """The rate of a step's state by evaluations of the whole system, at any state and time."""
 
-    def __init__(self, system, state, alpha=0.0, beta=0.0):
+    def __init__(self, system, state, alpha=0.0, beta=0.0, projects=False):
         self.data = data_at(system, state)
         inner, works = self.data.effect_states(), np.zeros(self.data.arrays.effects.power.size)
         position = [state.object_position, np.zeros(3), state.position[7:]]
         self.z = np.concatenate([*position, state.velocity, inner, works])
         self.base = np.zeros(system.model.layout.nq)
         self.base[3:7] = state.object_quaternion_xyzw
-        self.stage = Stage(alpha=alpha, beta=beta, latest=np.inf)
+        self.stage = Stage(alpha=alpha, beta=beta, projects=projects, gap=CLOSED, latest=np.inf)
 
     def __call__(self, t, z):
         slope = np.zeros(z.size)
