@@ -4,8 +4,9 @@ There is one loop for all methods and scenes.  It releases Python's lock, so tha
 threads run at the same time.  It calls Python only for Pinocchio's arms, the dense solver and user
 callbacks, and once for each function that is compiled lazily.  It returns when the block of samples
 is full, when its budget of evaluations is used up (progress, checkpoints and Ctrl-C are handled in
-Python), at an event, at the end, or when a step fails.  :class:`Clock` holds its whole state, so
-that the next call continues there.
+Python), where Python has to act or to log (at an event, a change of the solver, a guard's report,
+or when the scene is stiff), at the end, or when a step fails.  :class:`Clock` holds its whole
+state, so that the next call continues there.
 
 ``arrays`` is the struct of a method and its step
 (:class:`multiarm.integration.methods.Stepping`), ``struct`` that of the system.
@@ -81,10 +82,10 @@ RETRY_STEPS = 3
 
 @unlocked
 def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT):
-    """Integrate until the end, a full block, the budget of evaluations, an event, or a failure.
+    """Integrate until there is a reason to return, see above.
 
     ``clock`` and ``settings`` are those of the run.  ``block`` (samples, width) receives the
-    samples from ``clock.block_first`` on.  Returns the reason.
+    samples from ``clock.block_first`` on.  Returns the reason, a status.
     """
     method, step = open_step(arrays)
     clock, settings, struct = view_clock(clock), view_settings(settings), step.system

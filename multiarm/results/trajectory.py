@@ -326,7 +326,7 @@ class Trajectory:
 
     @property
     def contact_states(self) -> Mapping[str, np.ndarray]:
-        """Arm, or "floor" -> what each contact does, codes of `channels.ContactState`, (K, N).
+        """Arm, or "floor" -> what each contact does, codes of a `ContactState`, (K, N).
 
         0 open, 1 touching, 2 sliding, 3 sticking, 4 resting: touching, carried by other contacts.
         An arm without unilateral contacts has shape (K, 0).

@@ -3,8 +3,8 @@
 It drives the runs of ``simulate``, whose end stays, and those of a ``Stepper``, whose end moves on.
 
 The loop (:func:`multiarm.integration.time_loop.advance`) returns for contact events, which
-:mod:`multiarm.simulation.event_handling` handles, for changes of the solver, which are logged, and
-for stiffness.
+:mod:`multiarm.simulation.event_handling` handles, for changes of the solver and events that guards
+report, which are logged, and for stiffness.
 
 *Stiffness switching.*  Damping, stiff springs or stiff gains make motions that die out at once but
 keep the steps of an explicit method short.  The loop detects that
@@ -110,6 +110,7 @@ class Driver:
     run : Run
     events : EventHandler or None
         Where contacts can open, close, slide or stick.
+    switch : Switch
     event_stops : int
         How often the loop has stopped for an event.
     wall, compilation : float
@@ -121,7 +122,7 @@ class Driver:
     ) -> None:
         self.task, self.run, self.events, self.event_stops = task, run, events, 0
         self.wall, self.compilation = 0.0, compilation
-        self._pace, self._switch = Pace(run, task.spec), Switch()
+        self.switch, self._pace = Switch(), Pace(run, task.spec)
         self._settings = struct_of(run.settings)
         self._loaded: tuple[int, str] | None = None
         self._span = task.data.model.control_span  # None, too, after the control has ended
@@ -200,9 +201,9 @@ class Driver:
             fault = events.handle(run, reason == STOPPED)
             reason = BUDGET_USED
         if reason == STIFF:
-            self._switch.begin_trial(run)
+            self.switch.begin_trial(run)
         elif reason == BUDGET_USED:  # all due samples are written
-            self._switch.end_trial(run)
+            self.switch.end_trial(run)
         elif reason == SOLVER_CHANGED and events is not None:
             run.solver_log.reset(run.data)  # unilateral contacts have their own events
         elif reason == SOLVER_CHANGED:
@@ -270,9 +271,17 @@ class Pace:
 
 
 class Switch:
-    """Stiffness switching: which method a run continues with."""
+    """Stiffness switching: which method a run continues with.
+
+    Attributes
+    ----------
+    switched_at : float or None
+        When the scene was found stiff [s] with which the method for stiff scenes goes on; None
+        where it does not.
+    """
 
     def __init__(self) -> None:
+        self.switched_at: float | None = None
         self._explicit: str | None = None  # the method that a trial replaces
         self._pace = 0.0  # of this method [s an evaluation]
         self._until = self._spent = 0
@@ -281,7 +290,7 @@ class Switch:
     def begin_trial(self, run: Run) -> None:
         """Continue with the method for stiff scenes, on trial."""
         clock, tableau = run.clock, run.stepping.tableau
-        self._explicit = tableau.name
+        self._explicit, self.switched_at = tableau.name, clock.stiff_since
         # there is no step before right after an event
         self._pace = (clock.h_before or clock.h) / clock.step_cost
         self._change(run, FOR_STIFF_SCENES, "the scene is stiff")
@@ -291,6 +300,7 @@ class Switch:
         if self._explicit is not None and run.clock.steps >= self._until:
             explicit, self._explicit = self._explicit, None
             if not self._is_faster(run):
+                self.switched_at = None
                 self._change(run, explicit, f"steps of {FOR_STIFF_SCENES} are too costly here")
 
     def _is_faster(self, run: Run) -> bool:

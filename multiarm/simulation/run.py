@@ -103,7 +103,7 @@ def carry_out(
             RunStatus.FAILED, f"{where_of(run)}: {error!r}", run_statistics(driver), log.entries()
         )
         raise
-    remarks = [*_stiffness_remarks(run), *_ambiguity_remarks(run)]
+    remarks = [*_stiffness_remarks(driver), *_ambiguity_remarks(run)]
     length = len(CLAUSE_SEPARATOR.join([message, *remarks]))
     remarks += log.remarks(MESSAGE_LENGTH - length)
     trajectory = sink.finish(
@@ -137,14 +137,12 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
     return Driver(task, run, events, compile_time() - compiled_before)
 
 
-def _stiffness_remarks(run: Run) -> list[str]:
+def _stiffness_remarks(driver: Driver) -> list[str]:
     """For the message of a stiff scene: what was done, or the remedy; else none."""
-    clock = run.clock
-    if run.stepping.tableau.name == FOR_STIFF_SCENES and run.may_switch:
-        return [
-            f"the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
-        ]
-    if run.may_switch or clock.stiff_steps < STIFF_AFTER:
+    clock, switched_at = driver.run.clock, driver.switch.switched_at
+    if switched_at is not None:
+        return [f"the scene is stiff: {FOR_STIFF_SCENES} took over at t = {switched_at:.3g} s"]
+    if driver.task.spec.integrator is None or clock.stiff_steps < STIFF_AFTER:
         return []
     since = f"stiff from t = {clock.stiff_since:.3g} s"
     return [f"the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"]

@@ -113,7 +113,6 @@ class Run:
     log: EventLog
     solver_log: SolverLog
     tolerance: Tolerance | None  # None: the step is fixed
-    may_switch: bool  # the program chose the method, and may change it
 
     def continue_with(self, stepping: Stepping) -> None:
         """Go on with another method or other arrays of it, from the state of those before."""
@@ -251,7 +250,6 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         log=log,
         solver_log=solver_log,
         tolerance=tolerance,
-        may_switch=bool(clock.switch),
     )
 
 
