@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from multiarm.jit.kernels import kernel, plain
-from multiarm.jit.vectors import add_scaled, cross, put, scale, vec
+from multiarm.jit.vectors import AXES, add_scaled, cross, put, scale, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
 _SERIES_ANGLE = 1e-2
@@ -186,7 +186,7 @@ def write_chart_rate_slopes(theta: np.ndarray, omega: np.ndarray, out: np.ndarra
     c = cross(turn, rate)
     twice = cross(turn, c)
     for axis in range(3):
-        e = (1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0)
+        e = AXES[axis]
         by = add_scaled(cross(e, c), 1.0, cross(turn, cross(e, rate)))
         change = add_scaled(scale(gamma, by), 2.0 * slope * theta[axis], twice)
         put(out[axis], 0, add_scaled(change, -0.5, cross(e, rate)))

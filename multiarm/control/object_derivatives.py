@@ -30,7 +30,7 @@ from multiarm.control.null_space_derivatives import differentiate_hold
 from multiarm.control.object_law import open_command, open_object_law
 from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state, unit
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.equation_derivatives import (
     AT_REST,
@@ -45,7 +45,7 @@ from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
 from multiarm.jit.structs import struct_at
-from multiarm.jit.vectors import add_cross, put, scale, vec
+from multiarm.jit.vectors import AXES, add_cross, put, scale, vec
 from multiarm.spatial import rotation_between, write_chart_rate, write_chart_rate_slopes
 
 
@@ -209,8 +209,8 @@ def differentiate_press(i, law, struct, data, work, by):
         for l in range(left.size):
             left[l] = excess.dF_o[l, column]
         if 3 <= c < own.twist:
-            put(left, 0, add_cross(vec(left, 0), unit(c - 3), vec(world, 0)))
-            put(left, 3, add_cross(vec(left, 3), unit(c - 3), vec(world, 3)))
+            put(left, 0, add_cross(vec(left, 0), AXES[c - 3], vec(world, 0)))
+            put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
         for k in range(r1 - r0):
             subtract_wrench(Wo[k], excess.rates[r0 + k, c], left)
         share_wrench(Wo, left, y)
@@ -260,4 +260,4 @@ def differentiate_turn(turned, by_turn):
     """Write the derivatives of the rotation vector to the reference, a row for each turn (3, 3)."""
     back = scale(-1.0, turned)
     for axis in range(3):
-        write_chart_rate(back, scale(-1.0, unit(axis)), by_turn[axis])
+        write_chart_rate(back, scale(-1.0, AXES[axis]), by_turn[axis])

@@ -45,6 +45,7 @@ from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import clear, inlined, kernel, plain
 from multiarm.jit.rows import offset_of
 from multiarm.jit.vectors import (
+    AXES,
     ZERO,
     add,
     add_cross,
@@ -199,19 +200,9 @@ def differentiate_flat_rows(model, first, last, work):
         put(wrench[VALUE], 0, add(vec(wrench[VALUE], 0), force))
         put(wrench[VALUE], 3, add_cross(vec(wrench[VALUE], 3), add(x, d), force))
         for axis in range(3):
-            e = unit(axis)
+            e = AXES[axis]
             put(wrench[axis], 3, add_cross(vec(wrench[axis], 3), e, force))
             put(wrench[3 + axis], 3, add_cross(vec(wrench[3 + axis], 3), cross(e, d), force))
-
-
-@inlined
-def unit(axis):
-    """Unit vector along an axis."""
-    return (
-        1.0 if axis == 0 else 0.0,
-        1.0 if axis == 1 else 0.0,
-        1.0 if axis == 2 else 0.0,
-    )
 
 
 @kernel
@@ -248,9 +239,9 @@ def differentiate_rows(model, data, first, last, work):
             displace(motion, axis, 0.0, moved)
             twist = open_body(moved)
             if axis < 3:
-                twist.velocity = add_scaled(twist.velocity, sign, unit(axis))
+                twist.velocity = add_scaled(twist.velocity, sign, AXES[axis])
             else:
-                twist.spin = add_scaled(twist.spin, sign, unit(axis - 3))
+                twist.spin = add_scaled(twist.spin, sign, AXES[axis - 3])
             write_rows_at(model, data, first, last, moved, work)
             for k in range(first, last):
                 slopes[k, VELOCITY + axis] += 0.5 * sign * open_contact(rows[k]).gap_bias
@@ -286,9 +277,9 @@ def displace(motion, axis, amount, moved):
         moved[j] = motion[j]
     body = open_body(moved)
     if axis < 3:
-        body.origin = add_scaled(body.origin, amount, unit(axis))
+        body.origin = add_scaled(body.origin, amount, AXES[axis])
         return
-    e, c, s = unit(axis - 3), math.cos(amount), math.sin(amount)
+    e, c, s = AXES[axis - 3], math.cos(amount), math.sin(amount)
     x, y, z = body.rotation
     body.rotation = turned(x, e, c, s), turned(y, e, c, s), turned(z, e, c, s)
 

@@ -43,7 +43,6 @@ from multiarm.dynamics.contact_derivatives import (
     arm_columns,
     column_of_state,
     differentiate_joint,
-    unit,
 )
 from multiarm.dynamics.coordinates import chart_places, state_columns
 from multiarm.dynamics.layout import TWIST
@@ -257,7 +256,7 @@ def add_object_equation(inertia, twist, acceleration, work):
     )  # fmt: skip
     spin, torque = times(I, w), times(I, alpha)
     for axis in range(3):
-        e = unit(axis)
+        e = AXES[axis]
         gyroscopic = sub(times(I, cross(w, e)), cross(spin, e))
         by_turn = add_cross(sub(times(I, cross(alpha, e)), cross(torque, e)), w, gyroscopic)
         by_spin = add_cross(cross(w, times(I, e)), e, spin)

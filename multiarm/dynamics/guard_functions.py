@@ -12,7 +12,6 @@ value, and *course* and rate: a smooth function of time that is the value where 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -30,16 +29,6 @@ from multiarm.jit.vectors import add_scaled, rotate_back, sub
 # Body of a patch that is not an arm's (with its number).
 ON_OBJECT = -1
 
-# All records, by the number of their kind.
-KINDS: list[type] = []
-
-
-def _kind(record: type) -> tuple[int, Callable]:
-    """Number of a kind, and the function of kernels ``(records, place) -> record``."""
-    KINDS.append(record)
-    return len(KINDS) - 1, view_at(record)
-
-
 # --- gaps -----------------------------------------------------------------------------------------
 
 
@@ -49,7 +38,7 @@ class OpenGap(NamedTuple):
     row: Int
 
 
-OPEN_GAP, gap_at = _kind(OpenGap)
+gap_at = view_at(OpenGap)
 
 
 class Touch(NamedTuple):
@@ -59,7 +48,7 @@ class Touch(NamedTuple):
     allowance: Float  # largest gap or penetration [m]
 
 
-TOUCH, touch_at = _kind(Touch)
+touch_at = view_at(Touch)
 
 
 class SpringExtension(NamedTuple):
@@ -69,7 +58,7 @@ class SpringExtension(NamedTuple):
     lag: Float  # damping over stiffness [s]
 
 
-SPRING_EXTENSION, extension_at = _kind(SpringExtension)
+extension_at = view_at(SpringExtension)
 
 
 class SpringCompression(NamedTuple):
@@ -79,7 +68,7 @@ class SpringCompression(NamedTuple):
     lag: Float  # damping over stiffness [s]
 
 
-SPRING_COMPRESSION, compression_at = _kind(SpringCompression)
+compression_at = view_at(SpringCompression)
 
 
 class PatchDepth(NamedTuple):
@@ -90,7 +79,7 @@ class PatchDepth(NamedTuple):
     patch: Floats1  # :class:`~multiarm.contacts.kernel.PatchRow` in the body
 
 
-PATCH_DEPTH, patch_at = _kind(PatchDepth)
+patch_at = view_at(PatchDepth)
 
 
 def packed_patch(patch: Patch) -> np.ndarray:
@@ -149,7 +138,7 @@ class PushingForce(NamedTuple):
     row: Int  # held
 
 
-PUSH, push_at = _kind(PushingForce)
+push_at = view_at(PushingForce)
 
 
 class FrictionCone(NamedTuple):
@@ -162,7 +151,7 @@ class FrictionCone(NamedTuple):
     second_tangent: Int
 
 
-FRICTION_CONE, cone_at = _kind(FrictionCone)
+cone_at = view_at(FrictionCone)
 
 
 class StaticFriction(NamedTuple):
@@ -172,7 +161,7 @@ class StaticFriction(NamedTuple):
     bound: Float  # [N m, N]
 
 
-STATIC_FRICTION, static_friction_at = _kind(StaticFriction)
+static_friction_at = view_at(StaticFriction)
 
 
 class DriveMargin(NamedTuple):
@@ -182,7 +171,7 @@ class DriveMargin(NamedTuple):
     excess: Int  # place of this array in the system's struct, see EffectKernel.watched
 
 
-DRIVE_MARGIN, drive_at = _kind(DriveMargin)
+drive_at = view_at(DriveMargin)
 
 
 @inlined
@@ -213,7 +202,7 @@ class Slip(NamedTuple):
     directions: Floats2  # (s, 2) of all sliding contacts, see multiarm.dynamics.sliding
 
 
-SLIP, slip_at = _kind(Slip)
+slip_at = view_at(Slip)
 
 
 class SlipOnset(NamedTuple):
@@ -223,7 +212,7 @@ class SlipOnset(NamedTuple):
     still: Float  # largest speed at rest [m/s]
 
 
-SLIP_ONSET, onset_at = _kind(SlipOnset)
+onset_at = view_at(SlipOnset)
 
 
 class JointSpeed(NamedTuple):
@@ -232,7 +221,7 @@ class JointSpeed(NamedTuple):
     joint: Int
 
 
-JOINT_SPEED, joint_speed_at = _kind(JointSpeed)
+joint_speed_at = view_at(JointSpeed)
 
 
 @inlined
@@ -263,7 +252,7 @@ class RangeDepth(NamedTuple):
     upper: Float
 
 
-RANGE_DEPTH, range_at = _kind(RangeDepth)
+range_at = view_at(RangeDepth)
 
 
 @kernel
@@ -285,6 +274,17 @@ def range_depth(guard, model, data):
 
 
 # --- all kinds ------------------------------------------------------------------------------------
+
+
+# The records, whose places here are the numbers of their kinds.
+KINDS: tuple[type, ...] = (
+    OpenGap, Touch, SpringExtension, SpringCompression, PatchDepth, PushingForce, FrictionCone,
+    StaticFriction, DriveMargin, Slip, SlipOnset, JointSpeed, RangeDepth,
+)  # fmt: skip
+(
+    OPEN_GAP, TOUCH, SPRING_EXTENSION, SPRING_COMPRESSION, PATCH_DEPTH, PUSH, FRICTION_CONE,
+    STATIC_FRICTION, DRIVE_MARGIN, SLIP, SLIP_ONSET, JOINT_SPEED, RANGE_DEPTH,
+) = range(len(KINDS))  # fmt: skip
 
 
 @inlined

@@ -28,13 +28,13 @@ import numpy as np
 
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_data
-from multiarm.dynamics.contact_derivatives import unit
 from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc, inlined
 from multiarm.jit.structs import Floats1, struct_at
 from multiarm.jit.vectors import (
+    AXES,
     add,
     add_cross,
     add_scaled,
@@ -92,7 +92,7 @@ def differentiate_drag(address, size, at, _t):
     f, m = scale(-1.0, along_axes(R, push, u)), scale(-1.0, along_axes(R, d, w))
     growth = along_axes(R, q, u)  # of the force with the speed
     for axis in range(3):
-        e = unit(axis)
+        e = AXES[axis]
         by_speed = dot(u, e) / speed if speed > 0.0 else 0.0
         by_velocity = add_scaled(along_axes(R, push, e), by_speed, growth)
         by_turn = add_cross(along_axes(R, push, cross(e, u)), e, f)

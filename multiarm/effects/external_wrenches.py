@@ -30,7 +30,6 @@ from multiarm.arms.terms import POSE_WIDTH, open_addresses, open_pose
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
-from multiarm.dynamics.contact_derivatives import unit
 from multiarm.dynamics.coordinates import chart_places, force_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.model import Data
@@ -42,6 +41,7 @@ from multiarm.jit.kernels import cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, floats_at, struct_at
 from multiarm.jit.vectors import (
+    AXES,
     ZERO,
     add,
     add_cross,
@@ -118,7 +118,7 @@ def differentiate_external_wrenches(address, size, at, t):
             differentiate_on_link(wrenches, k, lever, f, m, follows, data)
             continue
         for axis in range(3):
-            e = unit(axis)
+            e = AXES[axis]
             by_turn = cross(e, f) if follows else ZERO
             moment_by_turn = cross(e, m) if follows else cross(cross(e, lever), f)
             for a in range(3):

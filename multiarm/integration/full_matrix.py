@@ -47,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state, unit
+from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
@@ -85,7 +85,7 @@ from multiarm.integration.near_singular import ZONE, may_cross
 from multiarm.integration.step import Step, slope_at
 from multiarm.jit.kernels import allocating, clear, copy, greatest, inlined, kernel, larger
 from multiarm.jit.structs import Floats1, Floats2, Ints1
-from multiarm.jit.vectors import cross, vec
+from multiarm.jit.vectors import AXES, cross, vec
 
 
 class FullMatrix(NamedTuple):
@@ -333,7 +333,7 @@ def follow_projection(data, full):
     for first in range(0, joints, 6):
         spin = vec(data.state.velocity, first + 3)
         for axis in range(3):
-            turn = cross(spin, unit(axis))
+            turn = cross(spin, AXES[axis])
             for k in range(3):
                 Y[first + 3 + k, 2 * nv + first + 3 + axis] += 0.5 * turn[k]
 

@@ -165,6 +165,6 @@ class NullSpace(NamedTuple):
 def null_space(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> NullSpace:
     """Null space of a matrix (m, n) whose rows and columns are scaled to be comparable."""
     _, singular, vt = np.linalg.svd(matrix)
-    singular = singular / singular[0]
     rank = rank_of(singular, tolerance)
-    return NullSpace(vt[rank:].T, rank, singular)
+    relative = singular / singular[0] if rank else singular
+    return NullSpace(vt[rank:].T, rank, relative)

@@ -49,7 +49,7 @@ from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forwar
 from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, OK
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.simd import LANES, aligned_zeros
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, view
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
 
 # Columns of NodeWork.groups: joints and contacts of the largest arm, number of arms, offset and
 # width of the table, the four arms.
@@ -96,9 +96,6 @@ class NodeWork(NamedTuple):
     present: Floats2  # (g, 4 m + 4) 1 for every contact, and last for each arm; 0 for padding
     stiffness: Floats2  # (g, 4 d) 1 / lever^2 of every joint; infinite for padding
     packs: Floats1  # contributions to the node matrix, scratch, and the tables
-
-
-open_node = view(NodeWork)
 
 
 def make_work(
