@@ -6,7 +6,7 @@ solver's workspace.  :func:`open_system` returns its views ``model, data, work``
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +35,24 @@ from multiarm.jit.structs import (
     view,
 )
 
-# Columns of ``Constants.control``, ``sampled`` and ``effects``: address of a function, index of its
-# first number or array in the system's struct, address of its derivative (0: none); of effects,
-# whether it is a user's that knows the state alone; of laws, address of the derivative in which
-# what the arms share is fixed (0: none).
-ADDRESS, NUMBERS_AT, DERIVATIVE, STATE_ALONE = range(4)
-SHARE_DERIVATIVE = STATE_ALONE
+
+class CalledFunction(NamedTuple):
+    """A row of ``Constants.control``, ``sampled`` or ``effects``; addresses are 0 for none."""
+
+    address: int
+    numbers_at: int = 0  # index of its first number or array in the system's struct
+    derivative: int = 0  # address
+    share_derivative: int = 0  # of a law: address of that in which what the arms share is fixed
+    state_alone: bool = False  # it is an effect of a user, who knows the state alone
+
+
+ADDRESS, NUMBERS_AT, DERIVATIVE, SHARE_DERIVATIVE, STATE_ALONE = range(5)
+
+
+def table_of(functions: Iterable[CalledFunction]) -> np.ndarray:
+    """The functions as a table of whole numbers, shape (k, 5)."""
+    return np.array([*functions], dtype=np.int64).reshape(-1, len(CalledFunction._fields))
+
 
 # What the torques of an arm's drives depend on: the time, also the state of this arm, also the
 # numbers that all arms share by the last law, anything.
@@ -82,14 +94,14 @@ class Constants(NamedTuple):
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
-    # (k, 4) the control laws by columns from ``ADDRESS`` on, see multiarm.dynamics.control_laws
+    # (k, 5) the control laws, see :class:`CalledFunction` and multiarm.dynamics.control_laws
     control: Ints2
-    # (k, 4) the laws of a control that is sampled; whether its torques act one sample later, see
+    # (k, 5) the laws of a control that is sampled; whether its torques act one sample later, see
     # multiarm.dynamics.held_control
     sampled: Ints2
     sample_delay: Flag
-    # (k, 4) the effects by the same columns, in the order of the phases, and the end of each phase,
-    # see multiarm.dynamics.effect_kernels
+    # (k, 5) the effects in the order of the phases, and the end of each phase, see
+    # multiarm.dynamics.effect_kernels
     effects: Ints2
     passive_end: Int
     actuator_end: Int

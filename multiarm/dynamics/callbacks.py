@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_data
+from multiarm.dynamics.arrays import CalledFunction, open_data, table_of
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.dense import solve_dense
@@ -161,7 +161,7 @@ class PythonControl:
     @property
     def laws(self) -> np.ndarray:
         """``Constants.control``."""
-        return np.array([[address_of(call_controller), 0, 0, 0]], dtype=np.int64)
+        return table_of([CalledFunction(address_of(call_controller))])
 
     def connect(self, layout: Layout, variables: Variables) -> UserCallback:
         """The callback that writes the torques."""

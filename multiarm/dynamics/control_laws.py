@@ -63,13 +63,14 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.dynamics.arrays import CalledFunction, table_of
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel, inlined
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import count_entries, make_struct, misfit, struct_of, view_at
 
 # ``Constants.control`` without a law.
-NO_CONTROL = np.zeros((0, 4), dtype=np.int64)
+NO_CONTROL = table_of(())
 
 
 def view_of_law(holder: type) -> Callable[[Any, Any], Any]:
@@ -158,8 +159,10 @@ def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:
     """``Constants.control``; ``first`` is the place of the first law's numbers in the struct."""
     rows, at = [], first
     for law in laws:
-        derivatives = (law.derivative, law.share_derivative)
-        addresses = (0 if kernel is None else address_of(kernel) for kernel in derivatives)
-        rows.append((address_of(law.kernel), at, *addresses))
+        derivative, share_derivative = (
+            0 if kernel is None else address_of(kernel)
+            for kernel in (law.derivative, law.share_derivative)
+        )
+        rows.append(CalledFunction(address_of(law.kernel), at, derivative, share_derivative))
         at += len(law.numbers) + (0 if law.work is None else count_entries(law.work))
-    return np.array(rows, dtype=np.int64).reshape(-1, 4)
+    return table_of(rows)

@@ -60,6 +60,7 @@ from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows
 from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.factors import rank_of
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.jit.rows import fields_of
@@ -192,7 +193,7 @@ class _Equations:
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
         scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
         u, singular, vt = np.linalg.svd(scale[:, None] * K * scale)
-        rank = int(np.sum(singular > SYSTEM_TOLERANCE * singular[0]))
+        rank = rank_of(singular, SYSTEM_TOLERANCE)
         right = u.T @ (scale[:, None] * dF)
         left = np.abs(right[rank:]).max(axis=0, initial=0.0)
         contradictory = left > CONSISTENT * np.abs(right).max()

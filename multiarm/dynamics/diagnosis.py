@@ -26,6 +26,7 @@ from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
 from multiarm.dynamics.model import Evaluated
 from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.solver.factors import rank_of
 from multiarm.geometry.records import Contact
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
@@ -68,7 +69,7 @@ def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
     if hold is None:
         return ()
     _, sizes, turned = np.linalg.svd(hold.torques)
-    rank = int(np.sum(sizes > LITTLE * sizes[0])) if sizes[0] > 0.0 else 0
+    rank = rank_of(sizes, LITTLE)
     return _lost_motions(hold, hold.basis @ turned[rank:].T, float(sizes[0]))
 
 

@@ -62,7 +62,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import EFFECTS, open_data
+from multiarm.dynamics.arrays import EFFECTS, CalledFunction, open_data, table_of
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel, cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
@@ -309,16 +309,16 @@ class EffectProgram:
         called = [(effect, at) for effect, at in zip(self.kernels, self._places(), strict=True)]
         called = [(effect, at) for effect, at in called if effect.kernel is not None]
         rows = [
-            [
-                address_of(effect.kernel),
-                at,
-                address_of(effect.derivative) if effect.derivative else 0,
-                effect.knows_state_alone,
-            ]
+            CalledFunction(
+                address=address_of(effect.kernel),
+                numbers_at=at,
+                derivative=address_of(effect.derivative) if effect.derivative else 0,
+                state_alone=effect.knows_state_alone,
+            )
             for effect, at in called
         ]
         ends = [sum(effect.phase <= phase for effect, _ in called) for phase in range(3)]
-        return np.array(rows, dtype=np.int64).reshape(-1, 4), ends
+        return table_of(rows), ends
 
     @property
     def end(self) -> int:

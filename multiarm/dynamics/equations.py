@@ -174,11 +174,11 @@ def control_of_closed(address, size, _a, _b):
 
     Returns a status.
     """
-    model, data, _ = open_system(struct_at(address, size))
+    data = open_data(struct_at(address, size))
     closed = struct_at(data.modes.closed, 0)
-    constants, of_closed, work = open_system(closed)
+    model, of_closed, work = open_system(closed)
     for i in range(of_closed.bodies.pointers.shape[0]):
-        arm_rows(i, closed, constants, of_closed, work)
+        arm_rows(i, closed, model, of_closed, work)
         load_inertia(i, of_closed, work)
     load_gravity_torque(of_closed, work)
     return control_torques(closed, model.control.shape[0], model, of_closed)

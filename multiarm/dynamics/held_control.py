@@ -29,10 +29,12 @@ from multiarm.dynamics.arrays import (
     COUPLED,
     DERIVATIVE,
     OPEN_LOOP,
+    CalledFunction,
     Constants,
     call_derivative,
     call_listed,
     open_system,
+    table_of,
 )
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.variables import ALWAYS, HELD, ONCE, ControlVariables
@@ -75,13 +77,14 @@ class Sampling:
 def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
     """Constants with control ``laws`` that are evaluated at samples only."""
     derivative = address_of(differentiate_held_torques) if laws[:, DERIVATIVE].all() else 0
-    row, reach = [address_of(hold_torques), 0, derivative, 0], constants.control_reach
+    holding = CalledFunction(address_of(hold_torques), derivative=derivative)
+    reach = constants.control_reach
     if not len(laws):
         reach = OPEN_LOOP
     elif reach == CARRYING:  # the last law is another one now
         reach = COUPLED
     return constants._replace(
-        control=np.array([row], dtype=np.int64),
+        control=table_of([holding]),
         sampled=laws,
         sample_delay=delay,
         control_reach=reach,

@@ -37,6 +37,7 @@ from steps import data_at, without_derivatives
 import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.dynamics import evaluation
+from multiarm.dynamics.arrays import DERIVATIVE, CalledFunction
 from multiarm.dynamics.equation_derivatives import write_derivatives
 from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.status import SINGULAR
@@ -333,9 +334,10 @@ def test_contacts_that_cannot_carry_the_weight_leave_differences(rng):
     with system.borrow() as data:
         evaluation.evaluate(data, 0.3, state)
         applied_derivatives(data, True)  # prepares those of the law
-        _, at, derivative, _ = data.model.constants.control[1]
-        call = function_at(int(derivative))
-        assert call(data.struct.ctypes.data, data.struct.size, float(at), 0.3) == SINGULAR
+        law = CalledFunction(*data.model.constants.control[1].tolist())
+        call = function_at(law.derivative)
+        at = float(law.numbers_at)
+        assert call(data.struct.ctypes.data, data.struct.size, at, 0.3) == SINGULAR
     found, expected = ma.derivatives(system, 0.3, state), by_differences(system, state)
     assert_equal(found.matrix[:, : expected.shape[1]], expected)
 
@@ -556,7 +558,7 @@ def test_control_knows_the_contacts_of_joints_only(gap):
     control = {"kind": "joint_pd", "stiffness": 100, "damping": 10}
     welded = {"joints": [{"arm": "arm", "kind": "weld"}], "control": control}
     system = ma.compile_system(over_floor(gap).scene.replace(**welded))
-    assert system.model.constants.control[:, 2].all()
+    assert system.model.constants.control[:, DERIVATIVE].all()
     plain = without_derivatives(system)
     found, expected = (ma.derivatives(own, 0.3).matrix for own in (system, plain))
     fixed = np.isfinite(expected)

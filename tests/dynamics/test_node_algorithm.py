@@ -13,7 +13,7 @@ from mechanics import EPS
 
 from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW
-from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.dense import null_space, solve_dense
 from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import couple, make_coupled
 from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, DEFICIENT, OK
@@ -90,6 +90,13 @@ def test_dense_solver_gives_the_worked_example(name):
     np.testing.assert_allclose(dense.x, expected["qo"] + expected["q"], atol=1e-9)
     np.testing.assert_allclose(-dense.force, expected["mu"], atol=1e-9)
     assert dense.unique.all()
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((3, 2)), np.zeros((3, 0)), np.zeros((0, 2))])
+def test_a_matrix_without_rank_has_the_whole_space_for_null_space(matrix):
+    space, size = null_space(matrix), matrix.shape[1]
+    assert space.rank == 0 and space.basis.shape == (size, size)
+    np.testing.assert_allclose(space.basis.T @ space.basis, np.eye(size))
 
 
 def test_node_algorithm_gives_the_worked_example_without_friction():
