@@ -11,12 +11,13 @@ from repository import WORKED
 from scipy.linalg import expm
 from scipy.optimize import linprog
 
+from multiarm.dynamics.forces import distribution
 from multiarm.errors import GraspError
 from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.forces.force_distribution import distribute_forces
 from multiarm.grasp.forces.load_maps import liftable, load_capacity, worst_force
-from multiarm.programs import least_distance, nonnegative_least_squares
+from multiarm.programs import LeastDistance, least_distance, nonnegative_least_squares
 
 # slack of the bounds, and the linear programs' own tolerance, relative to the forces
 TOLERANCE = 1e-7
@@ -112,6 +113,20 @@ def test_least_norm_meets_the_conditions_of_its_optimum(rng):
         assert np.all(np.abs(prices[~at_least & ~at_most]) < 1e-6)
         assert np.all(prices[at_least & ~at_most] > -1e-6)
         assert np.all(prices[at_most & ~at_least] < 1e-6)
+
+
+def test_forces_are_not_called_the_least_norm_where_rounding_hides_it(five, monkeypatch):
+    def hidden(G, h, room=0.0):
+        return LeastDistance(np.zeros(G.shape[1]), 0.0, np.zeros(len(h)))
+
+    wrench = (1.0, 2.0, 0.1)
+    least = distribute_forces(five, wrench, minimum=1.0, objective="norm")
+    monkeypatch.setattr(distribution, "least_distance", hidden)
+    found = distribute_forces(five, wrench, minimum=1.0, objective="norm")
+    assert_within(five, wrench, 1.0, None, found.forces)
+    assert found and found.value > least.value * (1.0 + TOLERANCE)
+    assert found.sensitivity is None and found.force_prices is None
+    assert "rounding" in found.message and "rounding" not in least.message
 
 
 def test_among_forces_with_the_smallest_largest_the_least_norm_is_taken(rng):

@@ -206,33 +206,37 @@ class BestForces:
     prices : ndarray, shape (N,)
         How fast the value grows with the bound at which each force is: positive at a minimum,
         negative at a limit.
+    optimal : bool
+        False where rounding hides the least norm: forces are some in the bounds, their slope and
+        prices mean nothing.
     """
 
     forces: np.ndarray | None
     value: float
     slope: np.ndarray
     prices: np.ndarray
+    optimal: bool = True
 
 
 def least_norm(problem: BoundedForces) -> BestForces:
     """The forces of least norm."""
     family, scale = problem.family, 1.0
     shortest = _shortest(problem)
-    if shortest.s < COARSE:
+    if shortest.s <= COARSE:
         program = _smallest_largest(problem)
         if program.forces is None:
             return _infeasible(problem, shortest.weights)
         forces = program.forces
         scale = float(forces.max())
         shortest = _shortest(problem, forces)
-    prices = np.zeros(len(family.least_norm))
-    if shortest.s > COARSE:
+    prices, optimal = np.zeros(len(family.least_norm)), shortest.s > COARSE
+    if optimal:
         forces = family.least_norm + scale * family.internal @ shortest.point
         prices = scale * _signed(problem, shortest.prices)
     norm = float(np.linalg.norm(forces))
     # forces = W^T slope + prices: the slope of |forces|^2 / 2
     slope = _dual(problem, forces - prices)
-    return BestForces(forces, norm, slope / norm, prices / norm)
+    return BestForces(forces, norm, slope / norm, prices / norm, optimal)
 
 
 def smallest_largest(problem: BoundedForces) -> BestForces:

@@ -58,7 +58,7 @@ class ForceDistribution:
         The largest force, or the norm of the forces [N]; infinite when not feasible.
     sensitivity : ndarray, shape (6,) or (3,), or None
         How fast ``value`` grows with the wrench: per newton, per newton metre about the origin.
-        Where it has a kink, one of the slopes.
+        Where it has a kink, one of the slopes.  None where rounding hides the least norm.
     force_prices : ndarray, shape (N,), or None
         How fast ``value`` grows with the bound at which each force is: positive for a minimum that
         costs, negative for a limit that does.
@@ -142,15 +142,17 @@ def distribute_forces(
     forces = np.clip(unit * best.forces, least, most)
     value = unit * best.value
     quantity = "largest force" if objective == "largest" else "norm of the forces"
+    hidden = "; rounding hides the least norm, and these are forces whose largest is smallest"
+    rounded = "" if best.optimal else hidden
     return ForceDistribution(
         feasible=True,
         forces=forces,
         value=value,
-        sensitivity=about_origin(contacts, best.slope),
-        force_prices=best.prices,
+        sensitivity=about_origin(contacts, best.slope) if best.optimal else None,
+        force_prices=best.prices if best.optimal else None,
         residual=float(np.abs(W @ forces - target).max()),
         motion=None,
-        message=f"the contacts exert the wrench; {quantity} {value:.4g} N",
+        message=f"the contacts exert the wrench; {quantity} {value:.4g} N{rounded}",
     )
 
 
