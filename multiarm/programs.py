@@ -83,7 +83,7 @@ def linear_program(
     from scipy.optimize import linprog
 
     n = len(cost)
-    limited = [bounds] * (n - signed) if isinstance(bounds, tuple) else list(bounds)
+    limited = [bounds] * (n - signed) if np.ndim(bounds) == 1 else list(bounds)
     A, b = (None, None) if at_most is None else at_most
     C, d = (None, None) if equal is None else equal
     limits = [*limited, *[(None, None)] * signed]

@@ -367,7 +367,7 @@ class Evaluation:
             for arm, contacts in self._held.model.contacts.items()
             for contact in contacts
         ]
-        return internal_forces(self._W_o, form, rows, names)
+        return internal_forces(self.W_o, form, rows, names)
 
     def force_decomposition(
         self, internal: InternalForces | None = None, length: float | None = None
@@ -380,7 +380,7 @@ class Evaluation:
         """
         internal = internal or self.internal_forces()
         stacked = np.concatenate([self._joint_forces[arm] for arm in self.contact_terms])
-        parts = decompose(self._W_o, stacked, internal, length)
+        parts = decompose(self.W_o, stacked, internal, length)
         layout = self._held.model.layout
         return ForceDecomposition(
             moving=layout.split_contacts(parts.moving),
@@ -391,7 +391,7 @@ class Evaluation:
         )
 
     @property
-    def _W_o(self) -> np.ndarray:
+    def W_o(self) -> np.ndarray:
         """``W_o`` of all contacts of the joints, (6, N)."""
         return np.hstack([terms.W_o for terms in self.contact_terms.values()])
 

@@ -202,11 +202,10 @@ def _contact_forces(
     basis: str | InternalForces,
 ) -> np.ndarray:
     """Contact forces (N,) for a wrench on the object, world axes, and internal forces."""
-    W_o = np.hstack([terms.W_o for terms in ev.contact_terms.values()])
     R = quaternion_to_matrix(ev.state.object_quaternion_xyzw)
     form = ev.internal_forces(basis) if isinstance(basis, str) else basis
     own = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
-    return distribute(W_o, own, coordinates, form)
+    return distribute(ev.W_o, own, coordinates, form)
 
 
 def _nearest(

@@ -17,7 +17,12 @@ from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.forces.force_distribution import distribute_forces
 from multiarm.grasp.forces.load_maps import liftable, load_capacity, worst_force
-from multiarm.programs import LeastDistance, least_distance, nonnegative_least_squares
+from multiarm.programs import (
+    LeastDistance,
+    least_distance,
+    linear_program,
+    nonnegative_least_squares,
+)
 
 # slack of the bounds, and the linear programs' own tolerance, relative to the forces
 TOLERANCE = 1e-7
@@ -113,6 +118,13 @@ def test_least_norm_meets_the_conditions_of_its_optimum(rng):
         assert np.all(np.abs(prices[~at_least & ~at_most]) < 1e-6)
         assert np.all(prices[at_least & ~at_most] > -1e-6)
         assert np.all(prices[at_most & ~at_least] < 1e-6)
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array])
+def test_bounds_of_a_program_may_be_any_sequence_of_pairs(kind):
+    bounds = kind([(1.0, 5.0), (2.0, 6.0)])
+    np.testing.assert_allclose(linear_program(np.ones(2), bounds=bounds).x, [1.0, 2.0])
+    np.testing.assert_allclose(linear_program(np.ones(2), bounds=(1.0, None)).x, [1.0, 1.0])
 
 
 def test_forces_are_not_called_the_least_norm_where_rounding_hides_it(five, monkeypatch):
