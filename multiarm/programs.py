@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-# Rounding of one wrench, in units of the machine precision: normalising, products, differences.
+# Rounding of a wrench or row, in machine precisions: normalising, products, differences.
 ROUNDINGS = 64.0
 EPS = float(np.finfo(float).eps)
 
@@ -150,9 +150,9 @@ def least_distance(G: np.ndarray, h: np.ndarray, room: float = 0.0) -> LeastDist
     G : ndarray, shape (m, k)
     h : ndarray, shape (m,)
     room : float
-        What counts as rounding of ``h`` and of a product with G.  Inequalities that leave no room,
-        or hold whatever y is, would be decided by it; relaxed by ``room``, all that hold but for
-        rounding hold.  The solution is that of those then tight, as equations without the room.
+        What counts as rounding of ``h`` and of a product with G.  Rounding would decide whether
+        inequalities hold that leave no choice of y, or do not depend on it: all are relaxed by
+        this.  Those that are tight then are solved as equations, without it.
     """
     E = np.vstack([G.T, h - room])
     target = np.append(np.zeros(G.shape[1]), 1.0)

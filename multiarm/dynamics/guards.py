@@ -32,6 +32,8 @@ from multiarm.jit.structs import WIDTH, Floats1, Ints1, struct_of, view
 
 # Result of a guard for a step: no event, a sign change, perhaps two sign changes.
 QUIET, FIRED, DIPPED = range(3)
+# A minimum within a step below this part of both its ends may be zero: the cubic is a guess.
+NEAR_ZERO = 0.05
 
 # What a threshold is a part of, by its place in ``Guards.scales``: 1 in the unit of the value; the
 # largest force of a contact and on the object since the run began [N]; that in a joint, too [N m].
@@ -234,7 +236,7 @@ def dips(p, m, q, n, h):
     if not 0.0 < x < 1.0:
         return False
     lowest = p + x * (m + x * (b + x * a))
-    return lowest < 0.05 * min(p, q)
+    return lowest < NEAR_ZERO * min(p, q)
 
 
 @kernel

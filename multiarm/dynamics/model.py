@@ -488,7 +488,7 @@ class Data:
 
     @property
     def reference(self) -> Reference:
-        """For the numbers of others, whose kernels use this struct."""
+        """The struct for numbers of other kernels, which keep it and this alive."""
         return Reference(self.struct, self)
 
     def effect(self, name: str) -> Any:

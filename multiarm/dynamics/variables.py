@@ -82,9 +82,8 @@ class GeneralisedForces(NamedTuple):
     f: Floats1  # (6 F + joints,), and parts of the same memory, on the object (6,), on the joints
     f_o: Floats1
     f_j: Floats1
-    total: (
-        Floats1  # with those of the contacts; the check of an evaluation writes the object's only
-    )
+    # with those of the contacts; the check of a solution (imbalance) writes the object's only
+    total: Floats1
     # while a mode with forces that are given is solved, see multiarm.events.kernels
     without_prestress: Floats1
 

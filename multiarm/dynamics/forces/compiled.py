@@ -21,16 +21,17 @@ from multiarm.jit.kernels import allocating, copy, inlined, kernel
 # Contacts that carry wrenches in some direction by so much less than in others leave the forces of
 # least norm to rounding, and to differences their derivatives.
 CARRIED = 1e-10
+# Shorter lever arms are rounding errors, which must not be scaled up to a direction [m].
+SHORTEST_LEVER = 1e-6
 
 
 @kernel
 def write_wrench_products(Wo, A, scale):
     """Write ``W_o W_o^T`` into ``A[:6, :6]``, its rows and columns times ``scale`` (6,), written.
 
-    Moments are divided by the longest lever arm, so that all rows are forces; below 1e-6 m lever
-    arms are rounding errors, which must not be scaled up to a direction of their own.
+    Moments are divided by the longest lever arm, so that all rows are forces.
     """
-    longest = 1e-6
+    longest = SHORTEST_LEVER
     for k in range(Wo.shape[0]):
         longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
     for i in range(6):

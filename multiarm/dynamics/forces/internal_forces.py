@@ -52,6 +52,10 @@ from multiarm.notation import count_of
 FORMS = ("orthonormal", "nonnegative", "echelon")
 # A combination presses all contacts when the weakest has this part of the strongest.
 PRESSING_TOLERANCE = 1e-7
+# Part of a wrench, or of its largest component, that counts as rounding.
+WRENCH_ROUNDING = 1e-9
+# Smallest singular value of coordinates' rows: other forces are up to 1e6 times the coordinates.
+LEAST_COORDINATE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +201,7 @@ def distribute(
     family, _ = forces_for(scaled, scale * wrench, RANK_TOLERANCE)
     some = family.least_norm / norms
     missing = wrench - W_o @ some
-    if np.linalg.norm(scale * missing) > 1e-9 * np.linalg.norm(scale * wrench):
+    if np.linalg.norm(scale * missing) > WRENCH_ROUNDING * np.linalg.norm(scale * wrench):
         raise GraspError(
             f"the contacts cannot exert this wrench on the object: {_six(missing)} (force [N], "
             f"moment [N m] about the centre of mass, object axes) is left over; their rank is "
@@ -319,7 +323,7 @@ def _echelon(
         )
     block = A[list(chosen)]
     smallest = np.linalg.svd(block, compute_uv=False)[-1] if size else 1.0
-    if smallest < 1e-6:  # other forces would be up to 1e6 times the coordinates
+    if smallest < LEAST_COORDINATE:
         raise GraspError(
             f"the forces of {', '.join(labels[j] for j in chosen)} cannot be coordinates of the "
             f"internal forces: there are internal forces in which none of them changes"
@@ -339,5 +343,5 @@ def _advice(A: np.ndarray, labels: list[str]) -> str:
 
 
 def _six(values: np.ndarray) -> str:
-    shown = np.where(np.abs(values) > 1e-9 * np.max(np.abs(values)), values, 0.0)
+    shown = np.where(np.abs(values) > WRENCH_ROUNDING * np.max(np.abs(values)), values, 0.0)
     return "[" + ", ".join(f"{value:.3g}" for value in shown) + "]"
