@@ -130,7 +130,7 @@ class RunSpec(Spec):
     @model_validator(mode="before")
     @classmethod
     def _default_accuracy(cls, data: Any) -> Any:
-        if isinstance(data, dict) and all(data.get(key) is None for key in STEPS_CHOSEN_BY):
+        if isinstance(data, Mapping) and all(data.get(key) is None for key in STEPS_CHOSEN_BY):
             return {**data, "accuracy": DEFAULT_ACCURACY}
         return data
 

@@ -6,6 +6,7 @@ import copy
 import math
 import pydoc
 import re
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ from multiarm.scene import (
     load_scene,
     parse_scene,
 )
+from multiarm.scene.run import RunSpec
 from multiarm.scene.text import parse_yaml, written_yaml
 
 EXAMPLES = sorted(SCENES.glob("*.yaml"))
@@ -260,6 +262,7 @@ def test_numbers_such_as_1e_6_are_numbers():
 
 def test_a_run_that_names_nothing_aims_at_1e_6():
     assert parse_scene(TWO_ARMS).run.accuracy == 1e-6
+    assert RunSpec.model_validate(MappingProxyType({"duration": 1.0})).accuracy == 1e-6
     stepped = parse_scene(scene_with("run", {"integrator": "rk4", "step": 0.01}))
     assert stepped.run.accuracy is None
 
