@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
+from types import CodeType
 from typing import Any
 
 import event_scenes
@@ -155,7 +156,7 @@ def error_of(function: Callable, *arguments: Any) -> str:
 
 
 def lines_of_kernels() -> golden.Results:
-    """The lines of three kernels that a tracer, such as a debugger, sees during an evaluation.
+    """Share of three kernels' lines that a tracer, such as a debugger, sees during an evaluation.
 
     One that Python calls, one that is called by its address, one that is inlined.
     """
@@ -178,7 +179,12 @@ def lines_of_kernels() -> golden.Results:
         ma.evaluate(system)
     finally:
         sys.settrace(before)
-    return {code.co_name: len(lines) for code, lines in seen.items()}
+    return {code.co_name: len(lines) / len(_lines_of(code)) for code, lines in seen.items()}
+
+
+def _lines_of(code: CodeType) -> set[int]:
+    """Lines with code, but that of the definition."""
+    return {line for *_, line in code.co_lines() if line not in (None, code.co_firstlineno)}
 
 
 @cache
