@@ -24,10 +24,7 @@ import math
 
 from multiarm.arms.compiled.tables import energy_of_arms
 from multiarm.arms.terms import open_addresses
-from multiarm.contacts.kernel import (
-    open_contact,
-    write_row,
-)
+from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.dynamics.arrays import (
     call_listed,
     open_coupled,
@@ -322,7 +319,7 @@ def solve_again(address, size, _a, _b):
 
 @cfunc
 def solve_decomposed(address, size, _a, _b):
-    """The same with no arm eliminated as a whole; returns a status."""
+    """Solve a system with no arm eliminated as a whole; returns a status."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     return solve_coupled_arms(data, work, open_coupled(struct), True)

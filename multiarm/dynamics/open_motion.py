@@ -34,19 +34,17 @@ from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import state_columns
 from multiarm.dynamics.equation_derivatives import stack_equations, write_derivatives
 from multiarm.dynamics.sliding_derivatives import add_friction
+from multiarm.dynamics.solver.bounds import OPEN_MOTION_PIVOT
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, clear
 
-# Smallest pivot of K', relative to the largest: below, a further rank is lost.
-REGULAR = 1e-13
-
 
 @allocating
-def solve_open_motion(struct, own, of_friction, matrix):
+def solve_open_motion(struct, equations, of_friction, matrix):
     """Solve for ``dy`` where friction leaves the motion open; returns a status.
 
-    ``matrix`` (6 + n + N, columns) is written.  ``own, of_friction`` are the structs of
+    ``matrix`` (6 + n + N, columns) is written.  ``equations, of_friction`` are the structs of
     :func:`multiarm.dynamics.sliding_derivatives.add_friction`, after which it is called; their
     derivatives are used up.  The result is ``SINGULAR`` where the rank of the equations changes.
     """
@@ -55,21 +53,21 @@ def solve_open_motion(struct, own, of_friction, matrix):
     K, pivots, by_null = np.zeros((size, size)), np.zeros(size, np.int64), np.zeros(matrix.shape)
     for i in range(size):
         clear(matrix[i])
-    stack_equations(struct, own, K, matrix)
+    stack_equations(struct, equations, K, matrix)
     Q, N = np.zeros((dependent, size)), np.zeros((dependent, size))
     write_null_vectors(K, nv, Q, N)
     for v in range(dependent):
         for a in range(nv, size):
             for b in range(nv, size):
                 K[a, b] += Q[v, a] * N[v, b]
-    if not factor_lu(K, size, pivots) > REGULAR:
+    if not factor_lu(K, size, pivots) > OPEN_MOTION_PIVOT:
         return SINGULAR
     for i in range(size):
         row = matrix[i]
         for c in range(row.size):
             row[c] = -row[c]
     for v in range(dependent):
-        status = differentiate_null_vector(struct, own, of_friction, N[v], by_null)
+        status = differentiate_null_vector(struct, equations, of_friction, N[v], by_null)
         if status != OK:
             return status
         solve_rows(K, size, pivots, by_null)
@@ -84,7 +82,7 @@ def solve_open_motion(struct, own, of_friction, matrix):
 
 
 @allocating
-def differentiate_null_vector(struct, own, of_friction, N, by_null):
+def differentiate_null_vector(struct, equations, of_friction, N, by_null):
     """Write ``dK N`` for one null vector; returns a status."""
     data = open_data(struct)
     nv, torques, status = data.state.velocity.size, state_columns(data).torques, OK
@@ -98,13 +96,13 @@ def differentiate_null_vector(struct, own, of_friction, N, by_null):
         for k in range(force.size):
             data.rows.force[k] = force[k] + side * N[nv + k]
         if status == OK:
-            status = write_derivatives(struct, own)
+            status = write_derivatives(struct, equations)
         if status == OK:
-            status = add_friction(struct, own, of_friction)
+            status = add_friction(struct, equations, of_friction)
         for i in range(N.size):
             for c in range(by_null.shape[1]):
                 by_null[i, c] = -by_null[i, c]
-        stack_equations(struct, own, unused, by_null)
+        stack_equations(struct, equations, unused, by_null)
     for i in range(N.size):
         for c in range(by_null.shape[1]):
             by_null[i, c] *= 0.5 if c < torques else 0.0

@@ -283,7 +283,8 @@ def write_responses(data, full, time_slope):
 def differentiate_projection(struct, full):
     """Write ``full.projection`` after the derivatives of the equations; returns a status."""
     model, data, system = open_system(struct)
-    links, own, Y = open_links(full.equations), open_equations(full.equations), full.projection
+    links, equations = open_links(full.equations), open_equations(full.equations)
+    Y = full.projection
     size, nv, joints = Y.shape[0], full.turned.shape[1], chart_places(data).joints
     K, pivots = np.zeros((size, size)), np.zeros(size, np.int64)
     stack_equations(struct, full.equations, K, full.solution)
@@ -291,15 +292,15 @@ def differentiate_projection(struct, full):
         clear(Y[i])
     for i in range(system.dofs.size - 1):
         d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
-        columns = columns_of_arm(i, n, links, own)
+        columns = columns_of_arm(i, n, links, equations)
         for k in range(system.rows[i], system.rows[i + 1]):
             row, by_gap = Y[nv + k], gap_weight(model, k)
             for l in range(nv):
                 row[l], row[nv + l] = by_gap * K[nv + k, l], K[nv + k, l]
             for c in range(columns.twist):
-                row[2 * nv + c] = own.rates[k, c]
+                row[2 * nv + c] = equations.rates[k, c]
             for j in range(n):
-                row[2 * nv + joints + d0 + j] = own.rates[k, columns.positions + j]
+                row[2 * nv + joints + d0 + j] = equations.rates[k, columns.positions + j]
     separate_dependent_rows(K, nv, data.solution.dependent)
     if not factor_lu(K, size, pivots) > 0.0:
         return SINGULAR

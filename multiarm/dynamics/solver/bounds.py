@@ -147,6 +147,11 @@ UNLOADED = 1e-7
 # one motion.
 SAME_MOTION = 1e-6
 
+# --- Open motions (:mod:`multiarm.dynamics.open_motion`).
+
+# Smallest pivot of K', relative to the largest: below, a further rank is lost.
+OPEN_MOTION_PIVOT = 1e-13
+
 # --- Inverse dynamics (:mod:`multiarm.dynamics.inverse`).
 
 # Singular values of an arm's equations, scaled to rows of length 1, below this fraction of the
