@@ -179,7 +179,7 @@ class DrakePeer(Peer):
                 ),
             )
             joints = {joint.arm: joint for joint in system.scene.joints}
-            for name, first in zip(system.arm_names, system.model.layout.dofs, strict=False):
+            for name, first in zip(system.arm_names, system.model.layout.first_joint, strict=False):
                 joint = joints[name]
                 tip = self._add_arm(plant, name, self.damping[first:])
                 _constrain(plant, self._object, system.frames[name].on_object, *tip, joint)

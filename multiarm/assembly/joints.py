@@ -88,8 +88,8 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
     owners = [*arms, *([SURROUNDINGS] if around else [])]
     layout = Layout(
         names=tuple(arms),
-        dofs=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
-        rows=_bounds([len(records[name]) for name in owners]),
+        first_joint=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
+        first_contact=_bounds([len(records[name]) for name in owners]),
     )
     on_links = {}
     for name, arm in arms.items():

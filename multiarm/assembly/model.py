@@ -38,7 +38,7 @@ from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.effects.building import BuildContext, effect_program
 from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.integration.near_singular import evaluate_near_singular
-from multiarm.integration.projection import close_gaps
+from multiarm.integration.projection import project_state
 from multiarm.integration.reporting_guards import check_reports, reporting_guards
 from multiarm.integration.step import watch_stage
 from multiarm.jit.rows import as_row
@@ -52,7 +52,7 @@ FUNCTIONS = {
     "project": solve,
     "record": record_solution,
     "compare": compare_solution,
-    "close_gaps": close_gaps,
+    "project_state": project_state,
 }
 # Those of scenes with guards that only report.
 REPORT_FUNCTIONS = {"reports": check_reports, "watch": watch_stage}
@@ -88,7 +88,7 @@ def uncontrolled_model(
     frames = {name: joint.frame for name, joint in joints.items()}
     levers = [arms[name].levers(frame.on_tip[:3, 3]) for name, frame in frames.items()]
     guards = reporting_guards(of_arms, limits, layout, effects.watched, enforced)
-    without_arm = len(layout.dofs) - 1 - len(arms)  # the surroundings, where they have rows
+    without_arm = layout.owner_count - len(arms)  # the surroundings, where they have rows
     return Model(
         arms=arms,
         robots=robots.resolved,

@@ -30,7 +30,7 @@ def inside(data: Data, constraint: Constraint, depth: float) -> str:
         if constraint.arm == SURROUNDINGS:
             where, remedy = f"'{constraint.name}' of the object is below the floor", "'object.pose'"
         return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
-    first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
+    first = data.model.layout.first_joint[data.model.arm_names.index(constraint.arm)]
     limit = data.model.records[constraint.row]
     assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
     at = data.arrays.state.joint_positions[first + limit.joint]

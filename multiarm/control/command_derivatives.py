@@ -108,7 +108,7 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
     prepared: PreparedDerivatives = work.derivatives
     if prepared.function == 0:
         layout, states = data.model.layout, 2 * data.model.layout.nv
-        d, m = int(np.max(np.diff(layout.dofs))), int(np.max(np.diff(layout.rows)))
+        d, m = max(layout.joint_counts), max(layout.contact_counts)
         own = arm_columns(d, False).end
         _, motion = equation_work(data, states)
         _, excess = equation_work(data, states, weights=False)

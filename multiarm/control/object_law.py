@@ -57,7 +57,7 @@ class ObjectCommand(NamedTuple):
             a_j=np.zeros(joints),
             target=np.zeros(contacts),
             multipliers=np.zeros(contacts),
-            held=np.zeros((len(data.model.layout.dofs) - 1, 6)),
+            held=np.zeros((data.model.layout.owner_count, 6)),
             independent=np.zeros(1, dtype=np.int64),
             derivatives=PreparedDerivatives(),
         )

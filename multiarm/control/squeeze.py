@@ -74,9 +74,8 @@ def desired_forces(
 def _require_pressing(data: Data, W_o: np.ndarray, of_arms: np.ndarray) -> None:
     """Raise an error for a squeeze along a joint's free motion."""
     model, R = data.model, fields_of(BodyMotion, data.arrays.bodies.object).rotation
-    rows = model.layout.rows
     for i, arm in enumerate(model.arm_names):
-        of_arm = W_o[rows[i] : rows[i + 1]]
+        of_arm = W_o[model.layout.contacts_of(i)]
         desired = np.concatenate([R @ of_arms[i, :3], R @ of_arms[i, 3:]])
         reached = of_arm.T @ np.linalg.lstsq(of_arm.T, desired, rcond=None)[0]
         lost = np.linalg.norm((reached - desired)[:3])

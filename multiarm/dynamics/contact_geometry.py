@@ -129,7 +129,7 @@ def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
     every_row = np.vstack([b.rows.kinematics, b.rows.parts])
     terms = {}
     for i, name in enumerate(data.model.arm_names):
-        rows = slice(data.model.layout.rows[i], data.model.layout.rows[i + 1])
+        rows = data.model.layout.contacts_of(i)
         matrices = contact_matrices(
             constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
             b.bodies.links[i], b.bodies.object, _tip_kinematics(data, name, b.bodies.links[i]),
@@ -211,7 +211,7 @@ def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
     x = joint_origin(data, arm)
     body = fields_of(BodyMotion, data.arrays.bodies.object)
     R = body.rotation @ data.model.frames[arm].on_object[:3, :3]
-    rows = data.arrays.rows.Wo[data.model.layout.rows[i] : data.model.layout.rows[i + 1]]
+    rows = data.arrays.rows.Wo[data.model.layout.contacts_of(i)]
     rows = rows[np.any(rows != 0.0, axis=1)]
     force = rows[:, :3]
     moment = rows[:, 3:] - np.cross(x - body.origin, force)

@@ -85,7 +85,7 @@ def differentiate(
     rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
     equations = _Equations(data, parameters, columns)
     independent, message = found.rank == layout.contacts, ""
-    on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
+    on_ground = layout.surroundings.start < layout.contacts
     by_arms = independent and not (found.coupled_arms or data.model.constants.dense or on_ground)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     solved = matrix[: rows["effect_state_rates"].start]
@@ -126,7 +126,7 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     normal = matrix[derivatives.rows["contact_forces"]][slides.row]
     turns = np.zeros((len(slides.row), matrix.shape[1]))
     for turn, angle, i in zip(turns, equations.friction.angle, slides.arm, strict=True):
-        d0, own = layout.dofs[i], arm_columns(layout.dofs[i + 1] - layout.dofs[i], False)
+        d0, own = layout.first_joint[i], arm_columns(layout.joint_counts[i], False)
         at = state_columns(data.arrays)
         turn[[column_of_state(at, own, d0, c) for c in range(own.end)]] = angle[: own.end]
         if "placements" in columns and i < len(layout.names):
@@ -265,14 +265,9 @@ def _motions(
     inertia[frames, frames], rates[:, frames], by_position[:, frames] = (
         inertia_o, W_o, of_rates[:, frames],
     )  # fmt: skip
-    for i in range(len(layout.dofs) - 1):
-        joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
-        n, m = joints.stop - joints.start, rows.stop - rows.start
+    for i in range(layout.owner_count):
+        rows, n, m = layout.contacts_of(i), layout.joint_counts[i], layout.contact_counts[i]
         at, first = layout.of_arm(i), arm_columns(n, False).positions
         inertia[at, at] = M[i, :n, :n]
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, first : first + n]
     return Motions(layout, inertia, closed, rates, by_position, independent)
-
-
-def _range(bounds: tuple[int, ...], i: int) -> slice:
-    return slice(bounds[i], bounds[i + 1])

@@ -172,8 +172,7 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
     """Contact wrenches and their joint torques; None when a contact has no normal."""
     i = data.model.arm_names.index(arm)
     arrays, layout = data.arrays, data.model.layout
-    d = slice(layout.dofs[i], layout.dofs[i + 1])
-    r = slice(layout.rows[i], layout.rows[i + 1])
+    d, r = layout.joints_of(i), layout.contacts_of(i)
     rows, W = arrays.rows.Wo[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None

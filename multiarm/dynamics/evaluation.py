@@ -464,7 +464,7 @@ def place_start(data: Data, t: float, state: State) -> None:
 
 def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
     """Values of all rows, shape (N, ...), by arm, and of the surroundings where there are any."""
-    bounds, around = layout.rows, values[layout.surroundings]
+    bounds, around = layout.first_contact, values[layout.surroundings]
     of_arms = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(layout.names)}
     return {**of_arms, SURROUNDINGS: around} if len(around) else of_arms
 

@@ -138,7 +138,7 @@ def _solve(
     force = _contact_forces(ev, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
     a_j, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
     for i, name in enumerate(layout.names):
-        d, r = (slice(at[i], at[i + 1]) for at in (layout.dofs, layout.rows))
+        d, r = layout.joints_of(i), layout.contacts_of(i)
         M = read_inertia(b.bodies.pointers[i], d.stop - d.start)
         W = data.work.W[i, : d.stop - d.start, : r.stop - r.start]
         A, a = _desired_motion(data.model, name, ev, desired, relative[name])

@@ -16,8 +16,9 @@ numbers, linear (3) and angular (3).  :mod:`multiarm.dynamics.coordinates` moves
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,15 +35,16 @@ STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
 
 @dataclass(frozen=True)
 class Layout:
-    """Where frames, joints (``dofs``) and contacts (``rows``) of each arm are in stacked vectors.
+    """Where frames, joints and contacts of each arm are in stacked vectors.
 
-    Contacts of the object with its surroundings come last, as those of an arm without joints and
-    name.
+    Joints of arm ``i`` are ``first_joint[i]`` to ``first_joint[i + 1]``, its contacts
+    ``first_contact[i]`` to ``first_contact[i + 1]``.  Contacts of the object with its surroundings
+    come last, as those of an arm without joints and name.
     """
 
     names: tuple[str, ...]
-    dofs: tuple[int, ...]
-    rows: tuple[int, ...]
+    first_joint: tuple[int, ...]
+    first_contact: tuple[int, ...]
     frames: int = 1
 
     def __str__(self) -> str:
@@ -55,12 +57,12 @@ class Layout:
     @property
     def joints(self) -> int:
         """Number of joints of all arms, n."""
-        return self.dofs[-1]
+        return self.first_joint[-1]
 
     @property
     def contacts(self) -> int:
         """Number of contacts of all arms, and of the surroundings, N."""
-        return self.rows[-1]
+        return self.first_contact[-1]
 
     @property
     def nq(self) -> int:
@@ -75,11 +77,42 @@ class Layout:
     @property
     def surroundings(self) -> slice:
         """Contacts of the object with its surroundings."""
-        return slice(self.rows[len(self.names)], self.rows[-1])
+        return slice(self.first_contact[len(self.names)], self.first_contact[-1])
 
-    def same_joints(self, other: Layout) -> bool:
+    @property
+    def owner_count(self) -> int:
+        """Number of owners of contacts: the arms, and the surroundings where they have any."""
+        return len(self.first_joint) - 1
+
+    @property
+    def joint_counts(self) -> list[int]:
+        """Number of joints of each owner of contacts; the surroundings have none."""
+        return np.diff(self.first_joint).tolist()
+
+    @property
+    def contact_counts(self) -> list[int]:
+        """Number of contacts of each owner."""
+        return np.diff(self.first_contact).tolist()
+
+    def joints_of(self, i: int) -> slice:
+        """Joints of an arm among all joints."""
+        return slice(self.first_joint[i], self.first_joint[i + 1])
+
+    def contacts_of(self, i: int) -> slice:
+        """Contacts of an owner among all contacts."""
+        return slice(self.first_contact[i], self.first_contact[i + 1])
+
+    def arm_of_joint(self, joint: int) -> int:
+        """Index of the arm that has a joint."""
+        return bisect_right(self.first_joint, joint) - 1
+
+    def owner_of_contact(self, contact: int) -> int:
+        """Index of the owner of a contact."""
+        return bisect_right(self.first_contact, contact) - 1
+
+    def same_joints(self, layout: Layout) -> bool:
         """Whether frames and joints are the same; the contacts may differ."""
-        return (self.names, self.dofs, self.frames) == (other.names, other.dofs, other.frames)
+        return replace(self, first_contact=layout.first_contact) == layout
 
     # --- parts of configurations and velocities -------------------------------------------------
 
@@ -113,16 +146,16 @@ class Layout:
 
     def of_arm(self, i: int) -> slice:
         """The joints of an arm in a velocity."""
-        first = TWIST * self.frames
-        return slice(first + self.dofs[i], first + self.dofs[i + 1])
+        first, joints = TWIST * self.frames, self.joints_of(i)
+        return slice(first + joints.start, first + joints.stop)
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``arm -> vector[..., its joints]``."""
-        return self._split(vector, self.dofs)
+        return self._split(vector, self.first_joint)
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``arm -> vector[..., its contacts]``."""
-        return self._split(vector, self.rows)
+        return self._split(vector, self.first_contact)
 
     def _split(self, vector: np.ndarray, bounds: tuple[int, ...]) -> dict[str, np.ndarray]:
         pairs = zip(self.names, bounds[:-1], bounds[1:], strict=False)

@@ -161,17 +161,16 @@ class Model:
     @property
     def owners(self) -> list[str]:
         """Who has rows of W: the arms, and the surroundings where they have any."""
-        return [*self.arm_names, SURROUNDINGS][: len(self.layout.rows) - 1]
+        return [*self.arm_names, SURROUNDINGS][: self.layout.owner_count]
 
     def owner(self, row: int) -> tuple[str, Contact | JointRow]:
         """Arm (or surroundings) and record of a row of W."""
-        i = int(np.searchsorted(self.layout.rows, row, side="right")) - 1
-        return self.owners[i], self.records[row]
+        return self.owners[self.layout.owner_of_contact(row)], self.records[row]
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""
-        i = int(np.searchsorted(self.layout.dofs, joint, side="right")) - 1
-        return self.arms[self.arm_names[i]].joint_names[joint - self.layout.dofs[i]]
+        i = self.layout.arm_of_joint(joint)
+        return self.arms[self.arm_names[i]].joint_names[joint - self.layout.first_joint[i]]
 
     @property
     def joint_names(self) -> list[str]:
@@ -238,9 +237,9 @@ class Model:
 
     def select(self, rows: Sequence[int] | np.ndarray) -> Model:
         """The same bodies and effects with some of the rows, given in increasing order."""
-        chosen, before = np.array(rows, dtype=np.int64), self.layout.rows
+        chosen, before = np.array(rows, dtype=np.int64), self.layout.first_contact
         bounds = tuple(np.searchsorted(chosen, before).tolist())
-        layout = replace(self.layout, rows=bounds)
+        layout = replace(self.layout, first_contact=bounds)
         numbers = chosen.tolist()
         contacts = {
             name: [self.contacts[name][row - before[i]] for row in numbers[first:last]]
@@ -268,7 +267,8 @@ def row_constants(codes: np.ndarray, geometry: np.ndarray, layout: Layout) -> di
     """Constants of the rows of a contact table, but for the shapes of its surfaces."""
     of_joints = fields_of(Code, codes[: layout.contacts]).kind == JOINT
     joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
-    select_joint_rows(codes, np.array(layout.rows), np.array(layout.dofs), joint_rows)
+    first_contact, first_joint = np.array(layout.first_contact), np.array(layout.first_joint)
+    select_joint_rows(codes, first_contact, first_joint, joint_rows)
     return {"codes": codes, "geometry": geometry, "joint_rows": joint_rows}
 
 
@@ -434,7 +434,7 @@ class Data:
     def _connect_rows(self) -> None:
         """Make workspace and dense solver for the rows of the model, and the work of the laws."""
         model, b = self.model, self.arrays
-        sizes = np.diff(model.layout.dofs).tolist(), np.diff(model.layout.rows).tolist()
+        sizes = model.layout.joint_counts, model.layout.contact_counts
         self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
         self.add_callback("dense", PythonCallback(DenseSolver(self), b.status))
         self._connect_laws()
@@ -447,8 +447,8 @@ class Data:
 
     def _pointers(self) -> np.ndarray:
         """``Variables.bodies.pointers``; the surroundings are an arm without joints."""
-        owners, pointers = len(self.model.layout.dofs) - 1, self._backends.pointers
-        if owners == len(pointers):
+        pointers = self._backends.pointers
+        if self.model.layout.owner_count == len(pointers):
             return pointers
         return np.vstack([pointers, self._ground.pointers])
 

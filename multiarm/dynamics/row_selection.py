@@ -73,15 +73,15 @@ class RowSelection(Data):
     def __init__(self, full: Data, **variables: Any) -> None:
         vars(self).update(vars(full))
         model, layout = full.model, full.model.layout
-        self._full, self._bounds = full, np.array(layout.rows)
-        self._dofs, counts = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
+        self._full, self._bounds = full, np.array(layout.first_contact)
+        self._joints, counts = layout.joint_counts, layout.contact_counts
         self._of_joints = fields_of(Code, model.constants.codes[: layout.contacts]).kind == JOINT
         self._share(full, replace(model.select(range(layout.contacts)), unilateral=None))
         parts = count_parts(model.constants.codes, layout.contacts)
         size = layout.contacts + parts
         # arms with more contacts than joints are in no group
-        fewer = np.minimum(self._dofs, counts).tolist()
-        grouped, work = make_work(self._dofs, fewer), self.work
+        fewer = np.minimum(self._joints, counts).tolist()
+        grouped, work = make_work(self._joints, fewer), self.work
         packs = max(grouped.packs, work.packs, key=len)
         constants = self.model.constants._replace(
             codes=np.zeros((size, width(Code)), dtype=np.int64),
@@ -98,8 +98,8 @@ class RowSelection(Data):
         # with room for all rows; the struct has their addresses
         self._constants = constants
         self._arrays, self._work, self._coupled = self.arrays, self.work, self.coupled
-        self._places = row_places(*_shapes(self._dofs, counts, 0))
-        tables = partial(_tables, self._dofs, self._bounds, self._of_joints)
+        self._places = row_places(*_shapes(self._joints, counts, 0))
+        tables = partial(_tables, self._joints, self._bounds, self._of_joints)
         self._tables = lru_cache(MOST_RECENT)(tables)
         # what is made for some rows stays right for them: their arrays are where they were
         self._cache_of = lru_cache(MOST_RECENT)(_cache_of)
@@ -133,13 +133,13 @@ class RowSelection(Data):
     @cached_property
     def work(self) -> NodeWork:  # type: ignore[override]
         """The workspace for the selected rows."""
-        sizes = self._dofs, self.counts
+        sizes = self._joints, self.counts
         return beginnings(self._work, {**work_shapes(*sizes), **group_shapes(*sizes)})
 
     @cached_property
     def coupled(self) -> CoupledWork:  # type: ignore[override]
         """The workspace of the coupled system for the selected rows."""
-        return beginnings(self._coupled, coupled_shapes(self._dofs, self.counts))
+        return beginnings(self._coupled, coupled_shapes(self._joints, self.counts))
 
 
 def _cache_of(selected: bytes) -> dict[object, Any]:
@@ -156,23 +156,23 @@ class _Tables(NamedTuple):
 
 
 def _tables(
-    dofs: list[int], all_bounds: np.ndarray, of_joints: np.ndarray, selected: bytes
+    joints: list[int], all_bounds: np.ndarray, of_joints: np.ndarray, selected: bytes
 ) -> _Tables:
     rows = np.flatnonzero(np.frombuffer(selected, dtype=np.uint8))
     bounds = np.searchsorted(rows, all_bounds)
     counts = np.diff(bounds).tolist()
-    shapes = _shapes(dofs, counts, int(np.count_nonzero(of_joints[rows])))
+    shapes = _shapes(joints, counts, int(np.count_nonzero(of_joints[rows])))
     sizes = [size for part in shapes for shape in part.values() for size in shape]
-    return _Tables(bounds, counts, np.array(sizes), group_order(dofs, counts))
+    return _Tables(bounds, counts, np.array(sizes), group_order(joints, counts))
 
 
-def _shapes(dofs: list[int], counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
+def _shapes(joints: list[int], counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
     """Shapes of constants, variables and workspaces for numbers of rows."""
     return (
         dict.fromkeys(JointRows._fields, (of_joints,)),
         row_shapes(sum(counts)),
-        {**work_shapes(dofs, counts), **group_shapes(dofs, counts)},
-        coupled_shapes(dofs, counts),
+        {**work_shapes(joints, counts), **group_shapes(joints, counts)},
+        coupled_shapes(joints, counts),
     )
 
 

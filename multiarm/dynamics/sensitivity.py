@@ -257,12 +257,12 @@ class Derivatives:
     @cached_property
     def joint_accelerations(self) -> Mapping[str, Sensitivity]:
         """Of the joint accelerations, by arm."""
-        return self._by_arm("joint_accelerations", self.layout.dofs)
+        return self._by_arm("joint_accelerations", self.layout.first_joint)
 
     @cached_property
     def contact_forces(self) -> Mapping[str, Sensitivity]:
         """Of the contact forces, by arm."""
-        return self._by_arm("contact_forces", self.layout.rows)
+        return self._by_arm("contact_forces", self.layout.first_contact)
 
     @property
     def effect_state_rates(self) -> Sensitivity:

@@ -263,7 +263,7 @@ class Functions(Numbers):
     forces: Int
     solve: Int
     project: Int  # the node algorithm without friction, for impulses and projections
-    close_gaps: Int  # the projection of a state
+    project_state: Int  # onto the constraints
     coupled: Int  # the system with deficient arms
     decomposed: Int  # the same with no arm eliminated as a whole
     solve_again: Int  # the system with deficient arms, its factors known
@@ -347,7 +347,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
     arms, joints = len(pointers), layout.joints
     columns = columns_of_forces(layout.nv, joints, states).end
     rows = make_rows(layout.contacts, sizes.parts)
-    recorded = np.append(layout.rows, layout.contacts + np.cumsum(sizes.contact_states))
+    recorded = np.append(layout.first_contact, layout.contacts + np.cumsum(sizes.contact_states))
     state, forces, accelerations = stacked_vectors(layout)
     return Variables(
         time=Time(),

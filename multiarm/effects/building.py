@@ -87,7 +87,7 @@ class BuildContext:
         return Link(
             number=len(self.links) - 1,
             arm=number,
-            first=self.layout.dofs[number],
+            first=self.layout.first_joint[number],
             joints=joint,
             rotation=rotation,
             translation=translation,

@@ -104,8 +104,8 @@ class Modes:
         self._struct = mode_struct(self._guards.table, self._slides, self.arrays, self._reactions)
         owners = self._guards, self._slides, self.arrays, self._reactions
         self._structs.refer(mode=Reference(self._struct, owners))
-        self._dofs, counts = _counts(full)
-        self._sizes = mode_sizes(reaction_shapes(self._dofs, counts))
+        self._joints = full.model.layout.joint_counts
+        self._sizes = mode_sizes(reaction_shapes(self._joints, full.model.layout.contact_counts))
         everything_open = [
             ContactState.FORWARD if kind == DRY_JOINT else ContactState.OPEN for kind in kinds
         ]
@@ -212,7 +212,7 @@ class Modes:
         if not sliding:
             return
         assert self._reactions is not None
-        shapes = reaction_shapes(self._dofs, self.data.counts)
+        shapes = reaction_shapes(self._joints, self.data.counts)
         sizes = [size for shape in shapes.values() for size in shape]
         self._struct[self._sizes.reactions] = sizes
         self._functions.solve = self._solve_sliding
@@ -235,7 +235,7 @@ class Modes:
 
     def _room_for_slides(self) -> tuple[Slides, Slides]:
         """Room for the sliding contacts of a mode, and what each constraint is when it slides."""
-        constraints, bounds = self.unilateral.constraints, self.full.model.layout.rows
+        constraints, bounds = self.unilateral.constraints, self.full.model.layout.first_contact
         count = len(constraints)
         rows = np.array([constraint.row for constraint in constraints], dtype=np.int64)
         tangents = [(*constraint.tangents, -1)[0] for constraint in constraints]
@@ -270,8 +270,8 @@ def _tables(unilateral: UnilateralConstraints, guards: ModeGuards, mode: Mode) -
 
 def _reactions(full: Data, data: Data) -> ReactionWork:
     """The arrays of the node algorithm with friction; some are those of the mode's Data."""
-    work = data.work
-    return make_reaction_work(*_counts(full))._replace(
+    work, layout = data.work, full.model.layout
+    return make_reaction_work(layout.joint_counts, layout.contact_counts)._replace(
         dofs=work.dofs,
         rows=work.rows,
         levers=work.levers,
@@ -281,12 +281,6 @@ def _reactions(full: Data, data: Data) -> ReactionWork:
         Y=work.Y,
         y=work.y,
     )
-
-
-def _counts(data: Data) -> tuple[list[int], list[int]]:
-    """Numbers of joints and of rows of each arm."""
-    layout = data.model.layout
-    return np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
 
 
 def _power_of_friction(full: Data) -> int:

@@ -119,10 +119,10 @@ class Sensitivities:
         return Sensitivity(self.matrix[:, rows], self.layout, self.columns)
 
     def _by_arm(self, quantity: str) -> dict[str, Sensitivity]:
-        first, dofs = self.rows[quantity].start, self.layout.dofs
+        first, first_joint = self.rows[quantity].start, self.layout.first_joint
         return {
             name: self._sensitivity(slice(first + a, first + b))
-            for name, a, b in zip(self.layout.names, dofs, dofs[1:], strict=False)
+            for name, a, b in zip(self.layout.names, first_joint, first_joint[1:], strict=False)
         }
 
 

@@ -121,13 +121,13 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     ``equations`` is the struct of the derivatives of its equations.
     """
     layout, effects = data.model.layout, data.model.effects
-    n, d = len(layout.dofs) - 1, int(np.max(np.diff(layout.dofs)))
-    m, works = int(np.max(np.diff(layout.rows))), step.z.size - step.tolerance.size
+    n, d = layout.owner_count, max(layout.joint_counts)
+    m, works = max(layout.contact_counts), step.z.size - step.tolerance.size
     owned: list[list[int]] = [[] for _ in range(n)]
     if effects.local:
         joints = [joint for own in effects.kernels for joint in own.state_joints]
         for state, joint in enumerate(joints):
-            owned[int(np.searchsorted(layout.dofs, joint, side="right")) - 1].append(state)
+            owned[layout.arm_of_joint(joint)].append(state)
     e = max(map(len, owned))
     states = np.full((n, e), -1, dtype=np.int64)
     for row, own in zip(states, owned, strict=True):

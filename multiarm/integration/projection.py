@@ -54,7 +54,7 @@ def project(struct, tolerance):
 
     The kinematics left in ``data`` are those from before the velocities' correction.
     """
-    return call_cfunc(open_data(struct).functions.close_gaps, struct, tolerance, 0.0)
+    return call_cfunc(open_data(struct).functions.project_state, struct, tolerance, 0.0)
 
 
 @inlined
@@ -67,7 +67,7 @@ def cost_of_projection(data):
 
 
 @cfunc
-def close_gaps(address, size, tolerance, _b):
+def project_state(address, size, tolerance, _b):
     """:func:`project`, once for all the kernels that call it."""
     struct = struct_at(address, size)
     status = project_positions(struct, tolerance, False, 0.5, 12)

@@ -51,8 +51,8 @@ def reporting_guards(
     guards: list[Guard] = []
     for i, (arm, records) in enumerate(contacts.items()):
         for k, contact in enumerate(records):
-            if layout.rows[i] + k not in enforced:
-                guards += _contact_guards(layout.rows[i] + k, i, contact)
+            if layout.first_contact[i] + k not in enforced:
+                guards += _contact_guards(layout.first_contact[i] + k, i, contact)
         for component, (lower, upper) in limits[arm].items():
             depth = RangeDepth(i, component, lower, upper)
             guards.append(Guard(depth, ROUNDING, stops=False))

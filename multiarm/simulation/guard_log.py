@@ -64,8 +64,8 @@ def _event(data: Data, g: int, time: float) -> RunEvent:
         arm, name = model.arm_names[watched.arm], f"joint, {COMPONENTS[watched.component]}"
         return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
     if isinstance(watched, DriveMargin):
-        number = int(np.searchsorted(model.layout.dofs, watched.joint, side="right")) - 1
-        arm, name = model.arm_names[number], model.joint_name(watched.joint)
+        arm = model.arm_names[model.layout.arm_of_joint(watched.joint)]
+        name = model.joint_name(watched.joint)
         return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
     (arm, contact), where = model.owner(int(data.guards.held[watched.row])), ""
     if isinstance(watched, PatchDepth):

@@ -89,8 +89,8 @@ def _of_arm(t: float, arm: str, now: int, before: int, words: tuple[str, ...]) -
 
 def _nearest(data: Data, i: int) -> str:
     """Text for the direction in which an arm moves least."""
-    work, d = data.work, data.model.layout.dofs[i + 1] - data.model.layout.dofs[i]
-    m = data.model.layout.rows[i + 1] - data.model.layout.rows[i]
+    work, layout = data.work, data.model.layout
+    d, m = layout.joint_counts[i], layout.contact_counts[i]
     inertia = read_inertia(data.arrays.bodies.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)

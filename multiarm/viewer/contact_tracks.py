@@ -108,11 +108,11 @@ def row_states(
 
 def rows_of(system: System, owner: str) -> range:
     """Rows of W of an arm, or of the object's own contacts."""
-    if owner not in system.arm_names:
-        around = system.model.layout.surroundings
-        return range(around.start, around.stop)
-    i = system.arm_names.index(owner)
-    return range(system.model.layout.rows[i], system.model.layout.rows[i + 1])
+    layout = system.model.layout
+    rows = layout.surroundings
+    if owner in layout.names:
+        rows = layout.contacts_of(layout.names.index(owner))
+    return range(rows.start, rows.stop)
 
 
 def _place(

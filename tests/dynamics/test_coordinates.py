@@ -75,7 +75,7 @@ def test_parts_are_views_of_the_stacked_vectors(layout):
     assert np.all(q[: 7 * layout.frames] == -1.0) and np.all(v[: 6 * layout.frames] == -1.0)
     assert np.array_equal(layout.joint_positions(q), np.arange(7 * layout.frames, layout.nq))
     for i in range(len(layout.names)):
-        first, last = layout.dofs[i : i + 2]
+        first, last = layout.first_joint[i : i + 2]
         assert np.array_equal(v[layout.of_arm(i)], layout.joint_rates(v)[first:last])
 
 

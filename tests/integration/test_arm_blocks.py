@@ -258,7 +258,7 @@ def test_every_effect_of_ours_is_judged():
 def forces(system, state):
     """Right-hand sides, torques and rates of effects' states by owner: left, right, object."""
     ma.evaluate(system, 0.1, state)
-    data, last = data_of(system), system.model.layout.dofs[1]
+    data, last = data_of(system), system.model.layout.first_joint[1]
     b = data.arrays
     joints = np.array([j for own in system.model.effects.kernels for j in own.state_joints])
     rates = b.effects.state_rates if joints.size else joints

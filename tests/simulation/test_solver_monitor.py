@@ -57,7 +57,7 @@ def arm_matrix(system, trajectory, arm, k):
     evaluation = ma.evaluate(system, 0.0, state_at(system, trajectory, k))
     M, _, W, _ = system_matrices(system, evaluation)
     i = system.arm_names.index(arm)
-    d, r = system.model.layout.dofs, system.model.layout.rows
+    d, r = system.model.layout.first_joint, system.model.layout.first_contact
     own = slice(6 + d[i], 6 + d[i + 1])
     return np.linalg.solve(np.linalg.cholesky(M[own, own]), W[own, r[i] : r[i + 1]])
 

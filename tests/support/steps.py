@@ -124,14 +124,14 @@ def derivatives_of(system, stepping):
     shared = np.zeros((u, size))
     shared[:, of_object] = blocks.by_object[:u, :12]
     found[size:, of_object] = blocks.by_object[u:, :12]
-    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
+    for i, (first, last) in enumerate(itertools.pairwise(layout.first_joint)):
         joints, states = np.arange(first, last), blocks.states[i, : blocks.counts[i]]
         columns = np.r_[6 + joints, n + 6 + joints, 2 * n + states]
         local = np.r_[: last - first, d : d + last - first, 2 * d : 2 * d + states.size]
         shared[:, columns] = blocks.on_object[i][:, local]
         own_columns.append((columns, local))
     found[n : n + 6] = shared[:6]
-    for i, (first, last) in enumerate(itertools.pairwise(layout.dofs)):
+    for i, (first, last) in enumerate(itertools.pairwise(layout.first_joint)):
         A, (columns, local) = blocks.derivatives[i], own_columns[i]
         rows = n + 6 + np.arange(first, last)
         found[np.ix_(rows, columns)] = A[: last - first, local]
