@@ -519,8 +519,6 @@ def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
     """design(s R x + p) = s R design(x) + p, of microns and of hundreds of metres, far away."""
     more = {"box": BOX, "oblique": oblique(3), "tetrahedron": Polyhedron.hull(np.eye(4, 3))}
     body, pose = {**WIDE, **more}[name], pose_of(4, 100.0 * factor)
-    if name in ("wedge", "triangle", "tetrahedron"):  # rounding takes one of equally good places
-        body, pose[:3, :3] = body.placed(pose_of(4, 0.0)), np.eye(3)
     grasp, moved = design_grasp(body), design_grasp(body.scaled(factor).placed(pose))
     assert moved.closure.distance == pytest.approx(grasp.closure.distance, rel=1e-6)
     if name not in ("cut wedge", "hull", "box", "oblique", "tetrahedron"):

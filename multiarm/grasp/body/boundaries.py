@@ -26,10 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.deepest import largest_ball
 from multiarm.grasp.body.face import PLANE_TOLERANCE, Face, area_vector, cut_into_triangles
 from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
-from multiarm.programs import LinearSolution, linear_program
 from multiarm.scene import meshes
 from multiarm.scene.solids import TOO_THIN, hull_triangles, moments
 
@@ -117,19 +117,6 @@ def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
     if best.x is None or not radius > INSIDE:
         raise GraspError("no point is inside all half-spaces: turn the normals outward")
     return inside
-
-
-def largest_ball(
-    rows: np.ndarray, levels: np.ndarray, within: float | None = None
-) -> LinearSolution:
-    """Maximise r >= 0 with ``rows x + r <= levels``; ``x`` of the solution is [x; r].
-
-    For outward unit normals in the rows, x is the centre of the largest ball inside.  ``within``
-    bounds each coordinate, either way.
-    """
-    bounds = [(None if within is None else -within, within)] * 3 + [(0.0, None)]
-    A = np.column_stack([rows, np.ones(len(rows))])
-    return linear_program(np.array([0.0, 0.0, 0.0, -1.0]), at_most=(A, levels), bounds=bounds)
 
 
 def _compacted(vertices: np.ndarray, faces: Loops) -> tuple[np.ndarray, Loops]:

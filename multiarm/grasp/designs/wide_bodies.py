@@ -35,7 +35,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.body.body_class import Triple, classify
-from multiarm.grasp.body.boundaries import largest_ball
+from multiarm.grasp.body.deepest import deepest_point
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.designs.assembling import (
@@ -189,12 +189,15 @@ def _firmest(grasps: Iterator[Grasp]) -> Grasp | None:
 
 # --- The last contact anywhere in its region ------------------------------------------------------
 
+# Feet that are nearer to an edge, in sizes of the body, are not on the face.
+LEAST_ROOM = 1e-9
 # Contacts 4 to 7 are tried in the middle of a face, and this part of the way to each corner.
 TOWARD_CORNER = 0.7
 # Corners of a face that are tried, and opposed faces (the largest), at most.
 MOST_CORNERS, MOST_OPPOSED = 8, 5
-# Choices, with the largest smallest push, that are made grasps.
-FINISHED = 4
+# Choices, with the largest smallest push, that are made grasps; and those that differ from the last
+# of them by this part only: symmetric bodies have several, among which rounding would choose.
+FINISHED, EQUAL = 4, 1e-9
 
 
 def region_grasps(body: Polyhedron, triples: Iterable[Triple]) -> Iterator[Grasp]:
@@ -224,10 +227,8 @@ def deep_point(body: Polyhedron, faces: Three) -> np.ndarray | None:
         rows.append(inward)  # inward . normal = 0: the foot counts as the point does
         levels.append(np.sum(inward * (face.vertices - body.centre), axis=1))
     unit = 2.0 ** np.round(np.log2(body.size))  # of lengths; division by it rounds nothing
-    best = largest_ball(-np.vstack(rows), -np.concatenate(levels) / unit, body.size / unit)
-    if best.x is None or best.x[3] <= 1e-9:
-        return None
-    return best.x[:3] * unit + body.centre
+    deepest = deepest_point(-np.vstack(rows), -np.concatenate(levels) / unit, LEAST_ROOM)
+    return None if deepest is None else deepest * unit + body.centre
 
 
 def _firmest_three(
@@ -240,10 +241,17 @@ def _firmest_three(
         points = np.concatenate([np.broadcast_to(first.points, (len(fours), 3, 3)), fours], axis=1)
         normals = np.vstack([first.normals, -body.normals[[u, u, w, w]]])
         smallest = smallest_pushes(body, points, np.broadcast_to(normals, points.shape))
-        order = np.argsort(-smallest)[:FINISHED]
-        tried.extend((smallest[k], (u, u, w), fours[k, :3]) for k in order if smallest[k] > 0.0)
-    tried.sort(key=lambda choice: -choice[0])
-    return [(faces, points) for _, faces, points in tried[:FINISHED]]
+        largest = np.flatnonzero(_among_largest(smallest))
+        tried.extend((smallest[k], (u, u, w), fours[k, :3]) for k in largest if smallest[k] > 0.0)
+    taken = _among_largest(np.array([push for push, _, _ in tried]))
+    return [choice[1:] for choice, take in zip(tried, taken, strict=True) if take]
+
+
+def _among_largest(pushes: np.ndarray) -> np.ndarray:
+    """Which pushes (K,) are among the largest ``FINISHED``, or as large as the last of these."""
+    if len(pushes) <= FINISHED:
+        return np.ones(len(pushes), dtype=bool)
+    return pushes >= (1.0 - EQUAL) * np.partition(pushes, -FINISHED)[-FINISHED]
 
 
 def _fours(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.body.deepest import middle_of
 from multiarm.grasp.body.face import Face, as_face, cut_face, distinct, room_in
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.seventh_contact.moment_route import moment_half_planes
@@ -37,8 +38,6 @@ FAR_BORDER = 1e-12
 # Where a level stays below this multiple of what counts as zero all over the face, the border of
 # its half-plane is drawn where it is no longer zero.
 LEVEL = 1e5
-# Accuracy of the middle of a region, in sizes of the region.
-MIDDLE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,20 +121,17 @@ class ContactRegion:
     def best_point(self) -> np.ndarray:
         """The point farthest from the border: centre of the largest circle inside; shape (3,) [m].
 
+        Where circles of one size fit between parallel borders, it is the middle of their centres,
+        which does not hang on rounding.
+
         Raises
         ------
         GraspError
             There is no region.
         """
-        import shapely
-
         if not self:
             raise GraspError(f"no contact on {self.face.name} closes the grasp: {self.reason}")
-        centres = []
-        for k, piece in enumerate(self.shape.geoms):
-            size = float(np.ptp(self.outlines[k], axis=0).max())
-            circle = shapely.maximum_inscribed_circle(piece, tolerance=MIDDLE * size)
-            centres.append(self.face.at(circle.coords[0]))
+        centres = [self.face.at(middle_of(piece)) for piece in self.shape.geoms]
         return centres[int(np.argmax([self.depth(centre) for centre in centres]))]
 
     def coefficients(self, point: Any) -> np.ndarray:
