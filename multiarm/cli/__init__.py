@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
+from typer.exceptions import TyperException
 
 import multiarm
 from multiarm.cli.accuracy import accuracy
@@ -32,9 +33,6 @@ from multiarm.cli.warmup import warmup
 from multiarm.errors import MultiarmError, shortened
 from multiarm.results.files import printable
 from multiarm.terminal.console import print_error, print_warnings
-
-# Typer does not export the class that it raises for a wrong command line.
-_UsageError: Any = typer.BadParameter.__base__
 
 
 class _Commands(TyperGroup):
@@ -64,7 +62,7 @@ class _Commands(TyperGroup):
             where = "a file" if error.filename is None else f"'{error.filename}'"
             print_error(shortened(f"cannot use {where}: {error.strerror or error}"))
             raise typer.Exit(2) from None
-        except _UsageError as error:
+        except TyperException as error:  # a wrong command line
             error.message = shortened(printable(error.message))
             raise
         except KeyboardInterrupt:

@@ -109,8 +109,6 @@ class Scene(Spec):
     def __init__(self, /, folder: Path | str | None = None, **data: Any) -> None:
         self._fill(data, folder)
 
-    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
-
     @classmethod
     def from_mapping(
         cls,

@@ -23,6 +23,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     SerializerFunctionWrapHandler,
     TypeAdapter,
     ValidationError,
@@ -30,6 +31,7 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic_core import core_schema
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
@@ -58,18 +60,7 @@ SOLVE = "solve"
 """Stands for a posture that the program finds."""
 
 
-class _PartClass(type(BaseModel)):  # type: ignore[misc]
-    """Classes of parts of a scene: completions and ``help`` show what is theirs, not Pydantic's."""
-
-    def __dir__(cls) -> list[str]:
-        names = super().__dir__()
-        return [name for name in names if name[0] != "_" and not hasattr(BaseModel, name)]
-
-
-_DYNAMIC: Any = _PartClass  # its base, Pydantic's, has no public name that mypy could follow
-
-
-class Spec(BaseModel, metaclass=_DYNAMIC):  # type: ignore[misc]
+class Spec(BaseModel):
     """Base of all parts of a scene: frozen, strict about keys.
 
     A part built in Python (``Pose(xyz=[0, 0, 1])``) is validated like one read from YAML, and
@@ -95,9 +86,17 @@ class Spec(BaseModel, metaclass=_DYNAMIC):  # type: ignore[misc]
         except ValidationError as error:
             raise SceneError(explain(error, type(self), type(self).__name__)) from None
 
-    # Pydantic calls a foreign __init__ for nested parts too, where the first fault would end the
-    # search for others; this mark says that ours adds nothing but the wording.
-    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+    @classmethod
+    def __get_pydantic_core_schema__(
+        cls, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Read nested parts without their ``__init__``, where the first fault ends the search."""
+        schema = handler(source)
+        model: Any = handler.resolve_ref_schema(schema)
+        while model["type"] != "model":  # its validators are around it
+            model = model["schema"]
+        model["custom_init"] = False
+        return schema
 
     def __setattr__(self, name: str, value: Any) -> None:
         try:

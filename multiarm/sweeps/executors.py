@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import asyncio
 import os
-import re
 import threading
 import time
 import warnings
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import cache
 from itertools import islice
@@ -70,7 +69,6 @@ def _until_a_worker_dies(
 ) -> Generator[Row, None, list[Job]]:
     """Rows as runs end; returns the runs that were under way when a worker died."""
     from joblib import Parallel, delayed
-    from joblib.externals.loky import process_executor
 
     under_way: dict[int, Job] = {}
 
@@ -88,13 +86,13 @@ def _until_a_worker_dies(
         with warnings.catch_warnings():
             # It warns of a process that ended for lack of work as work came, and starts another.
             # An error would end the thread that serves the processes: the sweep would never end.
-            warnings.filterwarnings("ignore", module=re.escape(process_executor.__name__))
+            warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
             for row in rows:
                 del under_way[row["run"]]
                 yield row
-    except process_executor.TerminatedWorkerError:
-        return [*under_way.values()]
     except Exception as error:
+        if isinstance(error, BrokenProcessPool) and error.__cause__ is None:
+            return [*under_way.values()]  # with a cause, a task or its result could not be sent
         raise _explained(error) from error
     finally:
         with warnings.catch_warnings():
@@ -186,7 +184,7 @@ def _explained(error: BaseException) -> Exception:
 
 
 def _reason(error: BaseException) -> str:
-    if isinstance(error, BrokenExecutor) and error.__cause__ is not None:
+    if isinstance(error, BrokenProcessPool) and error.__cause__ is not None:
         # a worker cannot load a task: the last line of its traceback
         return str(error.__cause__).strip('"\n').rpartition("\n")[2]
     return f"{type(error).__name__}: {error}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import subprocess
@@ -213,9 +214,11 @@ def test_another_version_of_the_program_is_refused(plan, monkeypatch):
 def test_a_worker_that_ends_as_work_comes_is_no_error_where_warnings_are(plan):
     """It would end the thread of the library that hands out the work; the sweep waited for ever."""
 
+    warning = "A worker stopped while some jobs were given to the "
+    assert warning in inspect.getsource(process_executor)
+
     def warn() -> None:
-        file, module = process_executor.__file__, process_executor.__name__
-        warnings.warn_explicit("A worker stopped", UserWarning, file, 1, module)
+        warnings.warn(warning, UserWarning, stacklevel=1)
 
     rows = run_in_processes(Context.of(plan), jobs_of(plan)[:4], 2)
     next(rows)
