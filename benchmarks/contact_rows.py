@@ -17,7 +17,7 @@ import numpy as np
 import output
 import pandas
 from matplotlib.figure import Figure
-from timing import Burst, fastest, measure, one_thread
+from timing import Burst, fastest, measure
 
 from multiarm.contacts.kernel import CONTACT_WIDTH, write_row, write_rows
 from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
@@ -40,6 +40,7 @@ from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 from multiarm.jit.rows import fields_of
 from multiarm.plots.style import BLUE
+from multiarm.threads import one_thread
 
 ROWS = 24
 """Of a table: a multiple of the rows that a kind has together."""
@@ -52,12 +53,7 @@ def main(words: Sequence[str] | None = None) -> None:
     arguments = output.options(__doc__, "contact_rows").parse_args(words)
     with output.Clock() as clock, one_thread():
         costs = measure_rows(arguments.rounds)
-    output.save(arguments, clock, "contact_rows", costs, table(costs), figure)
-
-
-def table(costs: dict[str, float]) -> pandas.DataFrame:
-    """A line for each kind of row."""
-    return pandas.DataFrame({"row": costs.keys(), "microseconds": costs.values()})
+    output.save(arguments, clock, "contact_rows", costs, figure)
 
 
 def figure(rows: pandas.DataFrame) -> Figure:
@@ -105,14 +101,12 @@ def row_kinds() -> dict[str, list[Contact]]:
     }
 
 
-def measure_rows(rounds: int = 7) -> dict[str, float]:
-    """Microseconds a row, of every kind in :func:`row_kinds`."""
+def measure_rows(rounds: int = 7) -> pandas.DataFrame:
+    """Microseconds a row, for every kind in :func:`row_kinds`."""
     bursts = {name: _burst(contacts) for name, contacts in row_kinds().items()}
-    best = dict.fromkeys(bursts, math.inf)
-    for _ in range(rounds):
-        for name, cost in fastest(measure(bursts, BURSTS_PER_ROUND)).items():
-            best[name] = min(best[name], cost / ROWS)
-    return best
+    costs = fastest(measure(bursts, rounds * BURSTS_PER_ROUND))
+    microseconds = np.array([*costs.values()]) / ROWS
+    return pandas.DataFrame({"row": [*costs], "microseconds": microseconds})
 
 
 def _burst(contacts: list[Contact]) -> Burst:

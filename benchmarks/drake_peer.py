@@ -67,7 +67,7 @@ def main(words: Sequence[str] | None = None) -> None:
             parser.error(f"--steps: {step:g} s does not divide the output step of {interval:g} s")
     with output.Clock() as clock:
         rows = motions(system, arguments.steps, arguments.rounds)
-    output.save(arguments, clock, "drake", {"rows": rows}, pandas.DataFrame(rows), figure)
+    output.save(arguments, clock, "drake", pandas.DataFrame(rows), figure)
 
 
 def _steps(text: str) -> tuple[float, ...]:

@@ -10,8 +10,8 @@ The thesis measured Matlab programs; here the same is measured twice.
 NumPy loop (and over all arms at once), direct elimination by LAPACK, which is compiled, as Matlab's
 was.  *compiled*: coefficients and node algorithm as the time loop performs them.
 
-Direct elimination has its best form: LAPACK's LU on one thread, without the assembly of the matrix,
-which is timed separately; the symmetric factorisation is measured too.  The time of the node
+Direct elimination has its best form: LAPACK's LU on one thread, without the assembly of the matrix;
+the symmetric factorisation is measured too.  The time of the node
 algorithm includes loading its inertias and constraint matrices.  Figures are medians over bursts.
 
 Operation counts: every addition, subtraction, multiplication, division and square root counts as
@@ -33,9 +33,7 @@ halves twice; :func:`node_operations` counts it exactly, without padding of arms
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import output
@@ -57,10 +55,9 @@ from solver_forms import (
 from timing import (
     Burst,
     call_burst,
-    fitted_slopes,
+    fitted_slope,
     measure,
     median,
-    one_thread,
     python_burst,
     upper_half,
 )
@@ -74,62 +71,37 @@ from multiarm.jit.kernels import kernel
 from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK
 from multiarm.problems import ring_of_arms
 from multiarm.scene import Scene
+from multiarm.threads import one_thread
 
 ARMS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 20, 50, 100)
 BURSTS_PER_ROUND = 12
-PICTURES = {
-    "compiled": ("build", "node", "assembly", "lu", "ldl"),
-    "interpreted": ("build", "node", "node at once", "assembly", "lu"),
-}
-"""The two ways in which everything is measured, and the parts of each."""
-# number of arms: (t2 + t) / (t1 + t), t2 / t1, t2 - t1 [ms]
-_THESIS = {
-    2: (0.98, 0.71, -6.5),
-    3: (0.99, 0.77, -7.2),
-    4: (0.99, 0.88, -4.9),
-    5: (1.00, 1.03, 1.3),
-    6: (1.01, 1.22, 12.3),
-    7: (1.02, 1.41, 27.1),
-    8: (1.03, 1.64, 47.7),
-    9: (1.05, 1.88, 73.7),
-    10: (1.06, 2.13, 104.6),
-}
+WAYS = ("compiled", "interpreted")
+"""In which everything is measured."""
+THESIS = pandas.DataFrame(
+    {
+        "total_1995": [0.98, 0.99, 0.99, 1.00, 1.01, 1.02, 1.03, 1.05, 1.06],
+        "solving_1995": [0.71, 0.77, 0.88, 1.03, 1.22, 1.41, 1.64, 1.88, 2.13],
+        "saved_1995_ms": [-6.5, -7.2, -4.9, 1.3, 12.3, 27.1, 47.7, 73.7, 104.6],
+    },
+    index=pandas.RangeIndex(2, 11, name="arms"),
+)
+"""The table of section 4.4: ``(t2 + t) / (t1 + t)``, ``t2 / t1`` and ``t2 - t1`` of Matlab."""
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Measure, and write the table, the figure and the numbers."""
-    parser = output.options(__doc__, "efficiency")
-    parser.add_argument("--arms", type=output.counts, default=ARMS, metavar="N,N,...",
-                        help="numbers of arms (default 2 to 10, 20, 50, 100)")  # fmt: skip
+    parser = output.options(__doc__, "efficiency", ARMS)
     arguments = parser.parse_args(words)
     with output.Clock() as clock:
-        study = solver_study(arguments.arms, arguments.rounds)
-    output.save(arguments, clock, "thesis", study, table(study), figure)
-    passed, slopes = study["crossover"], study["upper_slopes"]["compiled"]
-    print("node algorithm faster from so many arms on:",
-          ", ".join(f"{name} {arms:.3g}" if arms else f"{name} never here"
-                    for name, arms in passed.items()))  # fmt: skip
-    print("exponents over the larger half:",
-          ", ".join(f"{name} {slope:.2f}" for name, slope in slopes.items() if slope))  # fmt: skip
-
-
-def table(study: dict[str, Any]) -> pandas.DataFrame:
-    """A row for each number of arms: ratios in 1995 and now, times [us], operations, deviation."""
-    rows = []
-    for row in study["rows"]:
-        cost, count = row["microseconds"], row["operations"]
-        in_1995 = study["thesis"].get(str(row["arms"]), {})
-        rows.append(
-            {"arms": row["arms"]}
-            | {f"{key}_1995": in_1995.get(key) for key in ("solving", "total")}
-            | {f"{key}_{picture}": row["columns"][picture][key]
-               for picture in PICTURES for key in ("solving", "total")}
-            | {f"{part.replace(' ', '_')}_{picture}_us": microseconds
-               for picture in PICTURES for part, microseconds in cost[picture].items()}
-            | {"node_operations": count["node"], "direct_operations": count["direct"],
-               "deviation": max(row["deviation"].values())}
-        )  # fmt: skip
-    return pandas.DataFrame(rows)
+        rows = solver_study(arguments.arms, arguments.rounds)
+    output.save(arguments, clock, "thesis", rows, figure)
+    for way in WAYS:
+        arms = crossover(rows["arms"], rows[f"solving_{way}"])
+        print(f"node algorithm faster, {way}:", f"from {arms:.3g} arms" if arms else "never here")
+    larger = rows[upper_half(rows)]
+    for part in ("build_compiled", "node_compiled", "lu", "ldl"):
+        slope = fitted_slope(larger["arms"], larger[f"{part}_us"])
+        print(f"exponent of {part} over the larger half:", slope and f"{slope:.2f}")
 
 
 def figure(rows: pandas.DataFrame) -> Figure:
@@ -139,7 +111,7 @@ def figure(rows: pandas.DataFrame) -> Figure:
         ("node_compiled_us", "node, compiled", BLUE, "-"),
         ("node_interpreted_us", "node, NumPy loop", BLUE, "--"),
         ("node_at_once_interpreted_us", "node, NumPy, all arms at once", BLUE, ":"),
-        ("lu_compiled_us", "direct, LU", ORANGE, "-"),
+        ("lu_us", "direct, LU", ORANGE, "-"),
     ):
         times.plot(rows["arms"], rows[column], dashes, color=colour, marker="o", ms=3, label=name)
     for suffix, name, colour in (("compiled", "compiled", BLUE), ("interpreted", "NumPy", GREEN)):
@@ -156,31 +128,6 @@ def figure(rows: pandas.DataFrame) -> Figure:
     return drawing
 
 
-def columns(t: float, t1: float, t2: float) -> dict[str, float]:
-    """The columns of the thesis's table and what they imply, in the unit of the times.
-
-    ``total`` speed-up ``(t2 + t) / (t1 + t)``, ``solving`` speed-up ``t2 / t1``, time ``saved``
-    ``t2 - t1``, and the times of the node algorithm ``t1`` and of direct elimination ``t2``.
-    """
-    return {
-        "total": (t2 + t) / (t1 + t), "solving": t2 / t1, "saved": t2 - t1, "t1": t1, "t2": t2,
-    }  # fmt: skip
-
-
-def thesis_columns() -> dict[int, dict[str, float]]:
-    """The table of section 4.4 by number of arms [ms]; ``t1`` and ``t2`` follow from it.
-
-    ``t1 = saved / (solving - 1)``; both figures are rounded, near 5 arms to few digits.
-    """
-    columns_of = {}
-    for arms, (total, solving, saved) in _THESIS.items():
-        t1 = saved / (solving - 1.0)
-        columns_of[arms] = {
-            "total": total, "solving": solving, "saved": saved, "t1": t1, "t2": solving * t1,
-        }  # fmt: skip
-    return columns_of
-
-
 def study_scene(arms: int) -> Scene:
     """The ring of UR5 arms, each touching a face of the disc with its tip; no torques."""
     ring = ring_of_arms(arms, "ball")
@@ -189,70 +136,39 @@ def study_scene(arms: int) -> Scene:
                         control={"kind": "none"})  # fmt: skip
 
 
-def solver_study(arms: Sequence[int] = ARMS, rounds: int = 7) -> dict[str, Any]:
-    """Measure section 4.4.
+def solver_study(arms: Sequence[int] = ARMS, rounds: int = 7) -> pandas.DataFrame:
+    """Measure section 4.4: a row for each number of arms.
 
     Returns
     -------
-    dict
-        ``rows``: a list with, for every number of arms, ``arms``; ``microseconds`` (``compiled``
-        and ``interpreted`` -> part -> median); ``columns`` (the same two -> the thesis's columns,
-        in microseconds); ``operations`` (``node``, ``direct``, their ``ratio``, and
-        ``ratio_as_written`` of the thesis's equations); ``deviation`` (solver -> largest relative
-        deviation of the accelerations from direct elimination's).
-        ``thesis``: number of arms -> its columns [ms].
-        ``slopes``, ``upper_slopes``, ``last_slopes``: ``compiled`` and ``interpreted`` -> part ->
-        exponent of its cost in the number of arms, over all numbers, the larger half of them, and
-        the largest two.
-        ``crossover``: of the two, of NumPy's stacked operations and of the ``thesis``: from how
-        many arms on the node algorithm is faster (None: not within the range), see
-        :func:`crossover`.
+    DataFrame
+        ``arms``; ``solving_WAY``, ``t2 / t1``, and ``total_WAY``, ``(t2 + t) / (t1 + t)``, in 1995
+        and in both ways; ``PART_us``, the median microseconds of every part; ``node_operations``
+        and ``direct_operations``; ``deviation``, the largest relative deviation of a solver's
+        accelerations from those of LU.
     """
     rows = []
     with one_thread():
         for count in arms:
             print(f"section 4.4: {count} arms", flush=True)
             rows.append(_measure(count, rounds))
-    sizes = [row["arms"] for row in rows]
-    costs = {picture: [row["microseconds"][picture] for row in rows] for picture in PICTURES}
-    ranges = {
-        "slopes": slice(None),
-        "upper_slopes": upper_half(rows),
-        "last_slopes": slice(-2, None),
-    }
-    thesis = thesis_columns()
-    ratios = {"thesis": [(n, row["solving"]) for n, row in thesis.items()]}
-    for name, picture, node in (
-        ("compiled", "compiled", "node"),
-        ("interpreted", "interpreted", "node"),
-        ("interpreted, at once", "interpreted", "node at once"),
-    ):
-        measured = zip(sizes, costs[picture], strict=True)
-        ratios[name] = [(n, cost["lu"] / cost[node]) for n, cost in measured]
-    return {
-        "rows": rows,
-        "thesis": {str(n): row for n, row in thesis.items()},
-        **{
-            key: {name: fitted_slopes(sizes[part], cost[part]) for name, cost in costs.items()}
-            for key, part in ranges.items()
-        },
-        "crossover": {name: crossover(series) for name, series in ratios.items()},
-    }
+    ratios = THESIS[["solving_1995", "total_1995"]].reset_index()
+    return ratios.merge(pandas.DataFrame(rows), "right", "arms")
 
 
-def crossover(ratios: Sequence[tuple[int, float]]) -> float | None:
+def crossover(arms: Sequence[float], ratios: Sequence[float]) -> float | None:
     """Number of arms at which ``t2 / t1`` passes 1 for good, between neighbours interpolated.
 
     Returns the smallest number when the ratio is never below 1, None when it is below at the end.
     """
-    below = [k for k, (_, ratio) in enumerate(ratios) if ratio < 1.0]
-    if not below:
-        return float(ratios[0][0])
-    if below[-1] == len(ratios) - 1:
+    sizes, logs = np.log(arms), np.log(ratios)
+    (below,) = np.nonzero(logs < 0.0)
+    if not below.size:
+        return float(np.exp(sizes[0]))
+    last = below[-1]
+    if last == len(logs) - 1:
         return None
-    (n0, r0), (n1, r1) = ratios[below[-1]], ratios[below[-1] + 1]
-    share = -math.log(r0) / (math.log(r1) - math.log(r0))
-    return float(n0 * (n1 / n0) ** share)
+    return float(np.exp(np.interp(0.0, logs[last : last + 2], sizes[last : last + 2])))
 
 
 def solve_in_all_ways(s: Coefficients) -> dict[str, Solution]:
@@ -280,7 +196,7 @@ def deviations(s: Coefficients) -> dict[str, float]:
     return {name: float(np.max(np.abs(x - exact)) / scale) for name, x in accelerations.items()}
 
 
-def _measure(count: int, rounds: int) -> dict[str, Any]:
+def _measure(count: int, rounds: int) -> dict[str, float]:
     system = compile_system(study_scene(count))
     state = moving_state(system, seed=count)
     s = build(system, state)
@@ -290,38 +206,25 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
     parts = data.arrays.functions
     bursts: dict[str, Burst] = {
         # the coefficients of (4.9) at the state in the data, with ``W`` and all forces
-        "compiled build": call_burst(data, parts.kinematics, parts.forces),
-        "compiled node": CompiledNode(s).burst,
-        "compiled assembly": assembly_burst(s),
-        "compiled lu": python_burst(lambda: solve_lu(matrix, right)),
-        "compiled ldl": python_burst(lambda: solve_ldl(matrix, right)),
-        "interpreted build": python_burst(lambda: build(system, state)),
-        "interpreted node": python_burst(lambda: node_loop(s)),
-        "interpreted node at once": python_burst(lambda: mcmillan(s, together=0)),
-        "interpreted assembly": python_burst(lambda: assemble(s)),
+        "build_compiled": call_burst(data, parts.kinematics, parts.forces),
+        "node_compiled": CompiledNode(s).burst,
+        "lu": python_burst(lambda: solve_lu(matrix, right)),
+        "ldl": python_burst(lambda: solve_ldl(matrix, right)),
+        "build_interpreted": python_burst(lambda: build(system, state)),
+        "node_interpreted": python_burst(lambda: node_loop(s)),
+        "node_at_once_interpreted": python_burst(lambda: mcmillan(s, together=0)),
     }
     cost = median(measure(bursts, rounds * BURSTS_PER_ROUND))
-    cost["interpreted lu"] = cost["compiled lu"]  # LAPACK's, in both pictures
-    times = {
-        picture: {name: cost[f"{picture} {name}"] for name in names}
-        for picture, names in PICTURES.items()
+    row: dict[str, float] = {"arms": count}
+    for way in WAYS:
+        t, t1, t2 = cost[f"build_{way}"], cost[f"node_{way}"], cost["lu"]  # LAPACK's in both ways
+        row |= {f"solving_{way}": t2 / t1, f"total_{way}": (t2 + t) / (t1 + t)}
+    row |= {f"{part}_us": microseconds for part, microseconds in cost.items()}
+    row |= {
+        "node_operations": node_operations(count),
+        "direct_operations": direct_operations(count),
     }
-    node, direct = node_operations(count), direct_operations(count)
-    return {
-        "arms": count,
-        "microseconds": times,
-        "columns": {
-            picture: columns(part["build"], part["node"], part["lu"])
-            for picture, part in times.items()
-        },
-        "operations": {
-            "node": node,
-            "direct": direct,
-            "ratio": direct / node,
-            "ratio_as_written": ratio_as_written(count),
-        },
-        "deviation": deviations(s),
-    }
+    return row | {"deviation": max(deviations(s).values())}
 
 
 def node_operations(arms: int, joints: int = 6, rows: int = 1) -> int:
@@ -392,13 +295,6 @@ class CompiledNode:
         return Solution(a_o, q.reshape(n, d), force.reshape(n, N))
 
 
-def assembly_burst(s: Coefficients) -> Burst:
-    """Filling the whole matrix and its right-hand side."""
-    matrix, right = map(np.ascontiguousarray, assemble(s))  # the matrix is symmetric
-    given = (s.M_o, s.f_o, s.M, s.f_j, s.W_o, s.W, s.c, matrix, right)
-    return lambda count: _assemble_often(*given, count)
-
-
 @kernel
 def _node_often(work, M, W, Wo, M_o, f_o, f_j, c, a_o, q, force, count):
     """Load, eliminate, solve."""
@@ -414,32 +310,6 @@ def _node_often(work, M, W, Wo, M_o, f_o, f_j, c, a_o, q, force, count):
         if status != OK:
             return status
     return status
-
-
-@kernel
-def _assemble_often(M_o, f_o, M, f_j, W_o, W, c, matrix, right, count):
-    """What :func:`solver_forms.assemble` does."""
-    n, d, m = W.shape
-    for _ in range(count):
-        for a in range(matrix.shape[0]):
-            for b in range(matrix.shape[1]):
-                matrix[a, b] = 0.0
-        for a in range(6):
-            right[a] = f_o[a]
-            for b in range(6):
-                matrix[a, b] = M_o[a, b]
-        for i in range(n):
-            j0, r0 = 6 + i * d, 6 + n * d + i * m
-            for a in range(d):
-                right[j0 + a] = f_j[i, a]
-                for b in range(d):
-                    matrix[j0 + a, j0 + b] = M[i, a, b]
-            for k in range(m):
-                right[r0 + k] = c[i, k]
-                for a in range(d):
-                    matrix[j0 + a, r0 + k] = matrix[r0 + k, j0 + a] = W[i, a, k]
-                for a in range(6):
-                    matrix[a, r0 + k] = matrix[r0 + k, a] = W_o[i, a, k]
 
 
 if __name__ == "__main__":

@@ -26,9 +26,8 @@ from matplotlib.figure import Figure
 from peer_solvers import ConstraintDynamics, Lcaba, Tree, memory_needed
 from timing import (
     fastest,
-    fitted_slopes,
+    fitted_slope,
     measure,
-    one_thread,
     python_burst,
     slope_burst,
     terms_burst,
@@ -42,6 +41,7 @@ from multiarm.dynamics.system import System
 from multiarm.events.evaluation import evaluate
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK
 from multiarm.problems import ring_of_arms
+from multiarm.threads import one_thread
 
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5
@@ -65,35 +65,31 @@ LINES = {
 
 def main(words: Sequence[str] | None = None) -> None:
     """Measure, and write the table, the figure and the numbers."""
-    parser = output.options(__doc__, "evaluations")
-    parser.add_argument("--arms", type=output.counts, default=ARMS, metavar="N,N,...",
-                        help="numbers of arms (default 2,4,8,16,32,64)")  # fmt: skip
+    parser = output.options(__doc__, "evaluations", ARMS)
     parser.add_argument("--kind", action="append", choices=KINDS, dest="kinds",
                         help="joint of each arm; may be repeated (default weld, ball)")  # fmt: skip
     arguments = parser.parse_args(words)
     kinds = arguments.kinds or ["weld", "ball"]
     with output.Clock() as clock:
         costs = evaluation_costs(arguments.arms, kinds, arguments.rounds)
-    output.save(arguments, clock, "evaluations", costs, table(costs), figure)
+    output.save(arguments, clock, "evaluations", table(costs), figure, costs)
 
 
 def table(costs: dict[str, Any]) -> pandas.DataFrame:
     """A row for every kind of joint, method and number of arms."""
     return pandas.DataFrame(
         {
-            "kind": row["kind"],
+            "kind": kind,
             "method": method,
             "arms": row["arms"],
             "microseconds": row["microseconds"][method],
             "relative_error": row["relative_error"].get(method),
         }
-        for row in sorted(costs["rows"], key=lambda row: row["kind"], reverse=True)
+        for kind in costs["exponents"]
         for method in METHODS
-    ).sort_values(["kind", "method", "arms"], ascending=[False, True, True], key=_as_listed)
-
-
-def _as_listed(column: pandas.Series) -> pandas.Series:
-    return column.map(METHODS.index) if column.name == "method" else column
+        for row in costs["rows"]
+        if row["kind"] == kind
+    )
 
 
 def figure(rows: pandas.DataFrame) -> Figure:
@@ -104,15 +100,8 @@ def figure(rows: pandas.DataFrame) -> Figure:
         of_kind = rows[rows["kind"] == kind]
         for method, (name, colour, dashes) in LINES.items():
             line = of_kind[of_kind["method"] == method].dropna(subset="microseconds")
-            panel.plot(
-                line["arms"],
-                line["microseconds"],
-                dashes,
-                color=colour,
-                marker="o",
-                ms=3,
-                label=name,
-            )
+            panel.plot(line["arms"], line["microseconds"], dashes, color=colour, marker="o", ms=3,
+                       label=name)  # fmt: skip
         arms = sorted(of_kind["arms"].unique())
         output.over_arms(panel, arms, f"One evaluation, {kind} joints", "microseconds")
     return drawing
@@ -142,9 +131,11 @@ def evaluation_costs(arms: Sequence[int], kinds: Sequence[str], rounds: int) -> 
     for kind in kinds:
         of_kind = [row for row in rows if row["kind"] == kind]
         sizes, costs = [row["arms"] for row in of_kind], [row["microseconds"] for row in of_kind]
-        upper = upper_half(of_kind)
-        result["exponents"][kind] = fitted_slopes(sizes, costs)
-        result["upper_exponents"][kind] = fitted_slopes(sizes[upper], costs[upper])
+        for key, part in (("exponents", slice(None)), ("upper_exponents", upper_half(of_kind))):
+            result[key][kind] = {
+                method: fitted_slope(sizes[part], [cost[method] for cost in costs[part]])
+                for method in METHODS
+            }
         growth = costs[-1][OURS] / costs[0][OURS]
         result["growth"][kind] = growth if len(of_kind) > 1 else None
     return result
@@ -190,7 +181,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
         DENSE: slope_burst(dense),
     }
     cost: dict[str, float | None] = dict.fromkeys(METHODS)
-    cost.update(fastest(measure(bursts, rounds * BURSTS_PER_ROUND, (DENSE,), BURSTS_PER_ROUND)))
+    cost.update(fastest(measure(bursts, rounds * BURSTS_PER_ROUND)))
     scale = np.max(np.abs(exact))
     return {
         "kind": kind,

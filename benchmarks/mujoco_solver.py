@@ -16,8 +16,6 @@ from multiarm.studies.mujoco_peer import MujocoPeer, quiet
 class Mujoco(MujocoPeer, Solver):
     """MuJoCo with hardened constraints."""
 
-    best: ClassVar = ("RK4", 5e-4)
-
     def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
         """As MuJoCo returns them, in the package's order and axes."""
         d, n = self.data, self.system.model.layout.joints
@@ -33,5 +31,4 @@ class Mujoco(MujocoPeer, Solver):
 class AsShipped(Mujoco):
     """MuJoCo with its own settings."""
 
-    best: ClassVar = ("Euler", 2e-3)
     hardened: ClassVar = False

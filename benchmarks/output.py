@@ -9,7 +9,7 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,18 @@ DISTURBED = 0.05
 """Share of the time that a benchmark had to wait, above which it warns."""
 
 
-def options(description: str | None, name: str, rounds: int = 7) -> argparse.ArgumentParser:
-    """The options that all benchmarks have; the CSV is ``NAME.csv`` unless named."""
+def options(
+    description: str | None, name: str, arms: Sequence[int] = (), rounds: int = 7
+) -> argparse.ArgumentParser:
+    """The options that all benchmarks have, and ``--arms`` for those over the number of ``arms``.
+
+    The CSV is ``NAME.csv`` unless named.
+    """
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
+    if arms:
+        usual = ",".join(map(str, arms))
+        parser.add_argument("--arms", type=_counts, default=arms, metavar="N,N,...",
+                            help=f"numbers of arms (default {usual})")  # fmt: skip
     parser.add_argument("--rounds", type=_at_least_one, default=rounds,
                         help=f"repetitions of every measurement (default {rounds})")  # fmt: skip
     parser.add_argument("--csv", type=Path, default=Path(f"{name}.csv"), metavar="FILE",
@@ -43,7 +52,7 @@ def options(description: str | None, name: str, rounds: int = 7) -> argparse.Arg
     return parser
 
 
-def counts(text: str) -> tuple[int, ...]:
+def _counts(text: str) -> tuple[int, ...]:
     """Numbers of arms from a text such as ``2,4,8``, increasing; a ring has at least two."""
     try:
         numbers = tuple(sorted({int(part) for part in text.split(",")}))
@@ -78,11 +87,14 @@ def save(
     arguments: argparse.Namespace,
     clock: Clock,
     study: str,
-    numbers: dict[str, Any],
     table: pandas.DataFrame,
     figure: Callable[[pandas.DataFrame], Figure],
+    numbers: Any = None,
 ) -> None:
-    """Write what was asked for, print the table, and warn where other programs disturbed."""
+    """Write what was asked for, print the table, and warn where other programs disturbed.
+
+    The JSON has the ``numbers``, or the rows of the table, by the name of the study.
+    """
     arguments.csv.parent.mkdir(parents=True, exist_ok=True)
     about = machine()
     versions = ", ".join(
@@ -98,7 +110,8 @@ def save(
         written.append(arguments.figure)
     if arguments.json is not None:
         everything = {
-            "machine": about, "rounds": arguments.rounds, study: numbers,
+            "machine": about, "rounds": arguments.rounds,
+            study: table.to_dict("records") if numbers is None else numbers,
             "wall_time_s": clock.wall_time_s, "waited": clock.waited,
         }  # fmt: skip
         arguments.json.write_text(json.dumps(plain(everything), indent=1), encoding="utf-8")

@@ -9,7 +9,7 @@ unconverged numbers without an exception when rows are redundant, and ``lcaba`` 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import ClassVar
 
@@ -19,8 +19,8 @@ import pinocchio as pin
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.spatial import quaternion_to_matrix
-from multiarm.studies.peers import Clock, Drive, Grid, Peer, Sample
-from multiarm.studies.pinocchio_peer import SETTINGS, PinocchioPeer, dop853_steps
+from multiarm.studies.peers import Peer
+from multiarm.studies.pinocchio_peer import SETTINGS, PinocchioPeer
 
 Settings = tuple[float, ...]
 """Absolute and relative accuracy, regularisation, iterations; empty: as shipped."""
@@ -35,15 +35,7 @@ def memory_needed(joints: int) -> float:
 
 
 class Solver(Peer):
-    """A peer that can be asked for its accelerations at one state.
-
-    Attributes
-    ----------
-    best : tuple of str and float
-        The method by which a short motion is followed, and its step [s] or tolerance.
-    """
-
-    best: ClassVar[tuple[str, float]]
+    """A peer that can be asked for its accelerations at one state."""
 
     @abstractmethod
     def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
@@ -55,8 +47,6 @@ class Tree(PinocchioPeer):
 
     fast: ClassVar[Settings] = SETTINGS
     """Where an algorithm is timed."""
-    precise: ClassVar[Settings] = SETTINGS
-    """For accelerations, and for motions."""
 
     def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
         """A function without arguments, to be timed, that runs the algorithm once."""
@@ -86,13 +76,11 @@ class ConstraintDynamics(Tree, Solver):
     """``constraintDynamics`` on the forest of all arms and a free object.
 
     Its settings, like those of :class:`Lcaba`, were chosen among four as the most precise on two
-    welded UR5s, folded and straight; other systems may want others.  The last of its coordinates is
-    the work of torques and damping, and its samples are those after every step.
+    welded UR5s, folded and straight; other systems may want others.
     """
 
-    methods: ClassVar = {"SciPy DOP853": "tolerance"}
-    best: ClassVar = ("SciPy DOP853", 1e-10)
     precise: ClassVar[Settings] = (1e-14, 1e-14, 1e-10, 50)
+    """For accelerations."""
 
     def __init__(self, system: System):
         super().__init__(system, holder="")
@@ -104,33 +92,6 @@ class ConstraintDynamics(Tree, Solver):
         rotation, local = quaternion_to_matrix(state.object_quaternion_xyzw), v[-6:]
         linear = rotation @ (a[-6:-3] + np.cross(local[3:], local[:3]))
         return np.concatenate([linear, rotation @ a[-3:], a[:-6]])
-
-    def solver(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-        """The algorithm for motions; it raises where there is NaN, on which integrators with error
-        control would try for ever."""
-
-        def solve(q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
-            accelerations = self.call(q, v, tau, self.precise)()
-            if not np.all(np.isfinite(accelerations)):
-                raise FloatingPointError("NaN")
-            return accelerations
-
-        return solve
-
-    def follow(
-        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
-    ) -> Iterator[Sample]:
-        """Integrate, with the work that is done on the way (:meth:`Peer.follow`)."""
-        motion, n, nq = self.slope(clock, drive), self.damping.size, self.model.nq
-
-        def slope(t: float, y: np.ndarray) -> np.ndarray:
-            rates = motion(t, y)
-            return np.append(rates, self.force[:n] @ y[nq : nq + n])
-
-        yield Sample(0.0, start, 0.0)
-        y = np.append(self.coordinates(start), 0.0)
-        for solver in dop853_steps(clock, slope, y, grid.times[-1], value):
-            yield Sample(solver.t, self.state(solver.y), float(solver.y[-1]))
 
 
 class AsShipped(ConstraintDynamics):

@@ -8,7 +8,7 @@ its *fastest* burst, as others can only slow a burst down, or the *median*.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,24 +21,6 @@ from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.tableaus import RK4
-from multiarm.threads import one_thread
-
-__all__ = [
-    "Burst",
-    "call_burst",
-    "calls_a_burst",
-    "fastest",
-    "fitted_slope",
-    "fitted_slopes",
-    "loop_burst",
-    "measure",
-    "median",
-    "one_thread",
-    "python_burst",
-    "slope_burst",
-    "terms_burst",
-    "upper_half",
-]
 
 BURST = 1e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
@@ -50,32 +32,13 @@ Burst = Callable[[int], object]
 """Makes that many calls."""
 
 
-def measure(
-    bursts: Mapping[str, Burst], turns: int, rare: Collection[str] = (), rare_every: int = 40
-) -> dict[str, np.ndarray]:
-    """Seconds a call in every burst, of all contestants in turn.
-
-    Parameters
-    ----------
-    bursts : mapping of str to callable
-        Contestant -> function that makes a number of calls.
-    turns : int
-        Bursts of each, at most.
-    rare : collection of str
-        Contestants that take part only in every ``rare_every``-th turn: slow ones whose figures
-        need not be precise.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (bursts,)
-    """
+def measure(bursts: Mapping[str, Burst], turns: int) -> dict[str, np.ndarray]:
+    """Seconds a call in every burst of each contestant, of which all in turn have ``turns``."""
     calls = {name: calls_a_burst(burst) for name, burst in bursts.items()}
     seconds: dict[str, list[float]] = {name: [] for name in bursts}
     spent = dict.fromkeys(bursts, 0.0)
-    for turn in range(turns):
+    for _ in range(turns):
         for name, burst in bursts.items():
-            if name in rare and turn % rare_every:
-                continue
             if spent[name] > PATIENCE and len(seconds[name]) >= FEWEST:
                 continue
             begin = time.thread_time()
@@ -94,31 +57,6 @@ def calls_a_burst(burst: Burst) -> int:
     return max(1, round(BURST / max((time.thread_time() - begin) / 2, 1e-7)))
 
 
-def slope_burst(data: Data) -> Burst:
-    """Evaluations as the time loop performs them, at the state in the data."""
-    effects, struct = data.model.effects, data.struct
-    works = 1 + len(effects.works)
-    step = make_step(RK4, data.model.layout, struct, effects.states, works)
-    begin_chart(struct, step.base, step.z)
-    places = chart_places(data.arrays)
-    step.z[places.states : places.works] = data.effect_states()
-    return loop_burst(data, _evaluate_often, step.stage, step.z, step.base, step.slope)
-
-
-def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
-    """A compiled loop over a part of an evaluation.
-
-    ``loop(struct, *arguments, count)`` returns the status of the last one.
-    """
-
-    def burst(count: int) -> None:
-        if loop(data.struct, *arguments, count) != OK:
-            data.reraise()
-            raise SolverError("a part of an evaluation failed in the benchmark")
-
-    return burst
-
-
 def fastest(times: Mapping[str, np.ndarray]) -> dict[str, float]:
     """The fastest burst of each contestant, microseconds a call."""
     return {name: 1e6 * float(np.min(seconds)) for name, seconds in times.items()}
@@ -127,6 +65,20 @@ def fastest(times: Mapping[str, np.ndarray]) -> dict[str, float]:
 def median(times: Mapping[str, np.ndarray]) -> dict[str, float]:
     """The median burst of each contestant, microseconds a call."""
     return {name: 1e6 * float(np.median(seconds)) for name, seconds in times.items()}
+
+
+def fitted_slope(sizes: Sequence[float], costs: Sequence[float | None]) -> float | None:
+    """Least-squares slope of log cost over log size; None with fewer than two costs."""
+    known = [(n, cost) for n, cost in zip(sizes, costs, strict=True) if cost is not None]
+    if len(known) < 2:
+        return None
+    n, cost = np.log(np.array(known)).T
+    return float(np.polyfit(n, cost, 1)[0])
+
+
+def upper_half(sizes: Sequence[Any]) -> slice:
+    """The larger half of increasing sizes, at least two of them where there are two."""
+    return slice(len(sizes) // 2 if len(sizes) >= 4 else max(0, len(sizes) - 2), None)
 
 
 def python_burst(call: Callable[[], object]) -> Burst:
@@ -139,9 +91,20 @@ def python_burst(call: Callable[[], object]) -> Burst:
     return burst
 
 
+def slope_burst(data: Data) -> Burst:
+    """Evaluations as the time loop performs them, at the state in the data."""
+    effects, struct = data.model.effects, data.struct
+    works = 1 + len(effects.works)
+    step = make_step(RK4, data.model.layout, struct, effects.states, works)
+    begin_chart(struct, step.base, step.z)
+    places = chart_places(data.arrays)
+    step.z[places.states : places.works] = data.effect_states()
+    return _loop_burst(data, _evaluate_often, step.stage, step.z, step.base, step.slope)
+
+
 def call_burst(data: Data, *parts: int) -> Burst:
     """Compiled parts of an evaluation, by their addresses, in turn."""
-    bursts = [loop_burst(data, _call_often, address) for address in parts]
+    bursts = [_loop_burst(data, _call_often, address) for address in parts]
     return lambda count: [burst(count) for burst in bursts]
 
 
@@ -151,25 +114,18 @@ def terms_burst(data: Data) -> Burst:
     return lambda count: _terms_often(address, count)
 
 
-def fitted_slope(sizes: Sequence[float], costs: Sequence[float | None]) -> float | None:
-    """Least-squares slope of log cost over log size; None with fewer than two costs."""
-    known = [(n, cost) for n, cost in zip(sizes, costs, strict=True) if cost is not None]
-    if len(known) < 2:
-        return None
-    n, cost = np.log(np.array(known)).T
-    return float(np.polyfit(n, cost, 1)[0])
+def _loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
+    """A compiled loop over a part of an evaluation.
 
+    ``loop(struct, *arguments, count)`` returns the status of the last one.
+    """
 
-def fitted_slopes(
-    sizes: Sequence[float], costs: Sequence[Mapping[str, float | None]]
-) -> dict[str, float | None]:
-    """The slope of each contestant, from all their costs at each size."""
-    return {name: fitted_slope(sizes, [cost[name] for cost in costs]) for name in costs[0]}
+    def burst(count: int) -> None:
+        if loop(data.struct, *arguments, count) != OK:
+            data.reraise()
+            raise SolverError("a part of an evaluation failed in the benchmark")
 
-
-def upper_half(sizes: Sequence[Any]) -> slice:
-    """The larger half of increasing sizes, at least two of them where there are two."""
-    return slice(len(sizes) // 2 if len(sizes) >= 4 else max(0, len(sizes) - 2), None)
+    return burst
 
 
 @kernel

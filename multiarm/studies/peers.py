@@ -100,7 +100,6 @@ class Sample(NamedTuple):
 
     time: float  # [s]
     state: State
-    work: float | None = None  # of torques and damping since the start [J], where a peer tells it
 
     @property
     def is_finite(self) -> bool:

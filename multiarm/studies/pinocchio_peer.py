@@ -109,7 +109,6 @@ class PinocchioPeer(Peer):
                 )  # fmt: skip
         self.data, self.constraint_data = self.model.createData(), self.new_constraint_data()
         pin.initConstraintDynamics(self.model, self.data, self.constraints, self.constraint_data)
-        self.force = np.zeros(self.model.nv)  # generalised forces of the last evaluation
 
     def _add_arm(self, name: str) -> tuple[int, pin.SE3]:
         """Its links and joints; the last joint, and the joint frame to the object there."""
@@ -170,7 +169,14 @@ class PinocchioPeer(Peer):
         for an error of 1e-11, and 12 times as many for 1e-3.
         """
         left = grid.times[1:]
-        for solver in dop853_steps(clock, f, y, left[-1], tolerance):
+        with clock:
+            solver = DOP853(f, 0.0, y, left[-1], rtol=tolerance, atol=tolerance)
+        while solver.status == "running":
+            with clock:
+                fault = solver.step()
+            if solver.status == "failed":
+                raise ArithmeticError(fault)
+            clock.steps += 1
             with clock:
                 due, left = left[left <= solver.t], left[left > solver.t]
                 rows = solver.dense_output()(due).T if due.size else []
@@ -180,7 +186,7 @@ class PinocchioPeer(Peer):
         """``dy/dt`` as a function of time and ``y``; it counts its calls and watches the clock."""
         model, solve, state, n = self.model, self.solver(), self.state, self.damping.size
         nq, end, flat = model.nq, model.nq + model.nv, model.nq == model.nv
-        force, damping, damped = self.force, self.damping, bool(np.any(self.damping))
+        force, damping, damped = np.zeros(model.nv), self.damping, bool(np.any(self.damping))
         deadline = time.perf_counter() + clock.limit_s
 
         def f(t: float, y: np.ndarray) -> np.ndarray:
@@ -227,27 +233,6 @@ class PinocchioPeer(Peer):
             np.concatenate([pose.rotation @ twist.linear, pose.rotation @ twist.angular, v[:n]]),
             self.system.model.layout,
         )
-
-
-def dop853_steps(
-    clock: Clock, f: Slope, y: np.ndarray, end: float, tolerance: float
-) -> Iterator[DOP853]:
-    """SciPy's solver after each of its steps from ``y`` at time 0, which are on the clock.
-
-    Raises
-    ------
-    ArithmeticError
-        A step fails.
-    """
-    with clock:
-        solver = DOP853(f, 0.0, y, end, rtol=tolerance, atol=tolerance)
-    while solver.status == "running":
-        with clock:
-            fault = solver.step()
-        if solver.status == "failed":
-            raise ArithmeticError(fault)
-        clock.steps += 1
-        yield solver
 
 
 def _joint(link: Link) -> Any:
