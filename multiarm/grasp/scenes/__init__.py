@@ -31,7 +31,7 @@ from multiarm.dynamics.forces.internal_forces import distribute, pressing_forces
 from multiarm.errors import GraspError
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face_contacts import FaceContacts
+from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.scenes.hands import (
     Progress,
     UnreachableError,
@@ -134,24 +134,7 @@ def grasp_scene(
         start = stand_arms(grasp, specs, course, tip_radius, height, rng, show)
     upright = grasp.placed(start.turn)
     if squeeze is None:
-        inertia = upright.body.mass_properties(mass).inertia
-        wrenches = motion_wrenches(way, mass, inertia, np.array(GRAVITY))
-        least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
-        squeeze = needed_squeeze(upright.contacts, wrenches, least)
-    names = [gripper.arm_name for gripper in grasp.grippers]
-    arms_of_scene = {
-        arm: _arm(upright, k, specs[k], start.arms[k], tip_radius, hand_mass)
-        for k, arm in enumerate(names)
-    }
-    joints = [
-        {
-            "arm": arm,
-            "kind": "contacts",
-            "at": pose_table(gripper.frame),
-            "contacts": contacts(grasp, gripper, tip_radius),
-        }
-        for arm, gripper in zip(names, grasp.grippers, strict=True)
-    ]
+        squeeze = _usual_squeeze(upright, way, mass)
     if mesh is not None and "mesh" in body["shape"]:  # last: it may replace a file
         grasp.body.save(mesh)
     return Scene(
@@ -159,8 +142,19 @@ def grasp_scene(
         or f"{len(arms)} arms hold a body of {len(grasp.body.faces)} faces by its corners",
         gravity=GRAVITY,
         object={**body, "pose": pose_table(start.pose(np.eye(4)))},
-        arms=arms_of_scene,
-        joints=joints,
+        arms={
+            gripper.arm_name: _arm(upright, gripper, spec, stand, tip_radius, hand_mass)
+            for gripper, spec, stand in zip(upright.grippers, specs, start.arms, strict=True)
+        },
+        joints=[
+            {
+                "arm": gripper.arm_name,
+                "kind": "contacts",
+                "at": pose_table(gripper.frame),
+                "contacts": contacts(grasp, gripper, tip_radius),
+            }
+            for gripper in grasp.grippers
+        ],
         control={
             "kind": "computed_torque",
             "stiffness": STIFFNESS,
@@ -239,9 +233,14 @@ def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
 
 
 def _arm(
-    grasp: FaceContacts, k: int, spec: ArmSpec, stand: Stand, tip_radius: float, hand_mass: float
+    grasp: FaceContacts,
+    gripper: Gripper,
+    spec: ArmSpec,
+    stand: Stand,
+    tip_radius: float,
+    hand_mass: float,
 ) -> dict[str, Any]:
-    hand = fingers(grasp, grasp.grippers[k], stand.mount, tip_radius, hand_mass)
+    hand = fingers(grasp, gripper, stand.mount, tip_radius, hand_mass)
     yaw = math.atan2(stand.base[1, 0], stand.base[0, 0])
     return {
         "robot": spec.robot,
@@ -283,6 +282,15 @@ def _upwards(number: float) -> float:
 
 
 # --- The squeeze ----------------------------------------------------------------------------------
+
+
+def _usual_squeeze(grasp: FaceContacts, path: list[Waypoint], mass: float) -> float:
+    """The squeeze [N] with which the weakest contact presses with its least share of the weight."""
+    inertia = grasp.body.mass_properties(mass).inertia
+    wrenches = motion_wrenches(path, mass, inertia, np.array(GRAVITY))
+    least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
+    return needed_squeeze(grasp.contacts, wrenches, least)
+
 
 # Places of a way from rest to rest at which its wrenches are looked at.
 SAMPLES = np.linspace(0.0, 1.0, 13)
