@@ -7,18 +7,17 @@ scene becomes Drake's weld constraint, a ball its ball constraint, a hinge two b
 The constraints are those of the discrete solver, compliant to a degree that follows from the time
 step; the method is of order 1.  (Drake's continuous plants have no such constraints.)
 
-Torques that depend on time alone are made by Drake's own ``Sine``: no Python is in its loop.  Drake
+Torques depend on time alone and are made by Drake's own ``Sine``: no Python is in its loop.  Drake
 need not be there: it is imported when a plant is built.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
-from collections.abc import Iterator, Sequence
-from functools import partial
+import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import output
@@ -32,13 +31,9 @@ from multiarm.errors import ModelError
 from multiarm.plots.style import BLUE
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.peers import (
-    Clock,
-    Drive,
     Grid,
-    Peer,
-    Sample,
     Sinusoid,
-    control_torque,
+    joint_damping,
     joint_ends,
     links,
     moments,
@@ -81,21 +76,30 @@ def _steps(text: str) -> tuple[float, ...]:
 
 
 def motions(system: System, steps: Sequence[float], rounds: int) -> list[dict[str, float]]:
-    """Fastest wall time of the steps alone, and largest error of a coordinate, for each step."""
+    """Fastest wall time of the steps alone, and largest error of a coordinate, for each step.
+
+    Raises
+    ------
+    ModelError
+        For torques that depend on more than time, a joint without a constraint, and what Drake
+        refuses.
+    ImportError
+        Where Drake is not installed.
+    """
+    drive = sinusoid(system)
+    if drive is None:
+        raise ModelError("the scene's torques depend on more than time: choose 'harmonic' or none")
     exact = ma.simulate(system, accuracy=REFERENCE_ACCURACY)
     if exact.status != "completed":
         raise ModelError(f"the scene has no reference to compare with: {exact.message}")
-    peer, grid = DrakePeer(system), Grid.of(system.scene.run)
-    drive = sinusoid(system) or (lambda t, state: control_torque(system, t, state()))
+    times = Grid.of(system.scene.run).times
     rows = []
     for step in steps:
         print(f"step {step:g} s", flush=True)
-        clocks = [Clock() for _ in range(rounds)]
-        for clock in clocks:
-            course = peer.follow(clock, grid, system.initial_state(), "discrete", step, drive)
-            states = [item.state for item in itertools.takewhile(lambda s: s.is_finite, course)]
-        wall = min(clock.wall_time_s for clock in clocks)
-        rows.append({"step": step, "wall_time_s": wall, "error": _error(states, exact)})
+        plant = DrakePlant(system, step, drive)
+        runs = [plant.motion(system.initial_state(), times) for _ in range(rounds)]
+        wall = min(seconds for seconds, _ in runs)
+        rows.append({"step": step, "wall_time_s": wall, "error": _error(runs[0][1], exact)})
     return rows
 
 
@@ -121,81 +125,57 @@ def figure(rows: pandas.DataFrame) -> Figure:
     return drawing
 
 
-class DrakePeer(Peer):
-    """A system in Drake, a plant for each step; Drake integrates damping implicitly.
+class DrakePlant:
+    """A system in Drake with a time step [s] and torques; Drake integrates damping implicitly."""
 
-    Raises
-    ------
-    ModelError
-        For a joint without a constraint, and what Drake refuses.
-    ImportError
-        Where Drake is not installed.
-    """
-
-    methods: ClassVar = {"discrete": "step"}
-
-    def __init__(self, system: System):
-        super().__init__(system)
-        # refuses now, or never
-        self._build(Grid.of(system.scene.run).interval, Sinusoid.none(self.damping.size))
-
-    def follow(
-        self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
-    ) -> Iterator[Sample]:
-        """Step from output to output (:meth:`.peers.Peer.follow`)."""
-        from pydrake.systems.analysis import Simulator
-
-        self._build(value, drive)
-        count = grid.steps(value)
-        self.place(start)
-        yield Sample(0.0, start)
-        simulator = Simulator(self._diagram, self._context)
-        simulator.Initialize()
-        for time in grid.times[1:]:
-            with clock:
-                simulator.AdvanceTo(time)
-            clock.steps += count
-            clock.evaluations += count
-            yield Sample(time, self.state())
-
-    def _build(self, step: float, drive: Drive) -> None:
-        """The plant of a time step [s] and the torques that drive it."""
+    def __init__(self, system: System, step: float, drive: Sinusoid):
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+        from pydrake.systems.analysis import Simulator
         from pydrake.systems.framework import DiagramBuilder
 
-        system = self.system
+        self.system, damping = system, joint_damping(system)
         self._joints: list[Any] = []
         builder = DiagramBuilder()
         plant: Any = builder.AddSystem(MultibodyPlant(step))
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
-        plant.mutable_gravity_field().set_gravity_vector(system.model.constants.gravity)
+        constants = system.model.constants
+        plant.mutable_gravity_field().set_gravity_vector(constants.gravity)
         try:
-            self._object = plant.AddRigidBody(
-                "object",
-                _inertia(
-                    float(system.model.constants.object_mass),
-                    np.zeros(3),
-                    system.model.constants.object_inertia,
-                ),
-            )
+            inertia = _inertia(float(constants.object_mass), np.zeros(3), constants.object_inertia)
+            body = plant.AddRigidBody("object", inertia)
             joints = {joint.arm: joint for joint in system.scene.joints}
             for name, first in zip(system.arm_names, system.model.layout.first_joint, strict=False):
-                joint = joints[name]
-                tip = self._add_arm(plant, name, self.damping[first:])
-                _constrain(plant, self._object, system.frames[name].on_object, *tip, joint)
+                tip = self._add_arm(plant, name, damping[first:])
+                _constrain(plant, body, system.frames[name].on_object, *tip, joints[name])
             plant.Finalize()
         except (RuntimeError, ValueError) as error:
             raise ModelError(f"Drake refuses the model: {str(error).splitlines()[0]}") from error
         self.plant = plant
         # a free body: quaternion wxyz and place, angular and linear velocity
-        body = self._object
         self._free = body.floating_positions_start(), body.floating_velocities_start_in_v()
         # where Drake has the joints' velocities, and the torques
         self.velocity_places = np.array([joint.velocity_start() for joint in self._joints])
         self._drive(builder, drive)
-        self._diagram = builder.Build()
-        self._context = self._diagram.CreateDefaultContext()
+        diagram = builder.Build()
+        self._simulator = Simulator(diagram)
+        self._context = self._simulator.get_mutable_context()
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
+
+    def motion(self, start: State, times: np.ndarray) -> tuple[float, list[State]]:
+        """Wall time [s] of the steps alone, and the states at the times while they are finite."""
+        self._context.SetTime(times[0])
+        self.place(start)
+        self._simulator.Initialize()
+        states, wall = [start], 0.0
+        for t in times[1:]:
+            begin = time.perf_counter()
+            self._simulator.AdvanceTo(t)
+            wall += time.perf_counter() - begin
+            state = self.state()
+            if not np.isfinite([*state.position, *state.velocity]).all():
+                break
+            states.append(state)
+        return wall, states
 
     def _add_arm(self, plant: Any, name: str, damping: np.ndarray) -> tuple[Any, np.ndarray]:
         """Links and joints of an arm; returns its last body and the joint's frame on it."""
@@ -223,17 +203,12 @@ class DrakePeer(Peer):
             bodies.append(body)
         return bodies[arm.tip_joint], tip_frame(self.system, name)
 
-    def _drive(self, builder: Any, drive: Drive) -> None:
-        """Connect the torques: Drake's own sines, or a function that is called back."""
+    def _drive(self, builder: Any, drive: Sinusoid) -> None:
+        """Connect the torques: Drake's own sines."""
         from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
 
         plant, size = self.plant, self.plant.num_velocities()
         target = plant.get_applied_generalized_force_input_port()
-        if not isinstance(drive, Sinusoid):
-            source = builder.AddSystem(_controller(self, drive))
-            builder.Connect(plant.get_state_output_port(), source.get_input_port())
-            builder.Connect(source.get_output_port(), target)
-            return
         spread = np.zeros((3, size))
         spread[:, self.velocity_places] = drive.constant, drive.sine, drive.cosine
         constant = builder.AddSystem(ConstantVectorSource(spread[0]))
@@ -259,9 +234,9 @@ class DrakePeer(Peer):
         plant.SetPositions(context, q)
         plant.SetVelocities(context, v)
 
-    def state(self, context: Any = None) -> State:
+    def state(self) -> State:
         """The state as it is now."""
-        plant, context = self.plant, context or self._plant_context
+        plant, context = self.plant, self._plant_context
         q, v = plant.GetPositions(context), plant.GetVelocities(context)
         at, rate_at = self._free
         quaternion = np.roll(q[at : at + 4], -1)
@@ -271,28 +246,6 @@ class DrakePeer(Peer):
             np.concatenate([np.roll(v[rate_at : rate_at + 6], 3), v[self.velocity_places]]),
             self.system.model.layout,
         )
-
-
-def _controller(model: DrakePeer, torque: Drive) -> Any:
-    """A Drake system whose output are torques of time and state, by a Python function."""
-    from pydrake.systems.framework import LeafSystem
-
-    plant = model.plant
-    context, size = plant.CreateDefaultContext(), plant.num_velocities()
-
-    class Controller(LeafSystem):
-        def __init__(self) -> None:
-            super().__init__()
-            self.DeclareVectorInputPort("state", plant.num_multibody_states())
-            self.DeclareVectorOutputPort("torque", size, self.write)
-
-        def write(self, own: Any, output: Any) -> None:
-            plant.SetPositionsAndVelocities(context, self.get_input_port().Eval(own))
-            force = np.zeros(size)
-            force[model.velocity_places] = torque(own.get_time(), partial(model.state, context))
-            output.SetFromVector(force)
-
-    return Controller()
 
 
 def _constrain(
