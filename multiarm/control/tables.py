@@ -57,21 +57,21 @@ def read_table(control: RecordedControl, joints: Sequence[str]) -> Table:
     try:
         columns, row_name = _read(path)
     except _Unreadable as error:
-        raise _fault(str(error)) from None
+        raise _table_error(str(error)) from None
     chosen = _columns_of(control, path, list(columns), joints)
     times = _numbers(path, control.time, columns[control.time], row_name)
     _check_times(path, control.time, times, row_name)
     values = [_numbers(path, name, columns[name], row_name) for name in chosen.values()]
     for name, column in zip(chosen.values(), values, strict=True):
         if len(column) != len(times):
-            raise _fault(
+            raise _table_error(
                 f"{path}: column {name!r} has {count_of(len(column), 'row')}, "
                 f"{control.time!r} has {len(times)}"
             )
     return Table(times, list(chosen), np.column_stack(values))
 
 
-def _fault(text: str) -> SceneError:
+def _table_error(text: str) -> SceneError:
     return SceneError(f"$.control.file: {text}")
 
 
@@ -80,16 +80,18 @@ def _columns_of(
 ) -> dict[str, str]:
     """Joint -> its column."""
     if control.time not in names:
-        raise _fault(f"{path}: no column {control.time!r} with the times; columns are "
+        raise _table_error(f"{path}: no column {control.time!r} with the times; columns are "
                      f"{listed(names, control.time)}; `time` names another")  # fmt: skip
     if control.columns is None:
         chosen = {name: name for name in names if name != control.time}
         for name in chosen:
             if name not in joints:
                 text = unknown("joint", name, joints)
-                raise _fault(f"{path}, column {name!r}: {text}; `columns` selects and maps columns")
+                raise _table_error(
+                    f"{path}, column {name!r}: {text}; `columns` selects and maps columns"
+                )
         if not chosen:
-            raise _fault(
+            raise _table_error(
                 f"{path} has no column of numbers but {control.time!r}; add one named 'arm/joint'"
             )
         return chosen
@@ -112,7 +114,7 @@ def _numbers(
     wrong = np.flatnonzero(~np.isfinite(numbers))
     if wrong.size:
         k = int(wrong[0])
-        raise _fault(
+        raise _table_error(
             f"{path}, column {column!r}, {row_name(k)}: must be a finite number, got "
             f"{shown(cells[k])}"
         )
@@ -130,11 +132,11 @@ def _check_times(
     path: Path, column: str, times: np.ndarray, row_name: Callable[[int], str]
 ) -> None:
     if len(times) < 2:
-        raise _fault(f"{path}: a table needs at least 2 rows, got {len(times)}")
+        raise _table_error(f"{path}: a table needs at least 2 rows, got {len(times)}")
     wrong = np.flatnonzero(np.diff(times) <= 0.0)
     if wrong.size:
         k = int(wrong[0])
-        raise _fault(
+        raise _table_error(
             f"{path}, column {column!r}, {row_name(k + 1)}: times must increase, but "
             f"{times[k + 1]:.9g} s comes after {times[k]:.9g} s"
         )

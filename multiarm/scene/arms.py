@@ -19,7 +19,7 @@ from typing_extensions import Self
 from multiarm.errors import ModelError, SceneError
 from multiarm.notation import count_of
 from multiarm.scene.code import located
-from multiarm.scene.faults import fault, fault_at, listed, unknown
+from multiarm.scene.faults import fault_at, invalid, listed, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.mjcf import read_mjcf
@@ -72,7 +72,7 @@ class _FromUrdf(Spec):
         if len(written) != 1:
             wanted = " or ".join(f"'{name}' ({what})" for name, what in sources.items())
             got = "neither" if not written else "both" if len(written) == 2 else "all"
-            raise fault(f"needs either {wanted}, got {got}")
+            raise invalid(f"needs either {wanted}, got {got}")
         return self
 
     def _sources(self) -> dict[str, str]:
@@ -124,9 +124,9 @@ class BaseSpec(Pose):
     @model_validator(mode="after")
     def _can_be_found(self) -> Self:
         if len(set(self.solve)) < len(self.solve):
-            raise fault(f"'solve' names a component twice: {listed(self.solve)}")
+            raise invalid(f"'solve' names a component twice: {listed(self.solve)}")
         if self.quaternion_xyzw is not None and {"roll", "pitch", "yaw"}.intersection(self.solve):
-            raise fault("turns that are found need 'rpy' for the others, not 'quaternion_xyzw'")
+            raise invalid("turns that are found need 'rpy' for the others, not 'quaternion_xyzw'")
         return self
 
 
@@ -243,7 +243,7 @@ class Examination(KnownArm):
     faults: Faults = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
-    def fault(self, *where: str | int, text: str) -> None:
+    def add_fault(self, *where: str | int, text: str) -> None:
         """Note a fault."""
         self.faults.append((where, text))
 
@@ -272,7 +272,7 @@ def examine_arm(spec: ArmSpec) -> Examination:
     for name in spec.lock:
         if name not in joints or not joints[name].movable:
             movable = [joint.name for joint in joints.values() if joint.movable]
-            examination.fault("lock", name, text=unknown("joint", name, movable))
+            examination.add_fault("lock", name, text=unknown("joint", name, movable))
     if tip is None or chain is None:
         return examination
     examination.urdf = robot.path
@@ -289,7 +289,7 @@ def examine_arm(spec: ArmSpec) -> Examination:
     locked = _locked(spec, joints, free, examination)
     if spec.open_base and spec.posture not in (None, SOLVE):
         text = "a base that is found has its posture with it; write 'posture: solve', or none"
-        examination.fault("base", "solve", text=text)
+        examination.add_fault("base", "solve", text=text)
     posture, velocity = _start(spec, free, examination)
     package_dirs = _package_dirs(spec, robot, examination)
     tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, examination)
@@ -323,7 +323,7 @@ def _outline(
         assert path is not None, "a model has a name or a file"
         return read_urdf(path)
     except (SceneError, ModelError) as error:
-        examination.fault(*where, key, text=str(error))
+        examination.add_fault(*where, key, text=str(error))
         return None
 
 
@@ -338,7 +338,7 @@ def _usual_tip(
     if len(usual) == 1:
         return usual[0]
     links = listed(usual or arm_ends(outline))
-    examination.fault(
+    examination.add_fault(
         "tip",
         text=f"is missing (the link whose frame is joined to the object); of "
         f"{model.robot or outline.path.name} it may be {links}; '{model.shown_by}' shows all links",
@@ -367,7 +367,7 @@ def _chain(
         both = [name for name in theirs if name in ours]
         if both:
             text = f"tool and robot both have a {noun} named {listed(both)}; rename it in one URDF"
-            examination.fault("tool", text=text)
+            examination.add_fault("tool", text=text)
     return None if below is None or above is None else below + above
 
 
@@ -384,7 +384,7 @@ def _part(
         return list(outline.chain(link))
     except ModelError as error:
         shown = "" if outline.text else f"; '{model.shown_by}' shows them all"
-        examination.fault(*where, text=f"{error}{shown}")
+        examination.add_fault(*where, text=f"{error}{shown}")
         return None
 
 
@@ -394,20 +394,20 @@ def _free_joints(
     free = tuple(joint for joint in chain if joint.movable and joint.name not in spec.lock)
     for joint in free:
         if joint.kind not in CHAIN_JOINTS:
-            examination.fault(
+            examination.add_fault(
                 text=f"joint {joint.name!r} on the way to {tip!r} is {joint.kind}; arms move "
                 f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: {{{joint.name}: 0.0}})"
             )
         if joint.mimic is not None:
-            examination.fault(
+            examination.add_fault(
                 text=f"joint {joint.name!r} on the way to {tip!r} copies joint "
                 f"{joint.mimic.joint!r}; coupled joints are not supported, lock it or choose "
                 "another tip"
             )
     if not free:
-        examination.fault("tip", text=f"no movable joint lies between the base and {tip!r}")
+        examination.add_fault("tip", text=f"no movable joint lies between the base and {tip!r}")
     if len(free) > MOST_JOINTS:
-        examination.fault(
+        examination.add_fault(
             "tip",
             text=f"{len(free)} movable joints lie between the base and {tip!r}, at most "
             f"{MOST_JOINTS} are possible; lock some",
@@ -457,7 +457,7 @@ def _start(
             values = None
         faults = joint_value_faults(values, names)
         for where, text in faults:
-            examination.fault(key, *where, text=text)
+            examination.add_fault(key, *where, text=text)
         vectors.append(default if faults else joint_vector(values, names, default))
     for k, (joint, position) in enumerate(zip(free, vectors[0], strict=True)):
         where = "posture", joint.name if isinstance(spec.posture, dict) else k
@@ -481,7 +481,7 @@ def _check_angle(
             "radians"
         )
     elif text:
-        examination.fault(*where, text=text)
+        examination.add_fault(*where, text=text)
     return not text
 
 

@@ -35,7 +35,7 @@ class _New:
 def parse_path(text: str) -> Parts:
     """The keys and numbers of a path; raises a SceneError when it is none."""
     if not isinstance(text, str):
-        raise _fault((), f"a path is text, such as 'object.mass', got {shown(text)}")
+        raise _error_at((), f"a path is text, such as 'object.mass', got {shown(text)}")
     keys = text.removeprefix("$").removeprefix(".") if text.startswith("$") else text
     parts: list[str | int] = []
     at = 0
@@ -46,7 +46,7 @@ def parse_path(text: str) -> Parts:
         parts.append(int(match[4]) if match[4] else match[1] or match[2] or match[3])
         at = match.end()
     if at < len(keys) or not parts:
-        raise _fault(
+        raise _error_at(
             (), f"{text!r} is no path; write one as 'object.mass', 'joints[1].at.xyz', "
             "\"arms['my arm'].base\""
         )  # fmt: skip
@@ -90,9 +90,11 @@ def _tree(changes: Mapping[str, Any], faults: list[Fault]) -> dict[str | int, An
             for k, part in enumerate(way):
                 branch = branch.setdefault(part, {})
                 if isinstance(branch, _New):
-                    raise _fault(parts, f"lies in {place(parts[: k + 1])}, which is changed too")
+                    raise _error_at(parts, f"lies in {place(parts[: k + 1])}, which is changed too")
             if last in branch:
-                raise _fault(parts, "is changed twice, or a part of it is; keep one of the changes")
+                raise _error_at(
+                    parts, "is changed twice, or a part of it is; keep one of the changes"
+                )
             branch[last] = _New(value)
         except SceneError as error:
             faults += error.faults
@@ -126,17 +128,17 @@ def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:
     if isinstance(value, (tuple, list)):
         if isinstance(part, int) and part < len(value):
             return value[part]
-        raise _fault((*here, part), f"{place(here)} is a list with {_entries(len(value))}")
+        raise _error_at((*here, part), f"{place(here)} is a list with {_entries(len(value))}")
     if value is None and isinstance(part, str):
         return None
     if not isinstance(value, (BaseModel, Mapping)):
         held = "is not given" if value is None else f"is {shown(value)}"
-        raise _fault(here, f"{held}: nothing is below it; give {place(here)[2:]!r} as a whole")
+        raise _error_at(here, f"{held}: nothing is below it; give {place(here)[2:]!r} as a whole")
     keys = _keys(value)
     if isinstance(part, int):
-        raise _fault((*here, part), f"{place(here)} is no list; its keys are {listed(keys)}")
+        raise _error_at((*here, part), f"{place(here)} is no list; its keys are {listed(keys)}")
     if part not in keys and not leaf:
-        raise _fault((*here, part), unknown("key", part, keys))
+        raise _error_at((*here, part), unknown("key", part, keys))
     return getattr(value, part, None) if isinstance(value, BaseModel) else value.get(part)
 
 
@@ -146,7 +148,7 @@ def _keys(value: BaseModel | Mapping) -> list[str]:
     return list(value)
 
 
-def _fault(at: Parts, text: str) -> SceneError:
+def _error_at(at: Parts, text: str) -> SceneError:
     return SceneError([fault_at(at, text)])
 
 

@@ -33,7 +33,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, PlainSerializer, WithJsonSchema
 
 from multiarm.errors import USER_FAULTS, ModelError
-from multiarm.scene.faults import Parts, fault, shown
+from multiarm.scene.faults import Parts, invalid, shown
 
 
 class CodeReference(str):
@@ -101,7 +101,7 @@ def _function(value: Any) -> Any:
         return value
     if isinstance(value, str) and is_reference(value):
         return CodeReference(value)
-    raise fault(
+    raise invalid(
         "must be a Python function, or name one as 'file.py:name' or 'package.module:name', got "
         f"{shown(value)}"
     )

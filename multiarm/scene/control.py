@@ -22,7 +22,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.scene.code import UserFunction
-from multiarm.scene.faults import fault, shown, unknown
+from multiarm.scene.faults import invalid, shown, unknown
 from multiarm.scene.registry import AnyClass, Registry, UserKind
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import (
@@ -104,7 +104,7 @@ class SampledControl(ControlKind):
     @model_validator(mode="after")
     def _delay_belongs_to_samples(self) -> Self:
         if self.sample_delay and self.sample_time is None:
-            raise fault("'sample_delay' needs 'sample_time' [s], of which it is the delay")
+            raise invalid("'sample_delay' needs 'sample_time' [s], of which it is the delay")
         return self
 
 
@@ -128,16 +128,16 @@ def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
     if path is None:
         return None
     if not path:
-        raise fault("'path' is empty; list poses with their times or leave the key out")
+        raise invalid("'path' is empty; list poses with their times or leave the key out")
     times = [waypoint.time for waypoint in path]
     for number, (before, after) in enumerate(pairwise(times), start=1):
         if after <= before:
-            raise fault(
+            raise invalid(
                 f"the times of 'path' must increase, but waypoint {number} comes at "
                 f"{after:g} s after {before:g} s"
             )
     if times == [0.0]:
-        raise fault("'path' has one pose at time 0 and leads nowhere; add a later pose")
+        raise invalid("'path' has one pose at time 0 and leads nowhere; add a later pose")
     return path
 
 
@@ -288,19 +288,21 @@ control:
         if self.quantity == "torque":
             named = [key for key, value in settings.items() if value is not None]
             if named:
-                raise fault(f"'{named[0]}' belongs to 'quantity: position', not to torques")
+                raise invalid(f"'{named[0]}' belongs to 'quantity: position', not to torques")
             return self
         missing = [key for key, value in gains.items() if value is None]
         if missing:
-            raise fault(f"'quantity: position' needs '{missing[0]}', of the springs and dampers")
+            raise invalid(f"'quantity: position' needs '{missing[0]}', of the springs and dampers")
         if self.outside == "zero":
-            raise fault("'outside: zero' belongs to torques; positions are held, or end the run")
+            raise invalid("'outside: zero' belongs to torques; positions are held, or end the run")
         return self
 
     @model_validator(mode="after")
     def _some_columns(self) -> Self:
         if self.columns is not None and not self.columns:
-            raise fault("'columns' is empty; name columns as 'arm/joint: column', or leave it out")
+            raise invalid(
+                "'columns' is empty; name columns as 'arm/joint: column', or leave it out"
+            )
         return self
 
     @property
@@ -373,7 +375,7 @@ def _from_number(value: Any) -> Any:
     if isinstance(value, (Mapping, ObjectGain)):
         return value
     if isinstance(value, (list, tuple)):
-        raise fault(
+        raise invalid(
             f"must be a number or a table (translation: ..., rotation: ...), got {shown(value)}"
         )
     gain = _world_axes(value)
@@ -383,7 +385,7 @@ def _from_number(value: Any) -> Any:
 def _in_two_units(value: Any) -> Any:
     if isinstance(value, (Mapping, ObjectGain)):
         return value
-    raise fault(
+    raise invalid(
         "must be a table (translation: ..., rotation: ...), for shift and turn have different "
         f"units, got {shown(value)}"
     )

@@ -49,7 +49,7 @@ _repr.maxlist = _repr.maxtuple = 8
 _repr.maxlevel = 3
 
 
-def fault(message: str) -> PydanticCustomError:
+def invalid(message: str) -> PydanticCustomError:
     """The error that a validator raises; a user reads ``message`` as it is."""
     return PydanticCustomError("fault", "{message}", {"message": message})
 

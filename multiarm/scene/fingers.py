@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from pydantic import field_validator
 
-from multiarm.scene.faults import fault
+from multiarm.scene.faults import invalid
 from multiarm.scene.values import Pose, Positive, Spec, Vec3, roll_pitch_yaw
 
 # The palm stands at this part of the way from the mount to the corner.
@@ -46,7 +46,7 @@ class FingersSpec(Spec):
     @classmethod
     def _not_empty(cls, tips: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
         if not tips:
-            raise fault("a hand needs at least one fingertip")
+            raise invalid("a hand needs at least one fingertip")
         return tips
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, WithJsonSchema, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.faults import fault, shown
+from multiarm.scene.faults import invalid, shown
 from multiarm.scene.shapes import NO_SHAPE, Shape
 from multiarm.scene.solids import hull_mass_properties
 from multiarm.scene.values import (
@@ -41,14 +41,14 @@ def _inertia_matrix(value: Any) -> tuple[tuple[float, ...], ...]:
     matrix = _matrix(value)
     size = np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > _RELATIVE_ROUNDING * size:
-        raise fault(f"the inertia must be symmetric, got {shown(matrix.tolist())}")
+        raise invalid(f"the inertia must be symmetric, got {shown(matrix.tolist())}")
     matrix = (matrix + matrix.T) / 2
     low, middle, high = np.linalg.eigvalsh(matrix)
     text = f"principal moments {low:.6g}, {middle:.6g}, {high:.6g} kg m^2"
     if not low > 0.0:
-        raise fault(f"the inertia must be positive definite, got {text}")
+        raise invalid(f"the inertia must be positive definite, got {text}")
     if low + middle < high * (1 - _RELATIVE_ROUNDING):
-        raise fault(
+        raise invalid(
             f"no rigid body has this inertia: of its {text} the largest exceeds the sum of the "
             "others; check the units and the signs of the products of inertia"
         )
@@ -58,10 +58,10 @@ def _inertia_matrix(value: Any) -> tuple[tuple[float, ...], ...]:
 def _matrix(value: Any) -> np.ndarray:
     rows = as_list(value)
     if not isinstance(rows, (list, tuple)) or len(rows) not in (3, 6):
-        raise fault(f"got {shown(value)}; {_FORMS}")
+        raise invalid(f"got {shown(value)}; {_FORMS}")
     if all(isinstance(row, (list, tuple)) for row in rows):
         if len(rows) != 3 or any(len(row) != 3 for row in rows):
-            raise fault(f"got {shown(value)}; {_FORMS}")
+            raise invalid(f"got {shown(value)}; {_FORMS}")
         return np.array([number_list(row) for row in rows])
     entries = number_list(rows)
     if len(entries) == 3:
@@ -112,16 +112,16 @@ class ObjectSpec(Spec):
         if self.inertia is not None:
             return self
         if self.shape.mesh is not None:
-            raise fault("a mesh needs 'inertia' (about the centre of mass, in kg m^2)")
+            raise invalid("a mesh needs 'inertia' (about the centre of mass, in kg m^2)")
         if self.shape == NO_SHAPE:
-            raise fault("needs its 'shape', or 'inertia' (about the centre of mass, in kg m^2)")
+            raise invalid("needs its 'shape', or 'inertia' (about the centre of mass, in kg m^2)")
         if self.shape.hull is None:
             try:
                 moments = np.diag(self.inertia_matrix())
             except OverflowError:
                 moments = np.array([np.inf])
             if not (np.isfinite(moments).all() and moments.min() > 0.0):
-                raise fault(
+                raise invalid(
                     "its size and mass are beyond the numbers of a computer; SI units are m, kg"
                 )
         return self
@@ -133,7 +133,7 @@ class ObjectSpec(Spec):
         corners = np.array(self.shape.hull)
         centre = hull_mass_properties(corners, self.mass).centre
         if np.linalg.norm(centre) > _CENTRED * np.linalg.norm(np.ptp(corners, axis=0)):
-            raise fault(
+            raise invalid(
                 f"the centre of mass of the hull is at {[round(float(x), 9) for x in centre]}, but "
                 f"the object's frame has its origin there; take this off every corner"
             )

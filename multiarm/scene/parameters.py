@@ -1,7 +1,8 @@
 """The parameters of a part of a scene, as people read them: defaults, meanings and units.
 
-They come from the part's model: a meaning is the text below a field, the class's documentation of
-an attribute, or the field's description, and the unit is the text in brackets therein, ``[m]``.
+They come from the part's model.  A meaning stands in one place: below the field or in the class's
+documentation of its attributes, or in the field's description where a field is made of data.  The
+unit is the text in brackets therein, ``[m]``.
 """
 
 from __future__ import annotations
@@ -41,19 +42,14 @@ def parameters_of(model: Any) -> list[Parameter]:
 
 
 def description_of(model: Any, name: str) -> str:
-    """The documentation of an attribute, with its unit; empty where there is none."""
+    """The meaning of an attribute, with its unit; empty where there is none."""
     field = model.model_fields.get(name)
-    described = "" if field is None else field.description or ""
-    if _split(described)[1].strip() and not described.startswith("in "):
-        return described
-    return _documented(model).get(name, described)
+    described = None if field is None else field.description
+    return described or _documented(model).get(name, "")
 
 
 def brief_description(model: Any, name: str) -> str:
-    """An attribute in messages: its description, or the first sentence of its documentation."""
-    field = model.model_fields.get(name)
-    if field is None or field.description:
-        return "" if field is None else field.description
+    """The first sentence of an attribute's meaning, as it stands within a message."""
     text = re.split(r"\.(?: |$)", description_of(model, name))[0]
     return text[:1].lower() + text[1:] if text[1:2].islower() or text[1:2] == " " else text
 

@@ -61,7 +61,7 @@ from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
 from multiarm.scene.code import CodeReference, is_reference, load_code
-from multiarm.scene.faults import Parts, fault, listed, sentences, unknown
+from multiarm.scene.faults import Parts, invalid, listed, sentences, unknown
 from multiarm.scene.values import Spec, written
 
 Kind = TypeVar("Kind")
@@ -307,7 +307,7 @@ class Registry(Generic[Kind]):
         data = written(value)
         if "kind" not in data:
             known = [*self.built_in, *self.names()]
-            raise fault(f"'kind' is missing; kinds are {listed(known)}")
+            raise invalid(f"'kind' is missing; kinds are {listed(known)}")
         if str(data["kind"]) in self.built_in:
             return ours(value)
         return self._read_user(data, info)
@@ -343,7 +343,7 @@ class Registry(Generic[Kind]):
         if name in self.registered and not is_reference(name):  # a file is read again
             return self.registered[name]
         if context.get("code", True) and not self.offers(name):
-            raise fault(self.unknown(name))
+            raise invalid(self.unknown(name))
         return None
 
     def validated(
@@ -360,7 +360,7 @@ class Registry(Generic[Kind]):
         except PydanticCustomError:
             raise
         except USER_FAULTS as error:
-            raise fault(
+            raise invalid(
                 f"the {model.__name__} of {self.noun} {name!r} raised "
                 f"{type(error).__name__}: {error}"
             ) from None
@@ -456,7 +456,7 @@ class ByName(Spec):
 def validation_error(faults: list[tuple[Parts, str, Any]], title: str) -> ValidationError:
     """Pydantic's error for faults with their places and the values there."""
     details = [
-        InitErrorDetails(type=fault(text), loc=tuple(parts), input=value)
+        InitErrorDetails(type=invalid(text), loc=tuple(parts), input=value)
         for parts, text, value in faults
     ]
     return ValidationError.from_exception_data(title, details)

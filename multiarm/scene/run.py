@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.faults import fault, shown
+from multiarm.scene.faults import invalid, shown
 from multiarm.scene.settings import MEANINGS, ArmTerms, Integrator, SolverName, Stabilization
 from multiarm.scene.values import NonNegative, Positive, Spec, shorthand
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
@@ -41,7 +41,7 @@ class AccuracySpec(Spec):
     @model_validator(mode="after")
     def _bounds_something(self) -> Self:
         if self.position is None and self.rotation is None and self.force is None:
-            raise fault("is empty; name 'position' [m], 'rotation' [rad] or 'force' [N]")
+            raise invalid("is empty; name 'position' [m], 'rotation' [rad] or 'force' [N]")
         return self
 
     @property
@@ -73,7 +73,7 @@ def _accuracy(value: Any) -> Any:
     if value is None or isinstance(value, (Mapping, AccuracySpec)):
         return value
     if isinstance(value, (str, list, tuple, bool)):
-        raise fault(
+        raise invalid(
             f"must be a number [m, rad] or a table with 'position', 'rotation', 'force', got "
             f"{shown(value)}"
         )
@@ -101,7 +101,7 @@ class StabilizationSpec(Spec):
     @model_validator(mode="after")
     def _gains_belong_to_feedback(self) -> Self:
         if self.kind != "feedback" and (self.alpha is not None or self.beta is not None):
-            raise fault(f"'alpha' and 'beta' belong to kind 'feedback', not {self.kind!r}")
+            raise invalid(f"'alpha' and 'beta' belong to kind 'feedback', not {self.kind!r}")
         return self
 
 
@@ -138,7 +138,7 @@ class RunSpec(Spec):
     def _one_way_to_choose_the_steps(self) -> Self:
         message = self._step_fault()
         if message:
-            raise fault(message)
+            raise invalid(message)
         return self
 
     @model_validator(mode="after")
@@ -156,7 +156,7 @@ class RunSpec(Spec):
         )  # fmt: skip
         for name, size, most, noun, remedy in sizes:
             if size > most:
-                raise fault(
+                raise invalid(
                     f"{name!r} makes {size:.3g} {noun}, at most {most:.0e} are possible; {remedy}"
                 )
         return self

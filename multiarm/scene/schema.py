@@ -73,11 +73,11 @@ class Scene(Spec):
     gravity : 3 numbers, optional
         [m/s^2], world axes. Absent: no gravity.
     object : ObjectSpec
-        The common object.
+        The common object: shape, mass, pose.
     arms : table of ArmSpec
-        By name.
+        A table 'name: {robot: ..., tip: ...}'.
     joints : list of joints
-        One for each arm.
+        A list of {arm: ..., kind: ...}.  One for each arm.
     control : one of the kinds of control
         The joint torques; none by default.
     effects : table of effects
@@ -93,9 +93,9 @@ class Scene(Spec):
 
     name: str = "unnamed scene"
     gravity: Vec3 | None = None
-    object: ObjectSpec = Field(description="the common object: shape, mass, pose")
-    arms: dict[ArmName, ArmSpec] = Field(description="a table 'name: {robot: ..., tip: ...}'")
-    joints: tuple[JointSpec, ...] = Field(description="a list of {arm: ..., kind: ...}")
+    object: ObjectSpec
+    arms: dict[ArmName, ArmSpec]
+    joints: tuple[JointSpec, ...]
     control: ControlSpec = NoControl()
     effects: EffectsSpec = EffectsSpec()
     run: RunSpec = Field(default_factory=RunSpec)
@@ -386,10 +386,10 @@ class _Findings:
     examined: _Examined = field(default_factory=dict)
     robots: tuple[Robot, ...] = ()
 
-    def fault(self, parts: Parts, text: str) -> None:
+    def add_fault(self, parts: Parts, text: str) -> None:
         self.faults.append(fault_at(parts, text))
 
-    def warning(self, parts: Parts, text: str) -> None:
+    def add_warning(self, parts: Parts, text: str) -> None:
         self.warnings.append(f"{place(parts)}: {text}")
 
 
@@ -404,7 +404,7 @@ def _check(parts: _Parts, examined: _Examined) -> _Findings:
     _check_arms(parts.arms, examined, findings)
     mesh = None if parts.object is None else parts.object.shape.mesh
     if mesh is not None and not mesh.file.is_file():
-        findings.warning(
+        findings.add_warning(
             ("object", "shape", "mesh", "file"),
             f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
         )
@@ -418,22 +418,22 @@ def _check(parts: _Parts, examined: _Examined) -> _Findings:
 
 def _check_connections(names: list[str], connected: list[Any] | None, findings: _Findings) -> None:
     if not names:
-        findings.fault(("arms",), "a scene needs at least one arm, such as {left: {...}}")
+        findings.add_fault(("arms",), "a scene needs at least one arm, such as {left: {...}}")
         return
     for index, arm in enumerate(connected or ()):
         if arm is not None and not (isinstance(arm, str) and arm in names):
-            findings.fault(("joints", index, "arm"), unknown("arm", arm, names))
+            findings.add_fault(("joints", index, "arm"), unknown("arm", arm, names))
     counts = Counter(arm for arm in connected or () if isinstance(arm, str))
     all_named = connected is not None and None not in connected
     for name in names:
         if counts[name] == 0 and all_named:
-            findings.fault(
+            findings.add_fault(
                 ("joints",),
                 f"arm {name!r} is connected by no joint; add one, such as "
                 f"{{arm: {name}, kind: weld}}, or remove the arm",
             )
         if counts[name] > 1:
-            findings.fault(
+            findings.add_fault(
                 ("joints",),
                 f"arm {name!r} has {counts[name]} joints; one joint per arm is possible, list "
                 "their contacts in one joint of kind 'contacts'",
@@ -447,13 +447,13 @@ def _check_arms(arms: Mapping[str, ArmSpec], examined: _Examined, findings: _Fin
         examinations[name] = known if known is not None and before == spec else examine_arm(spec)
         findings.examined[name] = spec, examinations[name]
         for where, text in examinations[name].faults:
-            findings.fault(("arms", name, *where), text)
+            findings.add_fault(("arms", name, *where), text)
     findings.robots = robots_of(arms, examinations)
     for robot in findings.robots:
         for where, text in robot_faults(robot, arms, examinations):
-            findings.fault(where, text)
+            findings.add_fault(where, text)
         for where, text in robot_warnings(robot, arms, examinations):
-            findings.warning(where, text)
+            findings.add_warning(where, text)
 
 
 def _check_control(
@@ -466,7 +466,7 @@ def _check_control(
     except ModelError as error:
         faults = [((), str(error))]
     for where, text in faults:
-        findings.fault(("control", *where), text)
+        findings.add_fault(("control", *where), text)
 
 
 def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findings) -> None:
@@ -474,18 +474,18 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
     if effects is None:
         return
     for where, text in effects.faults(arms):
-        findings.fault(("effects", *where), text)
+        findings.add_fault(("effects", *where), text)
     for where, text in effects.warnings(arms):
-        findings.warning(("effects", *where), text)
+        findings.add_warning(("effects", *where), text)
     if parts.run is not None:
         with_events = causes_of_events(effects, parts.rubs)
         message = method_fault(parts.run.integrator, effects.with_states, with_events)
         if message:
-            findings.fault(("run", "integrator"), message)
+            findings.add_fault(("run", "integrator"), message)
     if parts.pushes:
         return
     for name in effects.of_pushing:
-        findings.warning(
+        findings.add_warning(
             ("effects", name),
             "adds nothing, since no joint has contacts that only push; such joints are "
             f"{listed(pushing_kinds())}",

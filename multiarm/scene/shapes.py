@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 from typing_extensions import override
 
-from multiarm.scene.faults import fault, shown
+from multiarm.scene.faults import invalid, shown
 from multiarm.scene.meshes import read_mesh
 from multiarm.scene.solids import (
     hull_corners,
@@ -94,7 +94,7 @@ class Solid:
 def _scale(value: Any) -> tuple[float, ...]:
     scale = number_list(value if isinstance(value, (list, tuple)) else [value] * 3)
     if len(scale) != 3 or min(scale) <= 0.0:
-        raise fault(f"must be one or three numbers greater than 0, got {shown(value)}")
+        raise invalid(f"must be one or three numbers greater than 0, got {shown(value)}")
     return scale
 
 
@@ -102,7 +102,7 @@ def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ..
     try:
         hull_triangles(np.array(points))
     except ValueError as error:
-        raise fault(str(error)) from None
+        raise invalid(str(error)) from None
     return points
 
 

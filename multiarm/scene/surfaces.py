@@ -17,7 +17,7 @@ from typing_extensions import Self
 from multiarm.errors import ModelError
 from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
 from multiarm.scene.code import UserFunction
-from multiarm.scene.faults import fault, listed
+from multiarm.scene.faults import invalid, listed
 from multiarm.scene.parameters import summary_of
 from multiarm.scene.registry import AnyClass, ByName, Registry, UserSpec, called
 from multiarm.scene.values import (
@@ -57,7 +57,7 @@ class PatchSpec(Spec):
     def _is_a_box(self) -> Self:
         for axis, low, high in zip("xyz", self.min, self.max, strict=True):
             if low is not None and high is not None and not low < high:
-                raise fault(f"along {axis} 'min' {low:g} must be less than 'max' {high:g}")
+                raise invalid(f"along {axis} 'min' {low:g} must be less than 'max' {high:g}")
         return self
 
     def record(self) -> records.Patch:
@@ -242,7 +242,7 @@ class ConeGeometry(Surface):
     @model_validator(mode="after")
     def _opens(self) -> Self:
         if self.half_angle >= math.pi / 2:
-            raise fault(
+            raise invalid(
                 f"'half_angle' lies between 0 and pi / 2 rad, got {self.half_angle:g}; a flat face "
                 f"is a 'plane', and {self.half_angle:g} degrees are "
                 f"{math.radians(self.half_angle):.6g} rad"
@@ -281,7 +281,7 @@ class TorusGeometry(Surface):
     @model_validator(mode="after")
     def _has_a_hole(self) -> Self:
         if self.tube_radius >= self.circle_radius:
-            raise fault(
+            raise invalid(
                 f"a tube of radius {self.tube_radius:g} m about a circle of radius "
                 f"{self.circle_radius:g} m closes itself; 'tube_radius' must be the smaller one"
             )
@@ -360,7 +360,7 @@ class SurfaceGeometry(_Turned):
     def _one_way(self) -> Self:
         if (self.distance is None) == (self.parametrisation is None):
             got = "neither" if self.distance is None else "both"
-            raise fault(f"needs either 'distance' or 'parametrisation', got {got}")
+            raise invalid(f"needs either 'distance' or 'parametrisation', got {got}")
         used = "parametrisation" if self.distance is None else "distance"
         of_the_other = {
             "distance": ("derivatives", "u", "v", "flip"),
@@ -368,9 +368,9 @@ class SurfaceGeometry(_Turned):
         }
         wrong = [name for name in of_the_other[used] if getattr(self, name)]
         if wrong:
-            raise fault(f"{listed(wrong)} cannot be given with {used!r}; remove it")
+            raise invalid(f"{listed(wrong)} cannot be given with {used!r}; remove it")
         if used == "parametrisation" and (self.u is None or self.v is None):
-            raise fault("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
+            raise invalid("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
         return self
 
     def record(self) -> records.Surface:

@@ -118,7 +118,7 @@ class _Loader(yaml.SafeLoader):
         event, before = self.peek_event(), self._values
         self._depth += 1
         if self._depth > DEEPEST:
-            raise _fault(f"tables and lists are more than {DEEPEST} deep here", event)
+            raise _yaml_error(f"tables and lists are more than {DEEPEST} deep here", event)
         node = super().compose_node(parent, index)
         self._depth -= 1
         if not isinstance(event, yaml.AliasEvent):
@@ -128,9 +128,11 @@ class _Loader(yaml.SafeLoader):
         elif node in self._sizes:
             self._values += self._sizes[node]
         else:
-            raise _fault(f"'*{event.anchor}' stands within '&{event.anchor}' itself", event)
+            raise _yaml_error(f"'*{event.anchor}' stands within '&{event.anchor}' itself", event)
         if self._values > MOST_VALUES:
-            raise _fault(f"there are more than {MOST_VALUES:,} values, those of '*' counted", event)
+            raise _yaml_error(
+                f"there are more than {MOST_VALUES:,} values, those of '*' counted", event
+            )
         return node
 
     def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
@@ -152,7 +154,7 @@ class _Loader(yaml.SafeLoader):
                 continue
             key = self._key(key_node)
             if key in entries:
-                raise _fault(f"key {shown(key)} stands twice in one table", key_node)
+                raise _yaml_error(f"key {shown(key)} stands twice in one table", key_node)
             entries[key] = key_node, value_node
         node.value = [*{**taken_over, **entries}.values()]
         return node
@@ -160,20 +162,20 @@ class _Loader(yaml.SafeLoader):
     def _key(self, node: yaml.Node) -> Hashable:
         key = self.construct_object(node, deep=True)
         if not isinstance(key, Hashable):
-            raise _fault(f"a key is a text or a number, got {shown(key)}", node)
+            raise _yaml_error(f"a key is a text or a number, got {shown(key)}", node)
         return key
 
     def construct_merge(self, node: yaml.Node) -> NoReturn:
         """Refuse '<<' where there is nothing to take over."""
-        raise _fault("'<<' stands for the entries of tables: write '<<: *name'", node)
+        raise _yaml_error("'<<' stands for the entries of tables: write '<<: *name'", node)
 
     def construct_undefined(self, node: yaml.Node) -> None:
         """Refuse a tag that has no meaning here."""
         tag = node.tag.replace(_TAGS, "!!")
-        raise _fault(f"the tag {shown(tag)} has no meaning here; leave it out", node)
+        raise _yaml_error(f"the tag {shown(tag)} has no meaning here; leave it out", node)
 
 
-def _fault(text: str, at: yaml.Node | yaml.Event) -> yaml.MarkedYAMLError:
+def _yaml_error(text: str, at: yaml.Node | yaml.Event) -> yaml.MarkedYAMLError:
     return yaml.constructor.ConstructorError(None, None, text, at.start_mark)
 
 
@@ -184,11 +186,13 @@ def _checked(sort: str, read: Callable[[Any, yaml.Node], Any]) -> Callable[[Any,
         if sort == "int" and isinstance(node, yaml.ScalarNode):
             digits = len(node.value)
             if digits > _LONGEST_INTEGER:
-                raise _fault(f"a number of {digits:,} digits is beyond all numbers here", node)
+                raise _yaml_error(f"a number of {digits:,} digits is beyond all numbers here", node)
         try:
             return read(loader, node)
         except (ValueError, LookupError):
-            raise _fault(f"{shown(node.value)} is nothing that '!!{sort}' means", node) from None
+            raise _yaml_error(
+                f"{shown(node.value)} is nothing that '!!{sort}' means", node
+            ) from None
 
     return construct
 
@@ -216,7 +220,7 @@ def _float(loader: _Loader, node: yaml.Node) -> float:
 
 def _table(loader: _Loader, node: yaml.Node) -> Any:
     if not isinstance(node, yaml.MappingNode):
-        raise _fault(f"'!!map' stands for a table, not for {shown(node.value)}", node)
+        raise _yaml_error(f"'!!map' stands for a table, not for {shown(node.value)}", node)
     return loader.construct_yaml_map(node)
 
 

@@ -40,8 +40,8 @@ from multiarm.public import public_names
 from multiarm.scene.faults import (
     Parts,
     explain,
-    fault,
     fault_at,
+    invalid,
     listed,
     path_fault,
     shown,
@@ -156,7 +156,7 @@ class OneOf(Spec):
         written = [name for name, value in self if value is not None]
         if len(written) != 1:
             known = listed(type(self).model_fields)
-            raise fault(f"needs exactly one of {known}, got {written or 'none'}")
+            raise invalid(f"needs exactly one of {known}, got {written or 'none'}")
         return self
 
 
@@ -164,7 +164,7 @@ def _file_path(value: Any) -> Any:
     """Refuse the path of no file; whether there is a file is another question."""
     wrong = path_fault(value) if isinstance(value, (str, Path)) else ""
     if wrong:
-        raise fault(wrong)
+        raise invalid(wrong)
     return value
 
 
@@ -177,24 +177,24 @@ FilePath = Annotated[Path, BeforeValidator(_file_path)]
 def _as_float(value: Any) -> float:
     truth = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")  # NumPy's too
     if truth or isinstance(value, str) or not hasattr(value, "__float__"):
-        raise fault(f"must be a number, got {shown(value)}")
+        raise invalid(f"must be a number, got {shown(value)}")
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise fault(f"must be a number, got {shown(value)}") from None
+        raise invalid(f"must be a number, got {shown(value)}") from None
 
 
 def _number(value: Any) -> float:
     number = _as_float(value)
     if not math.isfinite(number):
-        raise fault(f"must be finite, got {number}")
+        raise invalid(f"must be finite, got {number}")
     return number
 
 
 def _bound(value: Any) -> float:
     bound = _as_float(value)
     if math.isnan(bound):
-        raise fault(f"must be a number, got {bound}")
+        raise invalid(f"must be a number, got {bound}")
     return bound
 
 
@@ -224,7 +224,7 @@ def list_of(text: str, length: int | None = None, least: int = 0) -> BeforeValid
             or len(value) < least
             or length not in (None, len(value))
         ):
-            raise fault(f"{text}, got {shown(value)}")
+            raise invalid(f"{text}, got {shown(value)}")
         return value
 
     return BeforeValidator(check)
@@ -232,14 +232,14 @@ def list_of(text: str, length: int | None = None, least: int = 0) -> BeforeValid
 
 def _not_zero(vector: tuple[float, ...]) -> tuple[float, ...]:
     if not math.hypot(*vector) > 0.0:
-        raise fault("must have a direction, got a vector of length zero")
+        raise invalid("must have a direction, got a vector of length zero")
     return vector
 
 
 def rising(ends: tuple[float, float]) -> tuple[float, float]:
     """The ends of a range; a fault unless the first is smaller."""
     if not ends[0] < ends[1]:
-        raise fault(f"must run from a smaller to a larger number, got [{ends[0]:g}, {ends[1]:g}]")
+        raise invalid(f"must run from a smaller to a larger number, got [{ends[0]:g}, {ends[1]:g}]")
     return ends
 
 
@@ -263,7 +263,7 @@ def _angle_within(turns: int) -> Any:
     def check(angle: float) -> float:
         text = angle_fault(angle, turns)
         if text:
-            raise fault(text)
+            raise invalid(text)
         return angle
 
     bound = turns * _A_TURN
@@ -306,9 +306,9 @@ def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
     elif isinstance(value, (list, tuple)) and len(value) == 3:
         numbers = number_list(value)
     else:
-        raise fault(f"must be a number, or a list of 3 for {axes}, got {shown(value)}")
+        raise invalid(f"must be a number, or a list of 3 for {axes}, got {shown(value)}")
     if min(numbers) < 0.0:
-        raise fault(f"must not be negative, got {shown(value)}")
+        raise invalid(f"must not be negative, got {shown(value)}")
     return numbers
 
 
@@ -339,12 +339,12 @@ _HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
 
 def _arm_name(value: Any) -> str:
     if not isinstance(value, str) or not re.fullmatch(_ARM_NAME, value):
-        raise fault(
+        raise invalid(
             f"{shown(value)} cannot name an arm; use letters, digits, '_', '-' and '.' "
             "(names become parts of paths such as 'left/elbow_joint')"
         )
     if value == SURROUNDINGS:
-        raise fault(f"no arm can be named {value!r}: results have the floor's forces there")
+        raise invalid(f"no arm can be named {value!r}: results have the floor's forces there")
     return value
 
 
@@ -356,9 +356,9 @@ def _color(value: Any) -> tuple[float, ...]:
     elif isinstance(value, (list, tuple)) and len(value) in (3, 4):
         parts = number_list(value)
     else:
-        raise fault(f"unknown colour {shown(value)}; {remedy}")
+        raise invalid(f"unknown colour {shown(value)}; {remedy}")
     if min(parts) < 0.0 or max(parts) > 1.0:
-        raise fault(f"colour parts lie between 0 and 1, got {shown(value)}; {remedy}")
+        raise invalid(f"colour parts lie between 0 and 1, got {shown(value)}; {remedy}")
     return parts if len(parts) == 4 else (*parts, 1.0)
 
 
@@ -387,9 +387,9 @@ def one_orientation(part: Any) -> Any:
     if part.quaternion_xyzw is None:
         return part
     if any(part.rpy):
-        raise fault("gives both 'rpy' and 'quaternion_xyzw'; keep one of them")
+        raise invalid("gives both 'rpy' and 'quaternion_xyzw'; keep one of them")
     if not math.hypot(*part.quaternion_xyzw) > 1e-12:
-        raise fault("'quaternion_xyzw' has length zero; the identity is [0, 0, 0, 1]")
+        raise invalid("'quaternion_xyzw' has length zero; the identity is [0, 0, 0, 1]")
     return part
 
 
@@ -465,7 +465,7 @@ class Pose(Spec):
 def _with_text_keys(value: Mapping) -> Mapping:
     for key in value:
         if not isinstance(key, str):
-            raise fault(f"names must be text, got {shown(key)}; put quotes around it")
+            raise invalid(f"names must be text, got {shown(key)}; put quotes around it")
     return value
 
 
@@ -478,7 +478,7 @@ def _joint_values(value: Any) -> tuple[float, ...] | dict[str, float]:
         return _joint_table(_with_text_keys(value))
     if isinstance(value, (list, tuple)):
         return number_list(value)
-    raise fault(f"must be a list (base to tip) or a table 'joint: value', got {shown(value)}")
+    raise invalid(f"must be a list (base to tip) or a table 'joint: value', got {shown(value)}")
 
 
 def _number_or_joint_values(value: Any) -> Any:
@@ -494,7 +494,7 @@ _arm_table = TypeAdapter(
 
 def _per_arm(value: Any) -> dict[str, Any]:
     if not isinstance(value, Mapping):
-        raise fault(f"must be a table 'arm: values', got {shown(value)}")
+        raise invalid(f"must be a table 'arm: values', got {shown(value)}")
     return _arm_table(_with_text_keys(value))
 
 
@@ -503,7 +503,7 @@ def _gain(value: Any) -> Any:
     gain = _per_arm(value) if isinstance(value, Mapping) else _number_or_joint_values(value)
     lowest = min(_leaves(gain), default=0.0)
     if lowest < 0.0:
-        raise fault(f"must not be negative, got {lowest}")
+        raise invalid(f"must not be negative, got {lowest}")
     return gain
 
 
@@ -517,7 +517,7 @@ def _gain_or_urdf(value: Any) -> Any:
     if _is_urdf(value):
         return value
     if isinstance(value, str):
-        raise fault(f"must be a number, a list, a table or {URDF!r}, got {shown(value)}")
+        raise invalid(f"must be a number, a list, a table or {URDF!r}, got {shown(value)}")
     if not isinstance(value, Mapping):
         return _gain(value)
     numbers = _gain({arm: 0.0 if _is_urdf(gain) else gain for arm, gain in value.items()})
@@ -532,7 +532,7 @@ def _posture(value: Any) -> Any:
     if not isinstance(value, str):
         return _joint_values(value)
     if value != SOLVE:
-        raise fault(f"must be a list, a table 'joint: value' or {SOLVE!r}, got {shown(value)}")
+        raise invalid(f"must be a list, a table 'joint: value' or {SOLVE!r}, got {shown(value)}")
     return value
 
 

@@ -20,7 +20,7 @@ from typing_extensions import Self
 
 from multiarm.errors import SceneError
 from multiarm.scene import parse_path
-from multiarm.scene.faults import fault, shown
+from multiarm.scene.faults import invalid, shown
 from multiarm.scene.values import Number, OneOf, Positive, Range, Spec, list_of, rising
 
 
@@ -38,7 +38,9 @@ def plain_value(value: Any) -> Any:
         return str(value)
     if value is None or isinstance(value, (str, bool, int, float)):
         return value
-    raise fault(f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists")
+    raise invalid(
+        f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists"
+    )
 
 
 def is_integer(value: Any) -> bool:
@@ -50,7 +52,7 @@ def _whole(value: Any) -> Any:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if not is_integer(value):
-        raise fault(f"must be a whole number, got {shown(value)}")
+        raise invalid(f"must be a whole number, got {shown(value)}")
     return int(value)
 
 
@@ -68,7 +70,7 @@ _Spaced = Annotated[
 
 def _exponents(numbers: tuple) -> tuple:
     if max(abs(numbers[0]), abs(numbers[1])) > 300.0:
-        raise fault(f"are exponents of ten, of at most 300, got {shown(numbers)}")
+        raise invalid(f"are exponents of ten, of at most 300, got {shown(numbers)}")
     return numbers
 
 
@@ -76,20 +78,22 @@ def _in_ratio(numbers: tuple) -> tuple:
     """The numbers, of which the first two are bounds of values with equal ratios."""
     first, last = numbers[:2]
     if not (first > 0.0 and last > 0.0):
-        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(numbers)}")
+        raise invalid(
+            f"has equal ratios, so that both bounds must be positive, got {shown(numbers)}"
+        )
     if not 0.0 < last / first < math.inf:
-        raise fault(f"spans more than floats have room for, got {shown(numbers)}")
+        raise invalid(f"spans more than floats have room for, got {shown(numbers)}")
     return numbers
 
 
 def _with_values(arguments: tuple[int, ...]) -> tuple[int, ...]:
     if len(arguments) not in (1, 2, 3) or arguments[2:] == (0,) or not range(*arguments):
-        raise fault(
+        raise invalid(
             "must be [stop], [start, stop] or [start, stop, step] as Python's range takes them, "
             f"with at least one value, got {shown(arguments)}"
         )
     if len(range(*arguments)) > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*arguments)):,}")
+        raise invalid(f"has at most {MOST_VALUES:,} values, got {len(range(*arguments)):,}")
     return arguments
 
 
@@ -121,7 +125,7 @@ class LogNormalSpec(Spec):
     @model_validator(mode="after")
     def _stays_finite(self) -> Self:
         if math.log(self.median) + 9.0 * self.deviation > math.log(1e300):
-            raise fault(
+            raise invalid(
                 "values 9 deviations above the median exceed the range of floats; the deviation "
                 "is that of the logarithm: 0.1 is a relative deviation of a tenth"
             )

@@ -12,7 +12,7 @@ import inspect
 import itertools
 import os
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -268,28 +268,23 @@ TAILS = (0.5, 0.001, 0.999)
 """Quantiles of a drawn axis that are tried."""
 
 
-def _tried_places(axes: list[AxisSpec], zipped: bool) -> Iterator[list[Any]]:
-    """Places of all axes: the first ones, the last ones, and those of each axis in turn."""
-    shortest = min((axis.count for axis in axes if not axis.drawn), default=1)
-    options = [
-        _some_places(axis, shortest if zipped and not axis.drawn else axis.count) for axis in axes
-    ]
-    if zipped:
-        longest = max(
-            (o for o, axis in zip(options, axes, strict=True) if not axis.drawn),
-            key=len,
-            default=[],
-        )
-        options = [o if axis.drawn else longest for o, axis in zip(options, axes, strict=True)]
-    first = [places[0] for places in options]
-    yield first
-    yield [places[-1] for places in options]
-    for k, axis in enumerate(axes):
-        together = [zipped and not (axis.drawn or second.drawn) for second in axes]
-        if True in together[:k]:
-            continue  # tried with an earlier axis
-        for at in options[k][1:]:
-            yield [at if j == k or together[j] else default for j, default in enumerate(first)]
+def _tried_places(axes: list[AxisSpec], zipped: bool) -> list[list[Any]]:
+    """Places of all axes: the first ones, the last ones, and those of each axis in turn.
+
+    Enumerated axes that are zipped move together, as one.
+    """
+    groups = [-1 if zipped and not axis.drawn else k for k, axis in enumerate(axes)]
+    counts: dict[int, int] = {}
+    for group, axis in zip(groups, axes, strict=True):
+        counts[group] = min(axis.count, counts.get(group, axis.count))
+    options: dict[int, list[Any]] = {}
+    for group, axis in zip(groups, axes, strict=True):
+        places = _some_places(axis, counts[group])
+        options[group] = max(options.get(group, []), places, key=len)
+    first = {group: places[0] for group, places in options.items()}
+    last = {group: places[-1] for group, places in options.items()}
+    in_turn = [first | {group: at} for group, places in options.items() for at in places[1:]]
+    return [[trial[group] for group in groups] for trial in (first, last, *in_turn)]
 
 
 def _some_places(axis: AxisSpec, count: int) -> list[Any]:

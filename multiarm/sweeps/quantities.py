@@ -20,7 +20,7 @@ from multiarm.results.limit_use import QUANTITIES as LIMITED
 from multiarm.results.limit_use import largest_shares
 from multiarm.scene import Pose
 from multiarm.scene.code import UserFunction, function_text, load_function
-from multiarm.scene.faults import fault, shown
+from multiarm.scene.faults import invalid, shown
 from multiarm.scene.values import Spec
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ MEASURED = "wall_time"
 
 def _name(value: Any) -> str:
     if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][\w.\-]*", value):
-        raise fault(
+        raise invalid(
             f"{shown(value)} cannot name a quantity; use letters, digits, '_', '-' and '.', with "
             "a letter first (names become columns of tables)"
         )
@@ -48,7 +48,8 @@ class UserQuantity(Spec):
     Attributes
     ----------
     function : callable or str
-        ``f(trajectory) -> number``, or its place: ``file.py:name``, ``package.module:name``.
+        ``file.py:name`` of a function of the trajectory.  Or ``package.module:name``; in Python
+        also the function, ``f(trajectory) -> number``.
     name : str, optional
         Of the quantity; by default the function's name.
     gives : list of str, optional
@@ -57,7 +58,7 @@ class UserQuantity(Spec):
         Unit and description of the number.
     """
 
-    function: UserFunction = Field(description="file.py:name of a function of the trajectory")
+    function: UserFunction
     name: Name | None = None
     gives: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
     unit: str = "1"

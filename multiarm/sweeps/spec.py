@@ -32,7 +32,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJ
 from multiarm.errors import Fault, SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY
 from multiarm.scene.code import located
-from multiarm.scene.faults import explain, fault, fault_at, shown, unknown
+from multiarm.scene.faults import explain, fault_at, invalid, shown, unknown
 from multiarm.scene.text import parse_yaml, read_text, written_yaml
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import (
@@ -65,7 +65,7 @@ def _entry(value: Any) -> Any:
         return value
     names = [*KNOWN, MEASURED]
     problem = unknown("quantity", value, names, "quantities")
-    raise fault(f"{problem}; your own quantity is 'file.py:name', f(trajectory) -> number")
+    raise invalid(f"{problem}; your own quantity is 'file.py:name', f(trajectory) -> number")
 
 
 _Name = Annotated[
@@ -88,7 +88,7 @@ _AXIS = BeforeValidator(_axis, json_schema_input_type=AxisSpec | list[Any])
 def _by_text(value: Any) -> Any:
     """The table with strings as keys; in Python a key may be a tuple of paths."""
     if not isinstance(value, Mapping) or not value:
-        raise fault(
+        raise invalid(
             "must be a table 'path: values' with at least one path of the scene, such as "
             f"(object.mass: [5, 10, 20]), got {shown(value)}"
         )
@@ -99,7 +99,7 @@ def _by_text(value: Any) -> Any:
 
 def _plain_table(value: Any) -> Any:
     if not isinstance(value, Mapping):
-        raise fault(f"must be a table of entries of the scene's 'run', got {shown(value)}")
+        raise invalid(f"must be a table of entries of the scene's 'run', got {shown(value)}")
     return plain_value(value)
 
 
@@ -130,7 +130,8 @@ class SweepSpec(Spec):
     Attributes
     ----------
     over : table
-        Path of the scene, or several separated by commas, -> values.
+        A table 'path: values' of what varies, such as (object.mass: [5, 10]).  Several paths of the
+        scene, separated by commas, vary together.
     combine : 'product' or 'zip'
         Every value of an axis with every one of the others; or the first with the first, and so on.
     repeat : int
@@ -147,9 +148,7 @@ class SweepSpec(Spec):
         Replaces entries of the scene's ``run``.
     """
 
-    over: Annotated[dict[str, Annotated[AxisSpec, _AXIS]], BeforeValidator(_by_text)] = Field(
-        description="a table 'path: values' of what varies, such as (object.mass: [5, 10])"
-    )
+    over: Annotated[dict[str, Annotated[AxisSpec, _AXIS]], BeforeValidator(_by_text)]
     combine: Literal["product", "zip"] = "product"
     repeat: Count = 1
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"

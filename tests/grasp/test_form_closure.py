@@ -21,9 +21,10 @@ from scipy.optimize import OptimizeResult, linprog
 from scipy.spatial import ConvexHull
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import unit_vectors
 from multiarm.grasp.closure.balances import BAND, LEAST_MARGIN, balance_inverses, evenest
 from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
-from multiarm.grasp.contacts import Contacts, unit_vectors, wrenches_of
+from multiarm.grasp.contacts import Contacts, wrenches_of
 
 # Seven contacts on a box: two of them 2e-10 m apart; normals that are off by 1e-7.
 HARD = json.loads((DATA / "hard_contacts.json").read_text())

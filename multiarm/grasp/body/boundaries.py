@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.body.deepest import largest_ball
 from multiarm.grasp.body.face import PLANE_TOLERANCE, Face, area_vector, cut_into_triangles
-from multiarm.grasp.contacts import numbers_of
 from multiarm.notation import count_of
 from multiarm.scene import meshes
 from multiarm.scene.solids import TOO_THIN, hull_triangles, moments

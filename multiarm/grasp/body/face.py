@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import numbers_of
+from multiarm.grasp.arguments import numbers_of
 
 if TYPE_CHECKING:
     from shapely.geometry import MultiPolygon, Polygon

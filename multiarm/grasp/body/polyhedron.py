@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of, pose_of
 from multiarm.grasp.body import boundaries
 from multiarm.grasp.body.face import OFF_PLANE, PLANE_TOLERANCE, Face
-from multiarm.grasp.contacts import numbers_of, pose_of
 from multiarm.notation import count_of
 from multiarm.scene.solids import MassProperties, Moments, moments
 

@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of, unit_vectors
 from multiarm.grasp.closure.balances import (
     BAND,
     Balance,
@@ -46,14 +47,7 @@ from multiarm.grasp.closure.balances import (
 from multiarm.grasp.closure.exact_balances import exact_balance
 from multiarm.grasp.closure.immobility import Immobility, immobility
 from multiarm.grasp.closure.motions import explanation, leaving_contacts, twist_of
-from multiarm.grasp.contacts import (
-    Contacts,
-    HeldByContacts,
-    as_contacts,
-    numbers_of,
-    unit_vectors,
-    wrenches_of,
-)
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, wrenches_of
 from multiarm.notation import count_of
 from multiarm.public import facts_html
 

@@ -38,9 +38,10 @@ from multiarm.dynamics.forces.distribution import (
     smallest_largest,
 )
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.closure.balances import BAND, floor_of, rank_of
 from multiarm.grasp.closure.motions import about_origin, motion_in_words, twist_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, numbers_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 
 OBJECTIVES = {"largest": smallest_largest, "norm": least_norm}
 

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, numbers_of
+from multiarm.grasp.arguments import numbers_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.forces.force_distribution import (
     ForceDistribution,
     bounds_of,

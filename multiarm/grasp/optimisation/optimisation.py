@@ -33,9 +33,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.body.body_class import as_polyhedron
 from multiarm.grasp.body.face import across, frame_of
-from multiarm.grasp.contacts import Contacts, numbers_of
+from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.optimisation.face_search import Limits, Search
 from multiarm.grasp.optimisation.placements import face_choices, touch_regions
 from multiarm.terminal.progress import Progress, displayed

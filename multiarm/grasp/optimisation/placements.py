@@ -34,9 +34,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.body.face import across, cut_into_triangles
 from multiarm.grasp.closure.balances import balance
-from multiarm.grasp.contacts import numbers_of, wrenches_of
+from multiarm.grasp.contacts import wrenches_of
 from multiarm.grasp.designs.grippers import hand_reaches
 
 if TYPE_CHECKING:

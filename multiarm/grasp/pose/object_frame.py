@@ -35,7 +35,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.geometry.screws import skew
-from multiarm.grasp.contacts import numbers_of, pose_of
+from multiarm.grasp.arguments import numbers_of, pose_of
 from multiarm.grasp.pose.rotations_from_planes import (
     ContactData,
     RotationEquations,

@@ -42,8 +42,8 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of, unit_vectors
 from multiarm.grasp.body.face import Face, as_face
-from multiarm.grasp.contacts import numbers_of, unit_vectors
 from multiarm.notation import count_of
 
 # Normals span space when the third singular value is above this part of the first.

@@ -27,16 +27,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of, unit_vectors
 from multiarm.grasp.body.face import distinct
 from multiarm.grasp.closure.balances import BAND, rank_of, rounding
-from multiarm.grasp.contacts import (
-    Contacts,
-    HeldByContacts,
-    contacts_in_space,
-    numbers_of,
-    unit_vectors,
-    wrenches_of,
-)
+from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, wrenches_of
 from multiarm.programs import least_distance, nonnegative_least_squares
 
 ILL = (

@@ -46,13 +46,8 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import (
-    Contacts,
-    HeldByContacts,
-    contacts_in_space,
-    nearest_to_lines,
-    numbers_of,
-)
+from multiarm.grasp.arguments import numbers_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, nearest_to_lines
 from multiarm.grasp.six_contacts.necessary_conditions import INCIDENCE, Violation, incidence, named
 
 POINT = "a point has three finite coordinates"

@@ -35,10 +35,11 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.body.face import across
 from multiarm.grasp.closure.balances import rank_of
 from multiarm.grasp.closure.form_closure import closed_many, is_form_closure
-from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, numbers_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space
 
 # Sides of the polygons that stand for a disc.
 SIDES = 8

@@ -38,15 +38,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.closure.balances import tolerance_of
 from multiarm.grasp.closure.form_closure import closed_many
-from multiarm.grasp.contacts import (
-    Contacts,
-    HeldByContacts,
-    contacts_in_space,
-    numbers_of,
-    wrenches_of,
-)
+from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, wrenches_of
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.seventh_contact.contact_region import ContactRegion, region_of
 from multiarm.grasp.six_contacts.independent_contacts import blocks_of

@@ -11,7 +11,7 @@ from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.scene.effects.kind import EffectKind, or_only
-from multiarm.scene.faults import fault
+from multiarm.scene.faults import invalid
 from multiarm.scene.urdf import JointOutline
 from multiarm.scene.values import (
     URDF,
@@ -114,7 +114,7 @@ class JointFriction(EffectKind):
     @model_validator(mode="after")
     def _speed_belongs_to_the_smooth_model(self) -> Self:
         if self.model == "set_valued" and self.speed is not None:
-            raise fault("'speed' belongs to model 'smooth'; remove it, or change 'model'")
+            raise invalid("'speed' belongs to model 'smooth'; remove it, or change 'model'")
         return self
 
     @property

@@ -15,7 +15,7 @@ from typing_extensions import Self
 from multiarm.notation import count_of
 from multiarm.scene.code import UserFunction
 from multiarm.scene.effects.kind import EffectKind
-from multiarm.scene.faults import fault, listed, shown, unknown
+from multiarm.scene.faults import invalid, listed, shown, unknown
 from multiarm.scene.values import (
     BodyAxes,
     Faults,
@@ -67,11 +67,11 @@ class Drag(EffectKind):
     def _something_resists(self) -> Self:
         if (self.area is None) != (self.coefficient is None):
             present, missing = ("area", "coefficient")[:: 1 if self.coefficient is None else -1]
-            raise fault(
+            raise invalid(
                 f"{present!r} needs {missing!r} too: force = density coefficient area u^2/2"
             )
         if self.area is None and not any((*self.linear, *self.angular, *self.quadratic)):
-            raise fault(
+            raise invalid(
                 "resists nothing; give 'linear', 'angular', 'quadratic', or 'area' and "
                 "'coefficient', or leave the effect out"
             )
@@ -117,14 +117,14 @@ class Pulse(Spec):
     @model_validator(mode="after")
     def _ends_after_it_begins(self) -> Self:
         if not self.begin < self.end:
-            raise fault(f"ends at {self.end:g} s, not after its beginning at {self.begin:g} s")
+            raise invalid(f"ends at {self.end:g} s, not after its beginning at {self.begin:g} s")
         return self
 
 
 def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
     message = _time_fault(times)
     if message:
-        raise fault(message)
+        raise invalid(message)
     return times
 
 
@@ -156,14 +156,14 @@ class WrenchTable(Spec):
     def _one_table(self) -> Self:
         written = (self.times, self.values)
         if self.file is not None and written != (None, None):
-            raise fault("gives both 'file' and 'times' or 'values'; keep one of them")
+            raise invalid("gives both 'file' and 'times' or 'values'; keep one of them")
         if self.file is not None:
             return self
         if self.times is None or self.values is None:
-            raise fault("needs 'times' and 'values', or a 'file'")
+            raise invalid("needs 'times' and 'values', or a 'file'")
         if len(self.times) != len(self.values):
             times, values = count_of(len(self.times), "time"), count_of(len(self.values), "value")
-            raise fault(f"has {times} and {values}; give as many")
+            raise invalid(f"has {times} and {values}; give as many")
         return self
 
 
@@ -205,7 +205,7 @@ def _row_fault(cells: list[str]) -> str:
 
 def _some(wrenches: tuple) -> tuple:
     if not wrenches:
-        raise fault("is empty; list wrenches, such as (on: object, force: [0, 0, -1])")
+        raise invalid("is empty; list wrenches, such as (on: object, force: [0, 0, -1])")
     return wrenches
 
 
@@ -247,14 +247,14 @@ effects:
         courses = ("sinusoid", "pulse", "table", "function")
         present = [name for name in courses if getattr(self, name) is not None]
         if len(present) > 1:
-            raise fault(f"gives {' and '.join(map(repr, present))}; keep one of them")
+            raise invalid(f"gives {' and '.join(map(repr, present))}; keep one of them")
         gives_wrench = self.function is not None or (self.table is not None and self.table.file)
         sized = [name for name in ("force", "torque") if getattr(self, name) is not None]
         if gives_wrench and sized:
             source = "function" if self.function is not None else "file of the table"
-            raise fault(f"the {source} gives force and torque; remove {listed(sized)}")
+            raise invalid(f"the {source} gives force and torque; remove {listed(sized)}")
         if not gives_wrench and not sized:
-            raise fault("needs 'force', 'torque' or both (3 numbers each)")
+            raise invalid("needs 'force', 'torque' or both (3 numbers each)")
         return self
 
     @classmethod

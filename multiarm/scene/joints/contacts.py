@@ -21,7 +21,7 @@ from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.geometry import Contact
-from multiarm.scene.faults import fault
+from multiarm.scene.faults import invalid
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.surfaces import Geometry, Surface
 from multiarm.scene.values import NonNegative, Pose, Spec
@@ -46,7 +46,7 @@ class ContactSpec(Spec):
     @model_validator(mode="after")
     def _slides_or_rolls(self) -> Self:
         if self.rolling and self.mu is not None:
-            raise fault("a contact that rolls does not slide; leave out 'mu' or 'rolling'")
+            raise invalid("a contact that rolls does not slide; leave out 'mu' or 'rolling'")
         return self
 
     @model_validator(mode="after")
@@ -54,7 +54,7 @@ class ContactSpec(Spec):
         a, b = self.arm.value, self.object.value
         reason = _obstacle(a, b) if a is not None and b is not None else None
         if a is not None and b is not None and reason is not None:
-            raise fault(
+            raise invalid(
                 f"{a.described()} on the arm and {b.described()} on the object make no point "
                 f"contact: {reason}"
             )
@@ -116,7 +116,7 @@ class ContactsJoint(Joint):
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
         if not self.contacts:
-            raise fault("'contacts' is empty; list at least one contact {arm: ..., object: ...}")
+            raise invalid("'contacts' is empty; list at least one contact {arm: ..., object: ...}")
         return self
 
     @property

@@ -10,7 +10,7 @@ from typing_extensions import Self
 
 from multiarm.geometry import Contact, cylinder, plane, sphere
 from multiarm.geometry.records import Surface, basis
-from multiarm.scene.faults import fault
+from multiarm.scene.faults import invalid
 from multiarm.scene.joints.kind import ZERO, Joint, TipRadius, X
 from multiarm.scene.values import Direction, NonNegative, Positive, Vec3
 
@@ -132,14 +132,14 @@ class CornerGripperJoint(Joint):
     @model_validator(mode="after")
     def _points_lie_on_their_faces(self) -> Self:
         if len(self.points) != 4 or len(self.faces) != 4:
-            raise fault(
+            raise invalid(
                 f"a corner gripper has 4 points and 4 faces, got {len(self.points)} and "
                 f"{len(self.faces)}; other numbers of fingertips are written as 'kind: contacts'"
             )
         sites = zip(self.points, self.faces, strict=True)
         for number, (point, face) in enumerate(sites, start=1):
             if abs(point["xyz".index(face)]) > 1e-9:
-                raise fault(
+                raise invalid(
                     f"point {number}, {list(point)}, is not on face {face!r}, where {face} = 0; "
                     "correct the point or name its face"
                 )
@@ -166,7 +166,7 @@ def _distance(inside: bool, radius: float, tip_radius: float) -> float:
 
 def _check_tip_fits(inside: bool, radius: float, tip_radius: float, noun: str) -> None:
     if inside and tip_radius >= radius:
-        raise fault(
+        raise invalid(
             f"a fingertip of radius {tip_radius:g} m does not fit into a {noun} of radius "
             f"{radius:g} m; make the tip smaller"
         )

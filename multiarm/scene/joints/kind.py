@@ -18,7 +18,7 @@ from typing_extensions import Self
 from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis, tangent_rows
-from multiarm.scene.faults import fault, shown
+from multiarm.scene.faults import invalid, shown
 from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
@@ -29,7 +29,7 @@ ZERO = np.zeros(3)
 
 def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
     if not limits[0] <= 0.0 <= limits[1]:
-        raise fault(
+        raise invalid(
             f"limits are counted from where the joint's two frames coincide, as they do at the "
             f"start unless 'at' turns them, and must enclose 0, got [{limits[0]:g}, "
             f"{limits[1]:g}]"
@@ -64,7 +64,7 @@ class Joint(UserKind):
     Attributes
     ----------
     arm : str
-        The arm whose tip is joined to the object.
+        The name of the arm that this joint connects.
     name : str, optional
         A name for reports.
     at : Pose, optional
@@ -74,7 +74,8 @@ class Joint(UserKind):
         Joint frame in the frame of the arm's tip.
     mu : float, optional
         Coulomb's coefficient of friction of its contacts, where they have none of their own and do
-        not roll.  It counts before that of ``effects.contact_friction``.
+        not roll.  It counts before that of ``effects.contact_friction``.  Friction follows from the
+        forces of each contact, and so from how far they are spread.
     picture : str
         An everyday example, for ``multiarm joints``.
     example : str
@@ -98,15 +99,11 @@ class Joint(UserKind):
     as_listed: ClassVar[bool] = False
     drawn_as: ClassVar[str] = ""
 
-    arm: str = Field(description="the name of the arm that this joint connects")
+    arm: str
     name: str | None = None
     at: Pose | None = None
     at_tip: Pose = Pose()
-    mu: NonNegative | None = Field(
-        None,
-        description="Coulomb's coefficient of friction of its contacts; friction follows from the "
-        "forces of each contact, and so from how far they are spread",
-    )
+    mu: NonNegative | None = None
     kind: str
 
     def records(self) -> list[Contact]:

@@ -22,7 +22,7 @@ from typing_extensions import Self
 
 from multiarm.geometry import Contact, plane, point
 from multiarm.geometry.screws import ZeroPitch, skew, zero_pitch
-from multiarm.scene.faults import fault
+from multiarm.scene.faults import invalid
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.values import Positive, Vec6
 
@@ -63,7 +63,7 @@ class WrenchesJoint(Joint):
     @model_validator(mode="after")
     def _independent(self) -> Self:
         if not self.wrenches:
-            raise fault("'wrenches' is empty; list at least one [fx, fy, fz, mx, my, mz]")
+            raise invalid("'wrenches' is empty; list at least one [fx, fy, fz, mx, my, mz]")
         dependent = _dependent_rows(self.wrenches, self.size)
         if dependent:
             texts = [
@@ -72,7 +72,7 @@ class WrenchesJoint(Joint):
                 else f"wrench {row} is zero"
                 for row, combined in dependent.items()
             ]
-            raise fault(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
+            raise invalid(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
         return self
 
     def records(self) -> list[Contact]:
