@@ -31,7 +31,7 @@ from multiarm.errors import SceneError
 from multiarm.geometry.records import basis
 from multiarm.scene import JointSpec, ObjectSpec, Scene
 from multiarm.scene.faults import fault_at
-from multiarm.scene.values import SOLVE
+from multiarm.scene.joint_values import SOLVE
 
 # Postures at which the search begins: half a millisecond each.
 STARTS = 96

@@ -17,7 +17,7 @@ from multiarm.control.program import needs_gravity_torque
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.scene import ArmSpec, ResolvedArm, Scene, resolve_arm
-from multiarm.scene.values import SOLVE
+from multiarm.scene.joint_values import SOLVE
 
 
 @dataclass(frozen=True)

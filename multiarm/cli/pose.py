@@ -23,7 +23,7 @@ def pose(scene: SceneFile, no_code: NoCode = False) -> None:
     cannot reach its place on the object; the message says how near it comes and where to move its
     base.
     """
-    from multiarm.scene.values import SOLVE
+    from multiarm.scene.joint_values import SOLVE
 
     loaded = scene_to_run(scene, no_code)
     open_ones = [name for name, arm in loaded.arms.items() if arm.posture in (None, SOLVE)]

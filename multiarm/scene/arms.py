@@ -19,8 +19,16 @@ from typing_extensions import Self
 from multiarm.errors import ModelError, SceneError
 from multiarm.notation import count_of
 from multiarm.scene.code import located
-from multiarm.scene.faults import fault_at, invalid, listed, unknown
+from multiarm.scene.faults import Faults, fault_at, invalid, listed, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
+from multiarm.scene.joint_values import (
+    SOLVE,
+    JointValues,
+    KnownArm,
+    Posture,
+    joint_value_faults,
+    joint_vector,
+)
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robots import (
@@ -29,6 +37,7 @@ from multiarm.scene.robots import (
     resolve_package_dirs,
     usual_tips,
 )
+from multiarm.scene.spec import FilePath, Spec
 from multiarm.scene.urdf import (
     CHAIN_JOINTS,
     MOST_JOINTS,
@@ -37,22 +46,7 @@ from multiarm.scene.urdf import (
     outline_of_text,
     read_urdf,
 )
-from multiarm.scene.values import (
-    SOLVE,
-    BaseTurn,
-    Color,
-    Faults,
-    FilePath,
-    JointValues,
-    KnownArm,
-    Number,
-    Pose,
-    Posture,
-    Spec,
-    angle_fault,
-    joint_value_faults,
-    joint_vector,
-)
+from multiarm.scene.values import BaseTurn, Color, Number, Pose, angle_fault
 
 
 class _FromUrdf(Spec):

@@ -19,7 +19,7 @@ from pydantic import BaseModel
 from multiarm.errors import Fault, SceneError
 from multiarm.scene.faults import Parts, fault_at, listed, place, shown, unknown
 from multiarm.scene.run import STEPS_CHOSEN_BY
-from multiarm.scene.values import written
+from multiarm.scene.spec import written
 
 # A key, a key in quotes, a number in a list.
 _PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']+)'\]|\["([^"]+)"\]|\[(\d+)\]""")

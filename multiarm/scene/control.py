@@ -22,26 +22,12 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.scene.code import UserFunction
-from multiarm.scene.faults import invalid, shown, unknown
+from multiarm.scene.faults import Faults, below, invalid, shown, unknown
+from multiarm.scene.joint_values import Gain, KnownArm, PerArm, gain_faults
 from multiarm.scene.registry import AnyClass, Registry, UserKind
+from multiarm.scene.spec import FilePath, Spec
 from multiarm.scene.text import parse_yaml
-from multiarm.scene.values import (
-    ArmName,
-    Faults,
-    FilePath,
-    Gain,
-    KnownArm,
-    NonNegative,
-    Number,
-    PerArm,
-    Pose,
-    Positive,
-    Spec,
-    WorldAxes,
-    below,
-    gain_faults,
-    list_of,
-)
+from multiarm.scene.values import ArmName, NonNegative, Number, Pose, Positive, WorldAxes, list_of
 
 
 class ControlKind(UserKind):

@@ -25,6 +25,8 @@ from multiarm.scene.parameters import brief_description
 
 Parts = tuple[str | int, ...]
 """Keys and list positions that lead to a value."""
+Faults = list[tuple[Parts, str]]
+"""Pairs of a place, relative to that of a value, and the fault there."""
 
 _MAX_LISTED = 12
 _SIMILAR = 0.6  # ratio of difflib above which two names count as one mistyped
@@ -150,6 +152,11 @@ def fault_at(parts: Iterable[str | int], problem: str, root: str = "$") -> Fault
     """A problem at the place to which keys and list positions lead from the root."""
     parts = tuple(parts)
     return Fault(problem, place(parts, root), parts)
+
+
+def below(where: Parts, faults: Faults) -> Faults:
+    """Faults of a part, which is at the place ``where`` in its owner."""
+    return [((*where, *further), text) for further, text in faults]
 
 
 def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$") -> list[Fault]:

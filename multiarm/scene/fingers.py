@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import field_validator
 
 from multiarm.scene.faults import invalid
-from multiarm.scene.values import Pose, Positive, Spec, Vec3, roll_pitch_yaw
+from multiarm.scene.spec import Spec
+from multiarm.scene.values import Pose, Positive, Vec3, roll_pitch_yaw
 
 # The palm stands at this part of the way from the mount to the corner.
 PALM = 0.3

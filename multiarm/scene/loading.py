@@ -33,9 +33,9 @@ from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint, UnloadedJoint
 from multiarm.scene.registry import ByName, Registry
 from multiarm.scene.schema import Scene
+from multiarm.scene.spec import written
 from multiarm.scene.surfaces import SURFACES
 from multiarm.scene.text import parse_yaml, read_text, written_yaml
-from multiarm.scene.values import written
 
 REGISTRIES: tuple[Registry[Any], ...] = (CONTROLS, EFFECTS, JOINTS, SURFACES)
 """The user classes of all sorts."""

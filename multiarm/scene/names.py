@@ -9,6 +9,7 @@ from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
 from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
 from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
+from multiarm.scene.joint_values import gain_vector, joint_vector
 from multiarm.scene.joints import JOINTS, JointSpec, register_joint
 from multiarm.scene.joints.contacts import ContactsJoint, ContactSpec
 from multiarm.scene.joints.fingertips import (
@@ -53,4 +54,4 @@ from multiarm.scene.settings import ARM_TERMS
 from multiarm.scene.shapes import Shape
 from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
-from multiarm.scene.values import Pose, gain_vector, joint_vector
+from multiarm.scene.values import Pose

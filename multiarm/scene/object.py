@@ -16,16 +16,8 @@ from typing_extensions import Self
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.shapes import NO_SHAPE, Shape
 from multiarm.scene.solids import hull_mass_properties
-from multiarm.scene.values import (
-    Color,
-    Pose,
-    Positive,
-    Spec,
-    Vec6,
-    as_list,
-    items_of,
-    number_list,
-)
+from multiarm.scene.spec import Spec
+from multiarm.scene.values import Color, Pose, Positive, Vec6, as_list, items_of, number_list
 
 # The centre of mass of a hull may be off the origin by so much of its size.
 _CENTRED = 1e-6

@@ -62,7 +62,7 @@ from typing_extensions import Self
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
 from multiarm.scene.code import CodeReference, is_reference, load_code
 from multiarm.scene.faults import Parts, invalid, listed, sentences, unknown
-from multiarm.scene.values import Spec, written
+from multiarm.scene.spec import Spec, written
 
 Kind = TypeVar("Kind")
 AnyClass = TypeVar("AnyClass", bound=type)

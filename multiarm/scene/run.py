@@ -10,7 +10,8 @@ from typing_extensions import Self
 
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.settings import MEANINGS, ArmTerms, Integrator, SolverName, Stabilization
-from multiarm.scene.values import NonNegative, Positive, Spec, shorthand
+from multiarm.scene.spec import Spec, shorthand
+from multiarm.scene.values import NonNegative, Positive
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")

@@ -41,14 +41,16 @@ from multiarm.scene.faults import (
     shown,
     unknown,
 )
+from multiarm.scene.joint_values import KnownArm
 from multiarm.scene.joints import JointSpec, pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import Classes, called
 from multiarm.scene.run import RunSpec
+from multiarm.scene.spec import Spec
 from multiarm.scene.trunks import Robot, robot_faults, robot_warnings, robots_of
-from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
+from multiarm.scene.values import ArmName, Vec3
 
 _Examined = dict[str, tuple[ArmSpec, Examination]]
 """Arms by name, with their facts."""

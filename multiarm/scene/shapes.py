@@ -22,17 +22,9 @@ from multiarm.scene.solids import (
     hull_triangles,
     nearest_in,
 )
+from multiarm.scene.spec import FilePath, OneOf, Spec
 from multiarm.scene.text import written_yaml
-from multiarm.scene.values import (
-    FilePath,
-    OneOf,
-    Positive,
-    Spec,
-    Vec3,
-    items_of,
-    list_of,
-    number_list,
-)
+from multiarm.scene.values import Positive, Vec3, items_of, list_of, number_list
 
 # Every corner that may touch something is a contact; a hull with more of them is a rounded body.
 MOST_CORNERS = 64

@@ -20,14 +20,13 @@ from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import invalid, listed
 from multiarm.scene.parameters import summary_of
 from multiarm.scene.registry import AnyClass, ByName, Registry, UserSpec, called
+from multiarm.scene.spec import OneOf, Spec
 from multiarm.scene.values import (
     Direction,
     Number,
-    OneOf,
     Positive,
     Range,
     RollPitchYaw,
-    Spec,
     Vec3,
     Vec4,
     list_of,

@@ -1,177 +1,27 @@
-"""Values as people write them: tables with known keys, numbers, vectors, poses, values by joint.
-
-A quantity of joints (posture, torque, gain, ...) may be written as one number for all joints, as a
-list from base to tip, or as a table ``joint: value``.  A quantity of all arms may be one of these
-for every arm alike, or a table ``arm: value``; where robots' files have such numbers too, ``urdf``
-stands for these, for all arms or for one.
-"""
+"""Values as people write them: numbers, vectors, angles, names, colours, poses."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
-from numbers import Real
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
-    GetCoreSchemaHandler,
-    SerializerFunctionWrapHandler,
     TypeAdapter,
-    ValidationError,
     WithJsonSchema,
-    model_serializer,
     model_validator,
 )
-from pydantic_core import core_schema
-from typing_extensions import Self
 
-from multiarm.errors import SceneError
-from multiarm.notation import count_of
-from multiarm.public import public_names
-from multiarm.scene.faults import (
-    Parts,
-    explain,
-    fault_at,
-    invalid,
-    listed,
-    path_fault,
-    shown,
-    unknown,
-)
-from multiarm.scene.urdf import JointOutline
+from multiarm.scene.faults import invalid, shown
+from multiarm.scene.spec import Spec
 
 if TYPE_CHECKING:
     import numpy as np
-
-Faults = list[tuple[Parts, str]]
-"""Pairs of a place, relative to that of the value, and the fault there."""
-URDF = "urdf"
-"""Stands for the numbers in the robot's file."""
-SOLVE = "solve"
-"""Stands for a posture that the program finds."""
-
-
-class Spec(BaseModel):
-    """Base of all parts of a scene: frozen, strict about keys.
-
-    A part built in Python (``Pose(xyz=[0, 0, 1])``) is validated like one read from YAML, and
-    raises the same :class:`~multiarm.errors.SceneError`.
-    """
-
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        arbitrary_types_allowed=True,
-        defer_build=True,  # at its first use: a scene uses few of all parts
-    )
-
-    def __dir__(self) -> list[str]:
-        return [name for name in public_names(self) if not hasattr(BaseModel, name)]
-
-    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
-        return written(self).items()
-
-    def __init__(self, /, **data: Any) -> None:
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise SceneError(explain(error, type(self), type(self).__name__)) from None
-
-    @classmethod
-    def __get_pydantic_core_schema__(
-        cls, source: Any, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Read nested parts without their ``__init__``, where the first fault ends the search."""
-        schema = handler(source)
-        model: Any = handler.resolve_ref_schema(schema)
-        while model["type"] != "model":  # its validators are around it
-            model = model["schema"]
-        model["custom_init"] = False
-        return schema
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        try:
-            super().__setattr__(name, value)
-        except ValidationError:
-            problem = (
-                "parts of a scene are not changed in place; another scene is made by "
-                "scene.replace, such as scene.replace({'object.mass': 20})"
-            )
-            raise SceneError([fault_at((name,), problem, type(self).__name__)]) from None
-
-    @classmethod
-    def model_validate(cls, obj: Any, **options: Any) -> Self:
-        """Validate a mapping or an instance; raises SceneError."""
-        try:
-            return super().model_validate(obj, **options)
-        except ValidationError as error:
-            raise SceneError(explain(error, cls, cls.__name__)) from None
-
-    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy, with other values for some keys, which are validated; raises SceneError."""
-        if not update:
-            return super().model_copy(deep=deep)
-        return type(self).model_validate({**written(self), **update})
-
-    @model_serializer(mode="wrap")
-    def _kind_is_always_written(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        data = handler(self)
-        kind = getattr(self, "kind", None)
-        return data if kind is None else {"kind": kind, **data}
-
-
-def written(value: Any) -> dict[str, Any]:
-    """The entries of a table; of a part of a scene those that are written, and its kind."""
-    if not isinstance(value, BaseModel):
-        return dict(value) if isinstance(value, Mapping) else {}
-    return {name: v for name, v in value if name in value.model_fields_set or name == "kind"}
-
-
-def shorthand(key: str, written: Any, *types: type) -> BeforeValidator:
-    """Let a value of some types stand for a table with one key; ``written`` is what may stand."""
-
-    def table(value: Any) -> Any:
-        bare = isinstance(value, types) and not isinstance(value, bool)
-        return {key: value} if bare else value
-
-    return BeforeValidator(table, json_schema_input_type=written)
-
-
-class OneOf(Spec):
-    """A table that has exactly one of its keys."""
-
-    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        written = [name for name, value in self if value is not None]
-        if len(written) != 1:
-            known = listed(type(self).model_fields)
-            raise invalid(f"needs exactly one of {known}, got {written or 'none'}")
-        return self
-
-
-def _file_path(value: Any) -> Any:
-    """Refuse the path of no file; whether there is a file is another question."""
-    wrong = path_fault(value) if isinstance(value, (str, Path)) else ""
-    if wrong:
-        raise invalid(wrong)
-    return value
-
-
-FilePath = Annotated[Path, BeforeValidator(_file_path)]
-
-
-# --- numbers and vectors -------------------------------------------------------------------------
 
 
 def _as_float(value: Any) -> float:
@@ -184,7 +34,8 @@ def _as_float(value: Any) -> float:
         raise invalid(f"must be a number, got {shown(value)}") from None
 
 
-def _number(value: Any) -> float:
+def finite_number(value: Any) -> float:
+    """The value as a finite number."""
     number = _as_float(value)
     if not math.isfinite(number):
         raise invalid(f"must be finite, got {number}")
@@ -198,11 +49,11 @@ def _bound(value: Any) -> float:
     return bound
 
 
-Number = Annotated[float, BeforeValidator(_number)]
+Number = Annotated[float, BeforeValidator(finite_number)]
 # bounds stand within the validator, where they are the number's own in JSON Schema
-Positive = Annotated[float, Field(gt=0.0), BeforeValidator(_number)]
-NonNegative = Annotated[float, Field(ge=0.0), BeforeValidator(_number)]
-UnitInterval = Annotated[float, Field(ge=0.0, le=1.0), BeforeValidator(_number)]
+Positive = Annotated[float, Field(gt=0.0), BeforeValidator(finite_number)]
+NonNegative = Annotated[float, Field(ge=0.0), BeforeValidator(finite_number)]
+UnitInterval = Annotated[float, Field(ge=0.0, le=1.0), BeforeValidator(finite_number)]
 Bound = Annotated[float, BeforeValidator(_bound)]
 """A number, infinite where there is no bound."""
 number_list = TypeAdapter(tuple[Number, ...]).validate_python
@@ -302,7 +153,7 @@ def items_of(*lengths: int) -> dict[str, int]:
 def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
     value = as_list(value)
     if isinstance(value, (int, float)):
-        numbers: tuple[float, ...] = (_number(value),) * 3
+        numbers: tuple[float, ...] = (finite_number(value),) * 3
     elif isinstance(value, (list, tuple)) and len(value) == 3:
         numbers = number_list(value)
     else:
@@ -457,242 +308,3 @@ class Pose(Spec):
         X[:3, :3] = self.rotation()
         X[:3, 3] = self.xyz
         return X
-
-
-# --- values by joint and by arm ------------------------------------------------------------------
-
-
-def _with_text_keys(value: Mapping) -> Mapping:
-    for key in value:
-        if not isinstance(key, str):
-            raise invalid(f"names must be text, got {shown(key)}; put quotes around it")
-    return value
-
-
-_joint_table = TypeAdapter(dict[str, Number]).validate_python
-
-
-def _joint_values(value: Any) -> tuple[float, ...] | dict[str, float]:
-    value = as_list(value)
-    if isinstance(value, Mapping):
-        return _joint_table(_with_text_keys(value))
-    if isinstance(value, (list, tuple)):
-        return number_list(value)
-    raise invalid(f"must be a list (base to tip) or a table 'joint: value', got {shown(value)}")
-
-
-def _number_or_joint_values(value: Any) -> Any:
-    value = as_list(value)
-    many = isinstance(value, (list, tuple, Mapping))
-    return _joint_values(value) if many else _number(value)
-
-
-_arm_table = TypeAdapter(
-    dict[str, Annotated[Any, BeforeValidator(_number_or_joint_values)]]
-).validate_python
-
-
-def _per_arm(value: Any) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise invalid(f"must be a table 'arm: values', got {shown(value)}")
-    return _arm_table(_with_text_keys(value))
-
-
-def _gain(value: Any) -> Any:
-    value = as_list(value)
-    gain = _per_arm(value) if isinstance(value, Mapping) else _number_or_joint_values(value)
-    lowest = min(_leaves(gain), default=0.0)
-    if lowest < 0.0:
-        raise invalid(f"must not be negative, got {lowest}")
-    return gain
-
-
-def _leaves(value: Any) -> list[float]:
-    if isinstance(value, Mapping):
-        return [leaf for item in value.values() for leaf in _leaves(item)]
-    return list(value) if isinstance(value, tuple) else [value]
-
-
-def _gain_or_urdf(value: Any) -> Any:
-    if _is_urdf(value):
-        return value
-    if isinstance(value, str):
-        raise invalid(f"must be a number, a list, a table or {URDF!r}, got {shown(value)}")
-    if not isinstance(value, Mapping):
-        return _gain(value)
-    numbers = _gain({arm: 0.0 if _is_urdf(gain) else gain for arm, gain in value.items()})
-    return {arm: URDF if _is_urdf(value[arm]) else gain for arm, gain in numbers.items()}
-
-
-def _is_urdf(value: Any) -> bool:
-    return isinstance(value, str) and value == URDF
-
-
-def _posture(value: Any) -> Any:
-    if not isinstance(value, str):
-        return _joint_values(value)
-    if value != SOLVE:
-        raise invalid(f"must be a list, a table 'joint: value' or {SOLVE!r}, got {shown(value)}")
-    return value
-
-
-JointValues = Annotated[tuple[float, ...] | dict[str, float], BeforeValidator(_joint_values)]
-Posture = Annotated[
-    tuple[float, ...] | dict[str, float] | Literal["solve"], BeforeValidator(_posture)
-]
-PerArm = Annotated[
-    dict[str, float | tuple[float, ...] | dict[str, float]], BeforeValidator(_per_arm)
-]
-Gain = Annotated[
-    float | tuple[float, ...] | dict[str, float | tuple[float, ...] | dict[str, float]],
-    BeforeValidator(_gain),
-]
-_Urdf = Literal["urdf"]
-UrdfGain = Annotated[
-    float
-    | _Urdf
-    | tuple[float, ...]
-    | dict[str, float | _Urdf | tuple[float, ...] | dict[str, float]],
-    BeforeValidator(_gain_or_urdf),
-]
-
-
-def joint_vector(
-    values: float | Sequence[float] | Mapping[str, float] | None,
-    joint_names: Sequence[str],
-    default: np.ndarray | float = 0.0,
-) -> np.ndarray:
-    """One value per movable joint from base to tip, shape (n,).
-
-    Joints that ``values`` does not name get the default, one number or shape (n,).
-
-    Raises
-    ------
-    ValueError
-        If a list has another length than n, or a table names other joints.
-    """
-    import numpy as np
-
-    names = list(joint_names)
-    faults = [message for _, message in joint_value_faults(values, names)]
-    if faults:
-        raise ValueError("; ".join(faults))
-    result = np.full(len(names), default, dtype=float)
-    if isinstance(values, Mapping):
-        for joint, value in values.items():
-            result[names.index(joint)] = value
-    elif values is not None:
-        result[:] = values
-    return result
-
-
-def gain_vector(
-    gain: float | Sequence[float] | Mapping[str, Any] | None,
-    arm: str,
-    joint_names: Sequence[str],
-) -> np.ndarray:
-    """One value per joint of ``arm``, shape (n,); zero for joints and arms that are not named."""
-    value = gain.get(arm) if isinstance(gain, Mapping) else gain
-    return joint_vector(value, joint_names)
-
-
-def joint_value_faults(
-    values: float | Sequence[float] | Mapping[str, float] | None, joint_names: Sequence[str]
-) -> Faults:
-    """Faults with respect to the joints."""
-    names = list(joint_names)
-    if isinstance(values, Mapping):
-        return [((j,), unknown("joint", j, names)) for j in values if j not in names]
-    if values is None or isinstance(values, (float, Real)) or len(values) == len(names):
-        return []
-    message = (
-        f"{count_of(len(values), 'value')} for {count_of(len(names), 'movable joint')}; "
-        f"give one each, base to tip: {listed(names)}"
-    )
-    return [((), message)]
-
-
-@dataclass
-class KnownArm:
-    """The facts of an arm for the checks of a scene; None if the arm has faults.
-
-    Attributes
-    ----------
-    joints : tuple of JointOutline
-        The movable ones from base to tip.
-    links : tuple of str
-        All links, of the robot and of its tool.
-    moving : tuple of str
-        Those that the movable joints carry.
-    shown_by : str or None
-        The command that shows all links.
-    """
-
-    joints: tuple[JointOutline, ...] | None = None
-    links: tuple[str, ...] | None = None
-    moving: tuple[str, ...] = ()
-    shown_by: str | None = None
-
-    @property
-    def joint_names(self) -> tuple[str, ...] | None:
-        """Names of the movable joints."""
-        return None if self.joints is None else tuple(joint.name for joint in self.joints)
-
-
-def gain_faults(
-    value: Any,
-    arms: Mapping[str, KnownArm],
-    in_urdf: Callable[[JointOutline], float] | None = None,
-    what: str = "",
-) -> Faults:
-    """Faults of a value for all arms, or of a table by arm, with respect to the arms.
-
-    ``in_urdf`` gives a joint the number, called ``what``, of the robot's file, which must not be
-    negative where ``value`` refers to it.
-    """
-    if value is None:
-        return []
-    by_arm = isinstance(value, Mapping)
-    faults: Faults = []
-    for arm, gain in (value if by_arm else dict.fromkeys(arms, value)).items():
-        where: Parts = (arm,) if by_arm else ()
-        if arm not in arms:
-            faults.append((where, unknown("arm", arm, arms)))
-            continue
-        names = arms[arm].joint_names
-        if names is None or _is_urdf(gain):
-            continue
-        subject = "" if by_arm else f"arm {arm!r}: "
-        for further, text in joint_value_faults(gain, names):
-            faults.append(((*where, *further), f"{subject}{text}"))
-    if in_urdf is None:
-        return faults
-    for where, arm in _arms_by_urdf(value, arms):
-        wrong = [j.name for j in arms[arm].joints or () if not in_urdf(j) >= 0.0]
-        if wrong:
-            text = f"the URDF of arm {arm!r} gives {listed(wrong)} a {what} that is no number >= 0"
-            faults.append((where, f"{text}; correct the file, or write numbers here"))
-    return faults
-
-
-def below(where: Parts, faults: Faults) -> Faults:
-    """Faults of a part, which is at the place ``where`` in its owner."""
-    return [((*where, *further), text) for further, text in faults]
-
-
-def urdf_warnings(
-    value: Any, arms: Mapping[str, KnownArm], in_urdf: Callable[[JointOutline], Any], what: str
-) -> Faults:
-    """Arms whose robots' files have no such number, where ``value`` refers to these files."""
-    return [
-        (where, f"the URDF of arm {arm!r} gives no joint a {what}; write numbers to give them some")
-        for where, arm in _arms_by_urdf(value, arms)
-        if not any(in_urdf(joint) for joint in arms[arm].joints or ())
-    ]
-
-
-def _arms_by_urdf(value: Any, arms: Iterable[str]) -> list[tuple[Parts, str]]:
-    """Arms whose numbers are those of their robots' files, and where a scene says so."""
-    if isinstance(value, Mapping):
-        return [((arm,), arm) for arm in arms if _is_urdf(value.get(arm))]
-    return [((), arm) for arm in arms] if _is_urdf(value) else []

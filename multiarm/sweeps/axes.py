@@ -21,7 +21,8 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.scene import parse_path
 from multiarm.scene.faults import invalid, shown
-from multiarm.scene.values import Number, OneOf, Positive, Range, Spec, list_of, rising
+from multiarm.scene.spec import OneOf, Spec
+from multiarm.scene.values import Number, Positive, Range, list_of, rising
 
 
 def plain_value(value: Any) -> Any:

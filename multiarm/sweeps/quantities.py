@@ -21,7 +21,7 @@ from multiarm.results.limit_use import largest_shares
 from multiarm.scene import Pose
 from multiarm.scene.code import UserFunction, function_text, load_function
 from multiarm.scene.faults import invalid, shown
-from multiarm.scene.values import Spec
+from multiarm.scene.spec import Spec
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

@@ -33,8 +33,8 @@ from multiarm.errors import Fault, SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY
 from multiarm.scene.code import located
 from multiarm.scene.faults import explain, fault_at, invalid, shown, unknown
+from multiarm.scene.spec import Spec
 from multiarm.scene.text import parse_yaml, read_text, written_yaml
-from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import (
     AxisSpec,
     Count,

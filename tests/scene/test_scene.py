@@ -38,6 +38,7 @@ from multiarm.scene import (
     parse_scene,
 )
 from multiarm.scene.run import RunSpec
+from multiarm.scene.spec import Spec
 from multiarm.scene.text import parse_yaml, written_yaml
 
 EXAMPLES = sorted(SCENES.glob("*.yaml"))
@@ -892,3 +893,21 @@ def test_junk_anywhere_gives_a_scene_or_a_scene_error(path, value):
 def test_any_text_gives_a_scene_error(text):
     with pytest.raises(SceneError):
         parse_scene(text)
+
+
+def test_a_part_with_its_own_init_is_read_by_it_and_others_have_all_faults_told():
+    class Rod(Spec):
+        length: float
+
+        def __init__(self, **data):
+            super().__init__(**{"length": 2.0, **data})
+
+    class Pair(Spec):
+        rod: Rod
+        left: Pose
+        right: Pose
+
+    assert Pair(rod={}, left={}, right={}).rod.length == 2.0
+    with pytest.raises(SceneError) as told:
+        Pair(rod={}, left={"xyz": [1]}, right={"rpy": 3})
+    assert [fault.place for fault in told.value.faults] == ["Pair.left.xyz", "Pair.right.rpy"]

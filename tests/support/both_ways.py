@@ -34,7 +34,7 @@ from multiarm.jit.simd import (
     transpose_four,
 )
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.scene.values import SOLVE
+from multiarm.scene.joint_values import SOLVE
 
 
 def swinging(arms: str) -> ma.System:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from multiarm.scene.effects import contacts, drives, loads
 from multiarm.scene.effects.kind import EffectKind
-from multiarm.scene.faults import Parts
+from multiarm.scene.faults import Faults, Parts, below
+from multiarm.scene.joint_values import KnownArm
 from multiarm.scene.registry import AnyClass, ByName, Registry
-from multiarm.scene.values import Faults, KnownArm, below
 
 _OURS: tuple[type[EffectKind], ...] = (
     drives.JointDamping,

@@ -10,20 +10,10 @@ import numpy as np
 from pydantic import BeforeValidator, TypeAdapter
 
 from multiarm.scene.effects.kind import EffectKind
-from multiarm.scene.faults import unknown
-from multiarm.scene.values import (
-    URDF,
-    Bound,
-    Faults,
-    KnownArm,
-    NonNegative,
-    Pose,
-    Positive,
-    UnitInterval,
-    Vec3,
-    list_of,
-    shorthand,
-)
+from multiarm.scene.faults import Faults, unknown
+from multiarm.scene.joint_values import URDF, KnownArm
+from multiarm.scene.spec import shorthand
+from multiarm.scene.values import Bound, NonNegative, Pose, Positive, UnitInterval, Vec3, list_of
 
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec

@@ -11,19 +11,10 @@ from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.scene.effects.kind import EffectKind, or_only
-from multiarm.scene.faults import invalid
+from multiarm.scene.faults import Faults, below, invalid
+from multiarm.scene.joint_values import URDF, Gain, KnownArm, UrdfGain, gain_faults, urdf_warnings
 from multiarm.scene.urdf import JointOutline
-from multiarm.scene.values import (
-    URDF,
-    Faults,
-    Gain,
-    KnownArm,
-    Positive,
-    UrdfGain,
-    below,
-    gain_faults,
-    urdf_warnings,
-)
+from multiarm.scene.values import Positive
 
 _FRICTION_SPEED = 0.01
 """Speed at which smooth friction is 76 % of the full one [rad/s] or [m/s]."""

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
 
+from multiarm.scene.faults import Faults
+from multiarm.scene.joint_values import KnownArm
 from multiarm.scene.parameters import summary_of
-from multiarm.scene.values import Faults, KnownArm, Spec
+from multiarm.scene.spec import Spec
 
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec

@@ -15,19 +15,10 @@ from typing_extensions import Self
 from multiarm.notation import count_of
 from multiarm.scene.code import UserFunction
 from multiarm.scene.effects.kind import EffectKind
-from multiarm.scene.faults import invalid, listed, shown, unknown
-from multiarm.scene.values import (
-    BodyAxes,
-    Faults,
-    FilePath,
-    KnownArm,
-    NonNegative,
-    Number,
-    Positive,
-    Spec,
-    Vec3,
-    list_of,
-)
+from multiarm.scene.faults import Faults, invalid, listed, shown, unknown
+from multiarm.scene.joint_values import KnownArm
+from multiarm.scene.spec import FilePath, Spec
+from multiarm.scene.values import BodyAxes, NonNegative, Number, Positive, Vec3, list_of
 
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec

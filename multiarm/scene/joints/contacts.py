@@ -23,8 +23,9 @@ from typing_extensions import Self
 from multiarm.geometry import Contact
 from multiarm.scene.faults import invalid
 from multiarm.scene.joints.kind import Joint
+from multiarm.scene.spec import Spec
 from multiarm.scene.surfaces import Geometry, Surface
-from multiarm.scene.values import NonNegative, Pose, Spec
+from multiarm.scene.values import NonNegative, Pose
 
 
 class ContactSpec(Spec):
