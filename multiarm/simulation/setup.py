@@ -38,9 +38,9 @@ from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import EventLog, RunEvent
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
+from multiarm.scene.consistency import carries_all_effects, causes_of_events, method_fault
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, STEPS_CHOSEN_BY, AccuracySpec
-from multiarm.scene.schema import carries_all_effects, causes_of_events, method_fault
 from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS

@@ -260,7 +260,7 @@ def test_robots_of_arms_that_stay_are_not_looked_at_again(scene, monkeypatch):
         looked.append(spec.base.xyz)
         return examine_arm(spec)
 
-    monkeypatch.setattr("multiarm.scene.schema.examine_arm", examine)
+    monkeypatch.setattr("multiarm.scene.consistency.examine_arm", examine)
     scene.replace({"object.mass": 3.0})
     assert looked == []
     scene.replace({"arms.left.base.xyz[1]": 0.01})
