@@ -56,6 +56,15 @@ def numbers(
     return f"{', '.join(number(value, digits=digits) for value in shown)} {unit}".rstrip()
 
 
+def short(value: float) -> str:
+    """A number as one would type it: ``1e-6``, ``0.0025``."""
+    if value and (abs(value) < 1e-3 or abs(value) >= 1e5):
+        mantissa, exponent = f"{value:.6e}".split("e")
+        mantissa = mantissa.rstrip("0").rstrip(".")
+        return f"{mantissa}e{int(exponent)}"
+    return f"{value:.7g}"
+
+
 def count_of(number: int, noun: str, plural: str | None = None) -> str:
     """The number and its noun: ``1 joint``, ``1,234 joints``, ``2 bodies``.
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from multiarm.notation import short
 from multiarm.studies.peers import Peer
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS, VARIATIONAL
 
@@ -125,12 +126,3 @@ def halved_steps(output_step: float, coarsest: float) -> tuple[float, ...]:
 
 def _ladder(solver: str, method: str, kind: str, knob: str, values: Sequence[float]) -> Ladder:
     return tuple(Setting(solver, method, kind, knob, value) for value in values)
-
-
-def short(value: float) -> str:
-    """A number as one would type it: ``1e-6``, ``0.0025``."""
-    if value and (abs(value) < 1e-3 or abs(value) >= 1e5):
-        mantissa, exponent = f"{value:.6e}".split("e")
-        mantissa = mantissa.rstrip("0").rstrip(".")
-        return f"{mantissa}e{int(exponent)}"
-    return f"{value:.7g}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multiarm.notation import NOTHING, count_of, number, numbers, value_text
+from multiarm.notation import NOTHING, count_of, number, numbers, short, value_text
 
 
 @pytest.mark.parametrize(
@@ -52,3 +52,9 @@ def test_a_plural_may_be_told():
 )  # fmt: skip
 def test_a_value_of_a_file_is_written_without_the_signs_of_json(value, text):
     assert value_text(value) == text
+
+
+def test_a_short_number_is_what_one_would_type():
+    assert [short(x) for x in (1e-6, 2.5e-3, 0.0, 2.5e-7, 1e5, 20.0)] == [
+        "1e-6", "0.0025", "0", "2.5e-7", "1e5", "20",
+    ]  # fmt: skip
