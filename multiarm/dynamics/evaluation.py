@@ -106,10 +106,10 @@ class Snapshot:
         self.regular = not (self.dense or solution.coupled_arms)
         self.arrays, b = SimpleNamespace(), data.arrays
         self.arrays.bodies = _copied(b.bodies, ("links", "object", "object_inertia"))
-        self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "Wo"))
+        self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "W_o"))
         if not self.regular:
             self.arrays.state = _copied(b.state, ("joint_positions",))
-            self.work = _copied(data.work, ("rows", "M", "W"))
+            self.work = _copied(data.work, ("first_contact", "M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 
@@ -282,7 +282,7 @@ class Evaluation:
 
         Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
         """
-        rows = rows_by_owner(self._all.model.layout, self._all.arrays.rows.Wo)
+        rows = rows_by_owner(self._all.model.layout, self._all.arrays.rows.W_o)
         return {owner: rows[owner].T @ force for owner, force in self.contact_forces.items()}
 
     @cached_property

@@ -193,15 +193,15 @@ def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: I
     """
     constants, _, _ = open_system(full)
     model, data, work = open_system(struct)
-    copy(bounds, work.rows)
+    copy(bounds, work.first_contact)
     work.by_arm[0] = 0
     select_rows(constants.codes, constants.geometry, rows, model.codes, model.geometry)
-    select_joint_rows(model.codes, work.rows, work.dofs, model.joint_rows)
+    select_joint_rows(model.codes, work.first_contact, work.first_joint, model.joint_rows)
     write_groups(order, work)
     # no result of other rows is left; columns of W beyond an arm's rows are zero
     for k in range(rows.size):
         clear(data.rows.kinematics[k])
-        clear(data.rows.Wo[k])
+        clear(data.rows.W_o[k])
     for k in range(data.rows.arm_wrenches.shape[0]):
         clear(data.rows.arm_wrenches[k])
     for k in range(data.rows.parts.shape[0]):

@@ -142,11 +142,11 @@ def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng,
         **{name: counted(getattr(work, name)) for name in ("S", "packs", "present", "stiffness")}
     )
     work = work._replace(M=counted(s.M), W=counted(s.W))
-    Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
+    W_o = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
     a_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
     right = [counted(part) for part in (s.f_o, s.f_j.ravel(), s.c.ravel())]
     monkeypatch.setattr(Counting, "count", 0)
-    status = batched.solve_batched(work, Wo, counted(s.M_o), *right, a_o, q, force)
+    status = batched.solve_batched(work, W_o, counted(s.M_o), *right, a_o, q, force)
     assert status == OK
     assert Counting.count == node_operations(n, d, N)
     np.testing.assert_allclose(np.concatenate([numbers(a_o), numbers(q)]), dense(s), rtol=1e-9)
@@ -253,7 +253,7 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
     }
     for name, kernels in given.items():
         np.testing.assert_allclose(np.ravel(getattr(s, name)), kernels.ravel(), atol=1e-11)
-    np.testing.assert_allclose(s.W_o[:, :, 0], data.rows.Wo, atol=1e-12)
+    np.testing.assert_allclose(s.W_o[:, :, 0], data.rows.W_o, atol=1e-12)
     np.testing.assert_allclose(s.W_o, s.G.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
     np.testing.assert_allclose(s.W, -s.J.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
 

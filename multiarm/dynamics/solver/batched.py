@@ -60,14 +60,14 @@ from multiarm.jit.simd import (
 
 
 @inlined
-def solve_batched(work, Wo, object_inertia, f_o, f_j, c, a_o, a_j, force):
+def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
     """Eliminate the whole system and solve it for one right-hand side.
 
     Parameters
     ----------
     work : NodeWork
         With the arms' inertias ``M`` and their ``W``.
-    Wo : (N, 6), object_inertia : (6, 6)
+    W_o : (N, 6), object_inertia : (6, 6)
         The object's rows, arms stacked, and its inertia; world axes.
     f_o : (6,), f_j : (sum of joints,), c : (N,)
         Right-hand sides, arms stacked.
@@ -81,9 +81,9 @@ def solve_batched(work, Wo, object_inertia, f_o, f_j, c, a_o, a_j, force):
         digits would be lost, or an inertia is not positive definite: then nothing is solved, and
         the arms must be eliminated one by one.  The pivots are in ``work.pivot``.
     """
-    packs, n = work.packs, work.dofs.size - 1
+    packs, n = work.packs, work.first_joint.size - 1
     work.by_arm[0] = 0
-    if not least_pivot(work, Wo, f_j, c) > COUPLED_BELOW:
+    if not least_pivot(work, W_o, f_j, c) > COUPLED_BELOW:
         return DEFICIENT
     work.pivot[n] = solve_node(work, object_inertia, f_o, a_o)
     # arms that are stiff in some directions leave no digits of the object's inertia in the others
@@ -98,7 +98,7 @@ def solve_batched(work, Wo, object_inertia, f_o, f_j, c, a_o, a_j, force):
 
 
 @inlined
-def least_pivot(work, Wo, f_j, c):
+def least_pivot(work, W_o, f_j, c):
     """Eliminate all arms, four at a time; returns the smallest ``NodeWork.pivot``.
 
     It is 0 where an inertia is not positive definite, and where there are no groups since some arm
@@ -109,7 +109,7 @@ def least_pivot(work, Wo, f_j, c):
         store_pack(packs, NODE_AT + LANES * k, broadcast(0.0))
     for g in range(work.groups.shape[0]):
         group, present = work.groups[g], work.present[g]
-        fill_table(group, work, Wo, f_j, c, work.places[g], present)
+        fill_table(group, work, W_o, f_j, c, work.places[g], present)
         inertia, relative = eliminate_group(group, work, work.stiffness[g])
         add_group(group, work, load_pack(present, present.size - LANES))
         store_pack(packs, OBJECT_AT, inertia)
@@ -281,13 +281,13 @@ def substitute_group(group, work):
 
 
 @inlined
-def fill_table(group, work, Wo, f_j, c, places, present):
+def fill_table(group, work, W_o, f_j, c, places, present):
     """Write the equations of four arms into their table.
 
     ``group, places, present`` are rows of ``work.groups``, ``work.places``, ``work.present``.
     """
     fill_joint_rows(group, work, f_j, places)
-    fill_contact_rows(group, work, Wo, c, places[LANES * work.M.shape[1] :], present)
+    fill_contact_rows(group, work, W_o, c, places[LANES * work.M.shape[1] :], present)
 
 
 @inlined
@@ -316,7 +316,7 @@ def fill_joint_rows(group, work, f_j, places):
 
 
 @inlined
-def fill_contact_rows(group, work, Wo, c, places, present):
+def fill_contact_rows(group, work, W_o, c, places, present):
     """Write ``c`` and ``W_o^T`` of four arms into their table, and zeros for ``K``."""
     d, m = group[JOINTS], group[CONTACTS]
     packs, row = work.packs, group[START] + LANES * d * group[WIDTH]
@@ -335,7 +335,7 @@ def fill_contact_rows(group, work, Wo, c, places, present):
         w0, w1, w2, w3 = 6 * p[0], 6 * p[1], 6 * p[2], 6 * p[3]
         for k in range(6):
             at += LANES
-            store_pack(packs, at, held * gather_pack(Wo, w0 + k, w1 + k, w2 + k, w3 + k))
+            store_pack(packs, at, held * gather_pack(W_o, w0 + k, w1 + k, w2 + k, w3 + k))
         row += LANES * group[WIDTH]
 
 
@@ -348,11 +348,11 @@ def scatter_unknowns(group, work, a_j, force):
     for lane in range(group[COUNT]):
         i = group[FIRST_ARM + lane]
         at = x + lane
-        for j in range(work.dofs[i], work.dofs[i + 1]):
+        for j in range(work.first_joint[i], work.first_joint[i + 1]):
             a_j[j] = packs[at]
             at += LANES
         at = x + LANES * d + lane
-        for a in range(work.rows[i], work.rows[i + 1]):
+        for a in range(work.first_contact[i], work.first_contact[i + 1]):
             force[a] = -packs[at]
             at += LANES
 

@@ -67,8 +67,8 @@ class NodeWork(NamedTuple):
     """Arrays of the elimination; ``n`` arms with at most ``d`` joints and ``m`` contacts each."""
 
     # (n + 1,): first joint and first contact of each arm in the stacked vectors
-    dofs: Ints1
-    rows: Ints1
+    first_joint: Ints1
+    first_contact: Ints1
     # (n, d, d), (n, d, m): inertias (lower triangles; 1 on the diagonal beyond an arm's joints) and
     # constraint matrices, which the kinematics write and no solver changes
     M: Floats3
@@ -81,7 +81,7 @@ class NodeWork(NamedTuple):
     G: Floats3
     Z: Floats3
     S: Floats2  # (6, 6) factor of the node matrix, lower triangle, diagonal inverted
-    # (dofs[n],), (rows[n],): intermediate vectors of a solution arm by arm
+    # (all joints,), (all contacts,): intermediate vectors of a solution arm by arm
     y: Floats1
     z: Floats1
     # (n, d): largest distance by which a unit turn of each joint can move a contact of its arm [m];
@@ -99,54 +99,57 @@ class NodeWork(NamedTuple):
 
 
 def make_work(
-    dofs: list[int], rows: list[int], levers: Sequence[np.ndarray] | None = None
+    joints: list[int], contacts: list[int], levers: Sequence[np.ndarray] | None = None
 ) -> NodeWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts, levers (dofs[i],) [m]."""
-    n, d = len(dofs), max(dofs)
+    """Allocate for arms with ``joints[i]`` joints, ``contacts[i]`` contacts, and levers [m]."""
+    n, d = len(joints), max(joints)
     every_lever = np.ones((n, d))
     if levers is not None:
         for row, lever in zip(every_lever, levers, strict=True):
             row[: len(lever)] = lever
     M = np.zeros((n, d, d))
-    for inertia, joints in zip(M, dofs, strict=True):
-        inertia[range(joints, d), range(joints, d)] = 1.0
-    whole, shapes = {"groups", "places"}, work_shapes(dofs, rows) | group_shapes(dofs, rows)
+    for inertia, count in zip(M, joints, strict=True):
+        inertia[range(count, d), range(count, d)] = 1.0
+    whole, shapes = (
+        {"groups", "places"},
+        work_shapes(joints, contacts) | group_shapes(joints, contacts),
+    )
     work = NodeWork(
-        dofs=_starts(dofs),
-        rows=_starts(rows),
+        first_joint=_starts(joints),
+        first_contact=_starts(contacts),
         M=M,
         by_arm=np.zeros(1, dtype=np.int64),
         L=np.zeros((n, d, d)),
         S=np.zeros((6, 6)),
-        y=np.zeros(sum(dofs)),
+        y=np.zeros(sum(joints)),
         levers=every_lever,
         pivot=np.ones(n + 1),
         packs=np.zeros(0),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
-    size = write_groups(group_order(dofs, rows), work)
+    size = write_groups(group_order(joints, contacts), work)
     return work._replace(packs=aligned_zeros(size))
 
 
-def work_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+def work_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
-    n, d, m = len(dofs), max(dofs), max(rows)
-    return {"W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(rows),)}
+    n, d, m = len(joints), max(joints), max(contacts)
+    return {"W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(contacts),)}
 
 
-def group_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+def group_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of ``groups, places, present, stiffness`` of :class:`NodeWork`."""
-    d, m = max(dofs), max(rows)
-    g = -(-len(dofs) // LANES) if all(map(operator.ge, dofs, rows)) else 0
+    d, m = max(joints), max(contacts)
+    g = -(-len(joints) // LANES) if all(map(operator.ge, joints, contacts)) else 0
     return {
         "groups": (g, GROUP_WIDTH), "places": (g, LANES * (d + m)),
         "present": (g, LANES * (m + 1)), "stiffness": (g, LANES * d),
     }  # fmt: skip
 
 
-def group_order(dofs: list[int], rows: list[int]) -> np.ndarray:
+def group_order(joints: list[int], contacts: list[int]) -> np.ndarray:
     """The arms in the order in which they are put into groups: similar ones stand together."""
-    order = sorted(range(len(dofs)), key=lambda i: (-dofs[i], -rows[i]))
+    order = sorted(range(len(joints)), key=lambda i: (-joints[i], -contacts[i]))
     return np.array(order, dtype=np.int64)
 
 
@@ -163,14 +166,19 @@ def write_groups(order, work):
         for lane in range(LANES):
             arm = order[LANES * g + (lane if lane < group[COUNT] else 0)]
             group[FIRST_ARM + lane] = arm
-            d, m = work.dofs[arm + 1] - work.dofs[arm], work.rows[arm + 1] - work.rows[arm]
+            d, m = (
+                work.first_joint[arm + 1] - work.first_joint[arm],
+                work.first_contact[arm + 1] - work.first_contact[arm],
+            )
             group[JOINTS], group[CONTACTS] = max(group[JOINTS], d), max(group[CONTACTS], m)
             for j in range(all_joints):
                 lever = work.levers[arm, j]
-                places[LANES * j + lane] = place_in_vector(work.dofs, arm, j)
+                places[LANES * j + lane] = place_in_vector(work.first_joint, arm, j)
                 work.stiffness[g, LANES * j + lane] = 1.0 / (lever * lever) if j < d else math.inf
             for k in range(all_contacts):
-                places[LANES * (all_joints + k) + lane] = place_in_vector(work.rows, arm, k)
+                places[LANES * (all_joints + k) + lane] = place_in_vector(
+                    work.first_contact, arm, k
+                )
                 present[LANES * k + lane] = 1.0 if k < m else 0.0
             present[LANES * all_contacts + lane] = 1.0 if lane < group[COUNT] else 0.0
         unknowns = group[JOINTS] + group[CONTACTS]
@@ -213,15 +221,15 @@ def failure_of_inertia(M, n):
 
 
 @inlined
-def eliminate_arm(i, work, Wo):
+def eliminate_arm(i, work, W_o):
     """Factor arm ``i``, and write its ``NodeWork.pivot``; returns a status.
 
     ``work.M[i]`` is the arm's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
-    contact) and ``Wo`` (sum of rows, 6) the object's rows.
+    contact) and ``W_o`` (N, 6) the object's rows.
     """
-    n = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    n = work.first_joint[i + 1] - work.first_joint[i]
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
     copy_block(work.M[i], n, n, L)
     copy_block(work.W[i], n, m, Y)
@@ -247,7 +255,7 @@ def eliminate_arm(i, work, Wo):
         return OK
     for a in range(m):
         for k in range(6):
-            Z[a, k] = Wo[first + a, k]
+            Z[a, k] = W_o[first + a, k]
         for b in range(a):
             factor = G[a, b]
             for k in range(6):
@@ -262,7 +270,7 @@ def eliminate_arm(i, work, Wo):
 def add_to_node(i, work):
     """Add ``Z^T Z`` of an eliminated arm to the node matrix."""
     Z, S = work.Z[i], work.S
-    for a in range(work.rows[i + 1] - work.rows[i]):
+    for a in range(work.first_contact[i + 1] - work.first_contact[i]):
         for k in range(6):
             factor = Z[a, k]
             for l in range(k + 1):
@@ -270,15 +278,15 @@ def add_to_node(i, work):
 
 
 @kernel
-def eliminate_arms(work, Wo):
+def eliminate_arms(work, W_o):
     """Factor all arms, one after the other, from what :func:`eliminate_arm` describes.
 
     Returns a status, and the arm whose inertia failed where it is not ``OK``.  The pivots are left
     in ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
     """
     work.by_arm[0] = 1
-    for i in range(work.dofs.size - 1):
-        status = eliminate_arm(i, work, Wo)
+    for i in range(work.first_joint.size - 1):
+        status = eliminate_arm(i, work, W_o)
         if status != OK:
             return status, i
     return OK, 0
@@ -287,7 +295,7 @@ def eliminate_arms(work, Wo):
 @inlined
 def unconstrained_motion(i, work, f_j):
     """``y = L^-1 f_j`` of an arm."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
     L, y = work.L[i], work.y
     for j in range(d):
         s = f_j[d0 + j]
@@ -299,8 +307,8 @@ def unconstrained_motion(i, work, f_j):
 @inlined
 def reduce_constraints(i, work, c, a_o):
     """``z`` of an arm; adds ``Z^T z`` to the object's right-hand side ``a_o``."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
+    r0, m = work.first_contact[i], work.first_contact[i + 1] - work.first_contact[i]
     Y, G, Z, y, z = work.Y[i], work.G[i], work.Z[i], work.y, work.z
     for a in range(m):
         z[r0 + a] = c[r0 + a]
@@ -341,7 +349,7 @@ def node_backward(S, a_o):
 @inlined
 def recover_forces(i, work, a_o, force):
     """Contact forces of an arm for the object's ``a_o``."""
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    r0, m = work.first_contact[i], work.first_contact[i + 1] - work.first_contact[i]
     G, Z, z = work.G[i], work.Z[i], work.z
     for a in range(m):
         s = z[r0 + a]
@@ -358,8 +366,8 @@ def recover_forces(i, work, a_o, force):
 @inlined
 def recover_joints(i, work, Y, force, a_j):
     """Joint accelerations of an arm for its contact forces; ``Y`` is ``L^-1 W``, or of ``W~``."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
+    r0, m = work.first_contact[i], work.first_contact[i + 1] - work.first_contact[i]
     L, y = work.L[i], work.y
     for j in range(d):
         s = y[d0 + j]

@@ -41,13 +41,13 @@ from multiarm.jit.kernels import clear, inlined, kernel
 
 
 @kernel
-def decompose_coupled(work, Wo, Wr):
+def decompose_coupled(work, W_o, Wr_o):
     """Decompose the coupled system; False when a number is not finite."""
     status = work.status
     status.null_forces = status.null_constraints = status.motions = 0
     for i in range(work.undetermined.size):
         work.undetermined[i] = 0
-    write_columns(work, Wo, Wr)
+    write_columns(work, W_o, Wr_o)
     rows, length = status.rows, status.length
     if not decompose(work.U, rows, length, work.V, work.sigma):
         return False
@@ -60,26 +60,26 @@ def decompose_coupled(work, Wo, Wr):
         return False
     size = min(status.rank, status.reaction_rank)
     status.core_rank = rank_of(work.core_sigma[:size], CORE_TOLERANCE, 1.0)
-    find_null_forces(work, Wo, Wr)
-    return find_null_constraints(work, Wo, Wr)
+    find_null_forces(work, W_o, Wr_o)
+    return find_null_constraints(work, W_o, Wr_o)
 
 
 @inlined
-def write_columns(work, Wo, Wr):
+def write_columns(work, W_o, Wr_o):
     """Columns of G and G~, scaled to unit length (columns of zeros are not scaled)."""
     row, length = 0, 6
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:
             continue
-        d = work.dofs[i + 1] - work.dofs[i]
-        first = work.rows[i]
-        for a in range(work.rows[i + 1] - first):
+        d = work.first_joint[i + 1] - work.first_joint[i]
+        first = work.first_contact[i]
+        for a in range(work.first_contact[i + 1] - first):
             work.place[row] = first + a
             clear(work.U[row])
             clear(work.Ur[row])
             for k in range(6):
-                work.U[row, k] = Wo[first + a, k]
-                work.Ur[row, k] = Wr[first + a, k]
+                work.U[row, k] = W_o[first + a, k]
+                work.Ur[row, k] = Wr_o[first + a, k]
             node_forward(work.Ls, work.U[row])
             node_forward(work.Ls, work.Ur[row])
             for j in range(d):
@@ -127,10 +127,10 @@ def form_core(work):
 
 
 @inlined
-def find_null_forces(work, Wo, Wr):
+def find_null_forces(work, W_o, Wr_o):
     """Forces without effect on the constraints, orthonormal in newtons, and the object's motion."""
     status, vectors = work.status, work.null_force
-    rows, total = status.rows, Wo.shape[0]
+    rows, total = status.rows, W_o.shape[0]
     for k in range(status.reaction_rank, rows):
         clear(vectors[status.null_forces])
         for a in range(rows):
@@ -144,14 +144,14 @@ def find_null_forces(work, Wo, Wr):
             for a in range(rows):
                 vector[work.place[a]] += part * work.scale_r[a] * work.Vr[j, a]
         x = work.six
-        object_wrench(work, Wr, vector, x)
+        object_wrench(work, Wr_o, vector, x)
         solve_object(work, x)
         for k6 in range(6):
             vector[total + k6] = x[k6]
-        extend_to_regular_arms(work, Wo, x, vector, False)
+        extend_to_regular_arms(work, W_o, x, vector, False)
         normalize_forces(vector, total)
         for i in range(work.undetermined.size):
-            for a in range(work.rows[i], work.rows[i + 1]):
+            for a in range(work.first_contact[i], work.first_contact[i + 1]):
                 if abs(vector[a]) > PART_TOLERANCE:
                     work.undetermined[i] = 1
         status.null_forces += 1
@@ -160,10 +160,10 @@ def find_null_forces(work, Wo, Wr):
 
 
 @inlined
-def find_null_constraints(work, Wo, Wr):
+def find_null_constraints(work, W_o, Wr_o):
     """Combinations of constraints that no contact force affects, orthonormal."""
     status, vectors = work.status, work.null_constraint
-    rows, total = status.rows, Wo.shape[0]
+    rows, total = status.rows, W_o.shape[0]
     for k in range(status.rank, rows):
         clear(vectors[status.null_constraints])
         for a in range(rows):
@@ -184,11 +184,11 @@ def find_null_constraints(work, Wo, Wr):
                 for a in range(rows):
                     vector[work.place[a]] += part * work.scale[a] * work.V[j, a]
             x = work.six
-            object_wrench(work, Wo, vector, x)
+            object_wrench(work, W_o, vector, x)
             node_forward(work.Ls, x)
             solve_lu_transposed(work.node, 6, work.node_pivots, x)
             node_backward(work.Ls, x)
-            extend_to_regular_arms(work, Wr, x, vector, True)
+            extend_to_regular_arms(work, Wr_o, x, vector, True)
             status.null_constraints += 1
     orthonormalize(vectors, status.null_constraints, total)
     return True
@@ -205,8 +205,8 @@ def solve_object(work, x):
 @kernel
 def solve_arm(i, work, x, transposed):
     """Solve with ``K_i`` of an arm that is not coupled (or with its transpose), in place."""
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     if transposed:
         for a in range(m):
             x[a] *= work.arm_scale_r[first + a]
@@ -222,29 +222,29 @@ def solve_arm(i, work, x, transposed):
 
 
 @inlined
-def object_wrench(work, Wo, force, x):
+def object_wrench(work, W_o, force, x):
     """Wrench of the coupled arms' entries of ``force`` on the object, into ``x``."""
     for k in range(6):
         x[k] = 0.0
     for a in range(work.status.rows):
         row = work.place[a]
         for k in range(6):
-            x[k] += Wo[row, k] * force[row]
+            x[k] += W_o[row, k] * force[row]
 
 
 @inlined
-def extend_to_regular_arms(work, Wo, x, vector, transposed):
+def extend_to_regular_arms(work, W_o, x, vector, transposed):
     """Forces with which the other arms keep their constraints when the object moves by ``x``."""
     u = work.contacts
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
+        first = work.first_contact[i]
+        m = work.first_contact[i + 1] - first
         for a in range(m):
             s = 0.0
             for k in range(6):
-                s -= Wo[first + a, k] * x[k]
+                s -= W_o[first + a, k] * x[k]
             u[a] = s
         solve_arm(i, work, u, transposed)
         for a in range(m):

@@ -79,8 +79,8 @@ class ReactionWork(NamedTuple):
     """
 
     # as in NodeWork
-    dofs: Ints1
-    rows: Ints1
+    first_joint: Ints1
+    first_contact: Ints1
     levers: Floats2
     # (n, d, d), (n, d, m): inertias (lower triangles), W and W~; none of them is changed
     M: Floats3
@@ -145,19 +145,19 @@ class ReactionWork(NamedTuple):
     six_columns: Floats2
 
 
-def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; all levers are 1."""
-    n, d, D = len(dofs), max(dofs), sum(dofs)
+def make_reaction_work(joints: list[int], contacts: list[int]) -> ReactionWork:
+    """Allocate for arms with ``joints[i]`` joints, ``contacts[i]`` contacts, levers of 1 m."""
+    n, d, D = len(joints), max(joints), sum(joints)
     shapes = {
         "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (6, 6), "Ls": (6, 6),
         "node": (6, 6), "node_pivots": (6,), "coupled": (n,), "undetermined": (n,),
         "pivot": (n + 1,), "stiffness": (6, 6), "y": (D,), "unloaded": (6,), "six": (6,),
-        **reaction_shapes(dofs, rows),
+        **reaction_shapes(joints, contacts),
     }  # fmt: skip
     whole = {"K_pivots", "node_pivots", "coupled", "undetermined", "place"}
     work = ReactionWork(
-        dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
-        rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
+        first_joint=np.concatenate([[0], np.cumsum(joints)]).astype(np.int64),
+        first_contact=np.concatenate([[0], np.cumsum(contacts)]).astype(np.int64),
         status=ReactionStatus(),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
@@ -165,9 +165,9 @@ def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
     return work
 
 
-def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+def reaction_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
-    n, d, m, D, N = len(dofs), max(dofs), max(rows), sum(dofs), sum(rows)
+    n, d, m, D, N = len(joints), max(joints), max(contacts), sum(joints), sum(contacts)
     return {
         "W": (n, d, m), "Wr": (n, d, m), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m),
         "K_pivots": (n, m),
@@ -182,13 +182,13 @@ def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ..
 
 
 @kernel
-def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
+def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
     """Factor the whole system; returns a status, and the arm of ``ARM_INERTIA, ARM_NOT_FINITE``.
 
     With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
     ``work.M[i]`` are the arms' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
-    ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the object's rows.
+    ``W`` and ``W~`` (one column a contact), ``W_o`` and ``Wr_o`` (N, 6) the object's rows.
     """
     n = work.coupled.size
     for k in range(6):
@@ -201,26 +201,26 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
         if status != OK:
             return status, i
         work.coupled[i] = 0 if work.pivot[i] > COUPLING_TOLERANCE and not couple_all else 1
-    work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
+    work.pivot[n] = factor_node(work, W_o, Wr_o, object_inertia)
     if not work.status.evenness > COUPLING_TOLERANCE:
         for i in range(n):
             # arms that are stiffer than the object alone leave no digits of its inertia
-            if relative_mobility(i, work, Wo) < STIFFER_THAN_OBJECT:
+            if relative_mobility(i, work, W_o) < STIFFER_THAN_OBJECT:
                 work.coupled[i] = 1
-        work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
+        work.pivot[n] = factor_node(work, W_o, Wr_o, object_inertia)
     if not work.pivot[n] > COUPLING_TOLERANCE:
         for i in range(n):
             work.coupled[i] = 1
-        factor_node(work, Wo, Wr, object_inertia)
-    return (OK if decompose_coupled(work, Wo, Wr) else NOT_FINITE), 0
+        factor_node(work, W_o, Wr_o, object_inertia)
+    return (OK if decompose_coupled(work, W_o, Wr_o) else NOT_FINITE), 0
 
 
 @kernel
 def factor_arm(i, work):
     """Factor an arm's inertia and ``K``, and write its ``ReactionWork.pivot``; returns a status."""
-    n = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    n = work.first_joint[i + 1] - work.first_joint[i]
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     L, Y, Yr, K = work.L[i], work.Y[i], work.Yr[i], work.K[i]
     copy_block(work.M[i], n, n, L)
     copy_block(work.W[i], n, m, Y)
@@ -254,12 +254,12 @@ def factor_arm(i, work):
 
 
 @kernel
-def relative_mobility(i, work, Wo):
+def relative_mobility(i, work, W_o):
     """Smallest mobility of an arm along its contacts, relative to that of the object alone."""
     smallest, x = 1.0, work.six
-    for row in range(work.rows[i], work.rows[i + 1]):
+    for row in range(work.first_contact[i], work.first_contact[i + 1]):
         square = 0.0
-        copy(Wo[row], x)
+        copy(W_o[row], x)
         node_forward(work.Lo, x)
         for k in range(6):
             square += x[k] * x[k]
@@ -281,7 +281,7 @@ def gram(A, B, n, m, K):
 
 
 @kernel
-def factor_node(work, Wo, Wr, object_inertia):
+def factor_node(work, W_o, Wr_o, object_inertia):
     """Node matrix of the arms that are not coupled, in inertia coordinates; its relative pivot."""
     S, Ls, C = work.node, work.Ls, work.six_columns
     for k in range(6):
@@ -290,14 +290,14 @@ def factor_node(work, Wo, Wr, object_inertia):
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
-        solve_arm_rows(i, work, Wo, C)
+        first = work.first_contact[i]
+        m = work.first_contact[i + 1] - first
+        solve_arm_rows(i, work, W_o, C)
         for a in range(m):
             for k in range(6):
                 for l in range(6):
-                    S[k, l] += Wr[first + a, k] * C[a, l]
-        add_without_friction(i, work, Wo)
+                    S[k, l] += Wr_o[first + a, k] * C[a, l]
+        add_without_friction(i, work, W_o)
     work.status.evenness = evenness(work)
     if not factor_cholesky(Ls, 6) > 0.0:
         return 0.0
@@ -341,31 +341,31 @@ def whiten(S, L, x):
 
 
 @inlined
-def solve_arm_rows(i, work, Wo, C):
+def solve_arm_rows(i, work, W_o, C):
     """Write ``K^-1 W_o^T`` of one arm, (m, 6)."""
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     u = work.contacts
     for k in range(6):
         for a in range(m):
-            u[a] = Wo[first + a, k]
+            u[a] = W_o[first + a, k]
         solve_arm(i, work, u, False)
         for a in range(m):
             C[a, k] = u[a]
 
 
 @inlined
-def add_without_friction(i, work, Wo):
+def add_without_friction(i, work, W_o):
     """Add ``W_o (Y^T Y)^-1 W_o^T`` of one arm to ``Ls``."""
-    n = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    n = work.first_joint[i + 1] - work.first_joint[i]
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     G, Z = work.without_friction, work.six_columns
     gram(work.Y[i], work.Y[i], n, m, G)
     factor_cholesky(G, m)
     for a in range(m):
         for k in range(6):
-            s = Wo[first + a, k]
+            s = W_o[first + a, k]
             for b in range(a):
                 s -= G[a, b] * Z[b, k]
             Z[a, k] = s * G[a, a]
@@ -375,30 +375,30 @@ def add_without_friction(i, work, Wo):
 
 
 @kernel
-def solve_for_reactions(work, Wo, Wr, f_o, f_j, c, a_o, a_j, force):
+def solve_for_reactions(work, W_o, Wr_o, f_o, f_j, c, a_o, a_j, force):
     """Solve the eliminated system for one right-hand side.
 
     Parameters
     ----------
-    Wo, Wr : (N, 6)
+    W_o, Wr_o : (N, 6)
         The object's rows, as in :func:`eliminate_with_reactions`.
     f_o : (6,), f_j : (D,), c : (N,)
         Right-hand sides, arms stacked.
     a_o : (6,), a_j : (D,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
-    unconstrained_motions(work, Wo, f_o, f_j, c)
-    object_acceleration(work, Wo, Wr, f_o, a_o, force)
+    unconstrained_motions(work, W_o, f_o, f_j, c)
+    object_acceleration(work, W_o, Wr_o, f_o, a_o, force)
     u = work.contacts
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
+        first = work.first_contact[i]
+        m = work.first_contact[i + 1] - first
         for a in range(m):
             u[a] = work.z[first + a]
             for k in range(6):
-                u[a] -= Wo[first + a, k] * a_o[k]
+                u[a] -= W_o[first + a, k] * a_o[k]
         solve_arm(i, work, u, False)
         for a in range(m):
             force[first + a] = u[a]
@@ -416,7 +416,7 @@ def solve_for_reactions(work, Wo, Wr, f_o, f_j, c, a_o, a_j, force):
 
 
 @inlined
-def unconstrained_motions(work, Wo, f_o, f_j, c):
+def unconstrained_motions(work, W_o, f_o, f_j, c):
     """Accelerations without contacts, and ``z``, which the contact forces must cause.
 
     Contradictions are removed from ``z`` by the least change.
@@ -425,59 +425,59 @@ def unconstrained_motions(work, Wo, f_o, f_j, c):
     node_forward(work.Lo, work.unloaded)
     node_backward(work.Lo, work.unloaded)
     for i in range(work.coupled.size):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         unconstrained_motion(i, work, f_j)
-        for row in range(work.rows[i], work.rows[i + 1]):
+        for row in range(work.first_contact[i], work.first_contact[i + 1]):
             work.z[row] = c[row]
             for j in range(d):
-                work.z[row] -= work.Y[i, j, row - work.rows[i]] * work.y[d0 + j]
+                work.z[row] -= work.Y[i, j, row - work.first_contact[i]] * work.y[d0 + j]
     for v in range(work.status.null_constraints):
         vector, left = work.null_constraint[v], 0.0
         for row in range(c.size):
             left += vector[row] * work.z[row]
             for k in range(6):
-                left -= vector[row] * Wo[row, k] * work.unloaded[k]
+                left -= vector[row] * W_o[row, k] * work.unloaded[k]
         for row in range(c.size):
             work.z[row] -= left * vector[row]
 
 
 @inlined
-def object_acceleration(work, Wo, Wr, f_o, a_o, force):
+def object_acceleration(work, W_o, Wr_o, f_o, a_o, force):
     """The object's acceleration and the forces of the coupled arms."""
     u = work.contacts
     copy(f_o, a_o)
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
+        first = work.first_contact[i]
+        m = work.first_contact[i + 1] - first
         for a in range(m):
             u[a] = work.z[first + a]
         solve_arm(i, work, u, False)
         for a in range(m):
             for k in range(6):
-                a_o[k] += Wr[first + a, k] * u[a]
+                a_o[k] += Wr_o[first + a, k] * u[a]
     if work.status.rows > 0:
         x = work.six
         copy(a_o, x)
         solve_object(work, x)
-        solve_coupled_reactions(work, Wo, x, force)
+        solve_coupled_reactions(work, W_o, x, force)
         for a in range(work.status.rows):
             row = work.place[a]
             for k in range(6):
-                a_o[k] += Wr[row, k] * force[row]
+                a_o[k] += Wr_o[row, k] * force[row]
     solve_object(work, a_o)
 
 
 @inlined
-def solve_coupled_reactions(work, Wo, x, force):
+def solve_coupled_reactions(work, W_o, x, force):
     """``F lambda = d`` by the decompositions; ``x`` is the object's motion without these forces."""
     status, rows, place = work.status, work.status.rows, work.place
     left, right = work.left, work.right
     for a in range(rows):  # the right-hand side, scaled
         d = work.z[place[a]]
         for k in range(6):
-            d -= Wo[place[a], k] * x[k]
+            d -= W_o[place[a], k] * x[k]
         left[a] = work.scale[a] * d
     for i in range(status.rank):
         s = 0.0

@@ -107,10 +107,10 @@ class CoupledWork(NamedTuple):
     status: CoupledStatus
 
 
-def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
-    n, whole = len(dofs), {"arm", "row"}
-    shapes = coupled_shapes(dofs, rows)
+def make_coupled(joints: list[int], contacts: list[int]) -> CoupledWork:
+    """Allocate for arms with ``joints[i]`` joints and ``contacts[i]`` contacts."""
+    n, whole = len(joints), {"arm", "row"}
+    shapes = coupled_shapes(joints, contacts)
     return CoupledWork(
         deficient=np.zeros(n, dtype=np.int64),
         scale=np.zeros(n),
@@ -122,9 +122,9 @@ def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
     )
 
 
-def coupled_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+def coupled_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
-    n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
+    n, d, m, N = len(joints), max(joints), max(contacts), sum(contacts)
     return {
         "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "row": (N,), "C": (N, 6),
         "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N), "z": (N,), "right": (N,),
@@ -135,9 +135,9 @@ def coupled_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...
 def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     """Part of every contact in the null space, shape (N,): 0 (force is determined) to 1."""
     p, rank = coupled.status.unknowns, coupled.status.rank
-    rows = np.zeros((p, work.rows[-1]))
+    rows = np.zeros((p, work.first_contact[-1]))
     for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
-        first, end = work.rows[i : i + 2]
+        first, end = work.first_contact[i : i + 2]
         rows[u, first:end] = coupled.V[i, a, : end - first]
     basis = coupled.basis[:rank, :p]
     return np.linalg.norm(rows - basis.T @ (basis @ rows), axis=0)
@@ -163,14 +163,14 @@ def aligned_share(W, n, m, levers):
 
 
 @kernel
-def split_arm(i, work, coupled, Wo):
+def split_arm(i, work, coupled, W_o):
     """Decompose ``Y`` of a deficient arm: directions are added to ``S`` or to the unknowns.
 
     Returns whether all numbers are finite.
     """
-    d = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    d = work.first_joint[i + 1] - work.first_joint[i]
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     Y, V, A, S = work.Y[i], coupled.V[i], coupled.A[i], work.S
     for a in range(m):
         for j in range(d):
@@ -183,7 +183,7 @@ def split_arm(i, work, coupled, Wo):
     for a in range(m):
         coupled.sigma[first + a] = norm(A[a], d)
         scale = max(scale, coupled.sigma[first + a])
-        by_object = max(by_object, object_mobility(Wo[first + a], coupled))
+        by_object = max(by_object, object_mobility(W_o[first + a], coupled))
         total += coupled.sigma[first + a]
     if not math.isfinite(total):
         return False
@@ -197,7 +197,7 @@ def split_arm(i, work, coupled, Wo):
         for k in range(6):
             wrench[k] = 0.0
             for b in range(m):
-                wrench[k] += V[a, b] * Wo[first + b, k]
+                wrench[k] += V[a, b] * W_o[first + b, k]
         if sigma > coupled.split[i]:
             for k in range(6):
                 wrench[k] /= sigma
@@ -216,15 +216,15 @@ def split_arm(i, work, coupled, Wo):
 @inlined
 def sigma_of(u, work, coupled):
     """``sigma`` of an unknown."""
-    return coupled.sigma[work.rows[coupled.arm[u]] + coupled.row[u]]
+    return coupled.sigma[work.first_contact[coupled.arm[u]] + coupled.row[u]]
 
 
 @kernel
-def lever_length(Wo):
+def lever_length(W_o):
     """Largest moment of a unit contact force on the object [m]; 1 when there is none."""
     longest = 0.0
-    for k in range(Wo.shape[0]):
-        longest = max(longest, norm(Wo[k, 3:6], 3))
+    for k in range(W_o.shape[0]):
+        longest = max(longest, norm(W_o[k, 3:6], 3))
     return longest if longest > 0.0 else 1.0
 
 
@@ -280,7 +280,7 @@ def image_basis(work, coupled):
 
 
 @inlined
-def couple(work, coupled, Wo, object_inertia, decompose_all=False):
+def couple(work, coupled, W_o, object_inertia, decompose_all=False):
     """Factor a system with deficient arms, after
     :func:`multiarm.dynamics.solver.node.eliminate_arms`.
 
@@ -294,19 +294,19 @@ def couple(work, coupled, Wo, object_inertia, decompose_all=False):
     pivot = factor_cholesky(coupled.inertia, 6)
     if not pivot > 0.0:
         return pivot
-    arms = work.dofs.size - 1
+    arms = work.first_joint.size - 1
     for every in range(1 if decompose_all else 0, 2):
-        pivot = build_node(work, coupled, Wo, object_inertia, every == 1)
+        pivot = build_node(work, coupled, W_o, object_inertia, every == 1)
         if pivot > COUPLED_BELOW or coupled.status.arms == arms:
             break
     if pivot > 0.0:
-        find_rank(work, coupled, lever_length(Wo))
+        find_rank(work, coupled, lever_length(W_o))
         image_basis(work, coupled)
     return pivot
 
 
 @kernel
-def build_node(work, coupled, Wo, object_inertia, every):
+def build_node(work, coupled, W_o, object_inertia, every):
     """Factor the node matrix of all eliminated directions; returns its smallest relative pivot.
 
     Deficient arms are decomposed, or with ``every`` all arms.
@@ -316,11 +316,11 @@ def build_node(work, coupled, Wo, object_inertia, every):
     for k in range(6):
         for l in range(k + 1):
             S[k, l] = object_inertia[k, l]
-    for i in range(work.dofs.size - 1):
+    for i in range(work.first_joint.size - 1):
         coupled.deficient[i] = 1 if every or not work.pivot[i] > COUPLED_BELOW else 0
         if coupled.deficient[i] != 0:
             status.arms += 1
-            if not split_arm(i, work, coupled, Wo):
+            if not split_arm(i, work, coupled, W_o):
                 return math.nan
         else:
             add_to_node(i, work)
@@ -330,8 +330,8 @@ def build_node(work, coupled, Wo, object_inertia, every):
 @kernel
 def reduce_deficient_constraints(i, work, coupled, c, a_o):
     """``V (c - Y^T y)`` into ``coupled.z``; adds the eliminated directions to ``a_o``."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
+    r0, m = work.first_contact[i], work.first_contact[i + 1] - work.first_contact[i]
     V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, coupled.z
     for a in range(m):
         s = 0.0
@@ -352,7 +352,7 @@ def solve_coupled_forces(work, coupled, a_o):
     status = coupled.status
     p, width = status.unknowns, 6 + status.movable
     for u in range(p):
-        s = coupled.z[work.rows[coupled.arm[u]] + coupled.row[u]]
+        s = coupled.z[work.first_contact[coupled.arm[u]] + coupled.row[u]]
         for k in range(6):
             s -= coupled.B[u, k] * a_o[k]
         coupled.right[u], coupled.unknown[u] = s, 0.0
@@ -372,7 +372,7 @@ def solve_coupled_forces(work, coupled, a_o):
 @kernel
 def recover_deficient_forces(i, work, coupled, a_o, force):
     """Contact forces of a deficient arm along its eliminated directions."""
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    r0, m = work.first_contact[i], work.first_contact[i + 1] - work.first_contact[i]
     V, Z, z = coupled.V[i], work.Z[i], coupled.z
     for b in range(m):
         force[r0 + b] = 0.0
@@ -392,12 +392,12 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
 
     Parameters
     ----------
-    f_o : (6,), f_j : (sum of joints,), c : (sum of rows,)
+    f_o : (6,), f_j : (sum of joints,), c : (sum of contacts,)
         Right-hand sides, arms stacked.
-    a_o : (6,), a_j : (sum of joints,), force : (sum of rows,), written
+    a_o : (6,), a_j : (sum of joints,), force : (sum of contacts,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
-    n = work.dofs.size - 1
+    n = work.first_joint.size - 1
     copy(f_o, a_o)
     for i in range(n):
         unconstrained_motion(i, work, f_j)
@@ -415,7 +415,7 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
             recover_deficient_forces(i, work, coupled, a_o, force)
     for u in range(coupled.status.unknowns):
         i = coupled.arm[u]
-        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+        r0, m = work.first_contact[i], work.first_contact[i + 1] - work.first_contact[i]
         for b in range(m):
             force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.row[u], b]
     for i in range(n):
