@@ -39,7 +39,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.solver.singular import loose_rows
+from multiarm.dynamics.solver.singular import undetermined_parts
 from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
@@ -487,4 +487,4 @@ def _unique_forces(snapshot: Snapshot) -> np.ndarray:
         return np.ones(snapshot.model.layout.contacts, dtype=bool)
     if snapshot.dense:
         return null_space(constraint_matrix(snapshot), COUPLED_RANK_TOLERANCE).untouched
-    return loose_rows(snapshot.work, snapshot.coupled) < PART_TOLERANCE
+    return undetermined_parts(snapshot.work, snapshot.coupled) < PART_TOLERANCE

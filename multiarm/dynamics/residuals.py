@@ -117,7 +117,7 @@ def free_acceleration(data):
 @inlined
 def free_rate(work):
     """Largest ``|W^T M^-1 f_j|`` of the last solution: contact accelerations without forces."""
-    if work.by_arm[0] == 0:
+    if not work.status.arm_by_arm:
         return largest_free_rate(work)
     largest = 0.0
     for i in range(work.first_joint.size - 1):

@@ -206,7 +206,7 @@ def solve_sliding(address, size, _a, _b):
 def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
-    work.by_arm[0] = 1
+    work.status.arm_by_arm = True
     status, data.status.arm = eliminate_with_reactions(
         reactions, rows.W_o, mode.Wr_o, data.bodies.object_inertia, couple_all
     )
@@ -228,7 +228,7 @@ def write_reaction_solution(data, reactions):
 
     Arms are coupled for the digits, too; they count where some of their constraints are dependent.
     """
-    dependent, coupled_arms = reactions.status.rows - reactions.status.rank, 0
+    dependent, coupled_arms = reactions.status.contacts - reactions.status.rank, 0
     for i in range(reactions.coupled.size):
         data.deficient.undetermined[i] = reactions.undetermined[i]
         data.deficient.coupled[i] = reactions.coupled[i]

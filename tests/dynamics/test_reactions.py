@@ -76,7 +76,7 @@ def solve_with_reactions(
         joint_accelerations=np.split(q, np.cumsum(dofs)[:-1]),
         contact_forces=np.split(force, bounds),
         unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
-        rank=len(force) - (status.rows - status.rank),
+        rank=len(force) - (status.contacts - status.rank),
         motion_unique=not status.motions,
         undetermined_arms=tuple(np.flatnonzero(work.undetermined).tolist()),
     )
@@ -331,7 +331,7 @@ def test_an_object_without_inertia_is_no_arm(rng):
 def coupled_rows(system):
     status, _, work = eliminated(system)
     assert status == OK
-    return work.status.rows
+    return work.status.contacts
 
 
 def eliminated(system):

@@ -95,7 +95,7 @@ def test_a_selection_solves_as_data_that_is_made_for_its_rows(full):
         for data in (full.view(selection.model), selection):
             assert evaluate_state(data.struct, 2.0, 3.0) == OK
             results.append((data.arrays.accelerations.a.copy(), data.arrays.rows.force.copy()))
-        grouped += len(selection.work.groups)
+        grouped += len(selection.work.groups.group)
         np.testing.assert_array_equal(*(acceleration for acceleration, _ in results))
         np.testing.assert_array_equal(*(force for _, force in results))
     assert grouped > 10

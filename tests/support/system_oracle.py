@@ -51,7 +51,12 @@ from multiarm.dynamics.solver.reactions import (
     make_reaction_work,
     solve_for_reactions,
 )
-from multiarm.dynamics.solver.singular import couple, loose_rows, make_coupled, solve_coupled
+from multiarm.dynamics.solver.singular import (
+    couple,
+    make_coupled,
+    solve_coupled,
+    undetermined_parts,
+)
 from multiarm.dynamics.status import OK
 
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
@@ -142,7 +147,7 @@ def solve_by_node(system: System) -> SystemSolution:
         if balanced(system, loads):
             break
     rank = loads.c.size - int(coupled.status.unknowns - coupled.status.rank)
-    return _solution(work, loads, rank, loose_rows(work, coupled) < PART_TOLERANCE)
+    return _solution(work, loads, rank, undetermined_parts(work, coupled) < PART_TOLERANCE)
 
 
 def solve_by_reactions(system: System) -> SystemSolution:
@@ -168,7 +173,7 @@ def solve_by_reactions(system: System) -> SystemSolution:
         if balanced(system, loads):
             break
     status, size = work.status, loads.c.size
-    rank = size - (status.rows - status.rank)
+    rank = size - (status.contacts - status.rank)
     loose = np.linalg.norm(work.null_force[: status.null_forces, :size], axis=0)
     return _solution(work, loads, rank, loose < PART_TOLERANCE)
 
