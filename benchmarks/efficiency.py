@@ -296,7 +296,7 @@ class CompiledNode:
 
 
 @kernel
-def _node_often(work, M, W, Wo, M_o, f_o, f_j, c, a_o, q, force, count):
+def _node_often(work, M, W, W_o, M_o, f_o, f_j, c, a_o, q, force, count):
     """Load, eliminate, solve."""
     status = OK
     for _ in range(count):
@@ -306,7 +306,7 @@ def _node_often(work, M, W, Wo, M_o, f_o, f_j, c, a_o, q, force, count):
                     work.M[i, a, b] = M[i, a, b]
                 for b in range(W.shape[2]):
                     work.W[i, a, b] = W[i, a, b]
-        status = solve_batched(work, Wo, M_o, f_o, f_j, c, a_o, q, force)
+        status = solve_batched(work, W_o, M_o, f_o, f_j, c, a_o, q, force)
         if status != OK:
             return status
     return status

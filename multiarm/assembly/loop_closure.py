@@ -250,16 +250,18 @@ class Linkage:
         self._data, self._arms, self.with_object = data, arms, with_object
         self._limits = limits
         self.size = scene_size(data) if size is None else size
-        self.joints = np.concatenate([np.arange(*work.dofs[i : i + 2]) for i in arms])
+        self.joints = np.concatenate([np.arange(*work.first_joint[i : i + 2]) for i in arms])
         units = np.array([u for arm in data.model.arms.values() for u in arm.joint_units.values()])
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)
         if with_object:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
-        codes = fields_of(Code, data.model.constants.codes[: work.rows[-1]])
+        codes = fields_of(Code, data.model.constants.codes[: work.first_contact[-1]])
         holds = every_row | (codes.kind != TANGENT)
-        self._held_rows = [np.flatnonzero(holds[slice(*work.rows[i : i + 2])]) for i in arms]
+        self._held_rows = [
+            np.flatnonzero(holds[slice(*work.first_contact[i : i + 2])]) for i in arms
+        ]
         self.rows = np.concatenate(
-            [work.rows[i] + held for i, held in zip(arms, self._held_rows, strict=True)]
+            [work.first_contact[i] + held for i, held in zip(arms, self._held_rows, strict=True)]
         )
         frames = np.arange(self._layout.of_frames.stop)
         self._first = len(frames) if with_object else 0
@@ -271,7 +273,7 @@ class Linkage:
         """Place of every arm in ``J``: its rows and its columns."""
         blocks, r, c = [], 0, self._first
         for i, held in zip(self._arms, self._held_rows, strict=True):
-            n = int(self._data.work.dofs[i + 1] - self._data.work.dofs[i])
+            n = int(self._data.work.first_joint[i + 1] - self._data.work.first_joint[i])
             blocks.append((slice(r, r + held.size), slice(c, c + n)))
             r, c = r + held.size, c + n
         return blocks

@@ -49,7 +49,7 @@ FUNCTIONS = {
     "kinematics": kinematics,
     "forces": right_hand_sides,
     "solve": solve,
-    "project": solve,
+    "solve_frictionless": solve,
     "record": record_solution,
     "compare": compare_solution,
     "project_state": project_state,

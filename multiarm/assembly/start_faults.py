@@ -107,7 +107,7 @@ def cannot_close(
 def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
     """Joints whose own contacts cannot all be closed, wherever the arm is."""
     b, faults, tolerance = data.arrays, [], projection_tolerance(data)
-    wrenches = b.rows.Wo[linkage.rows] * linkage.unit[:6]
+    wrenches = b.rows.W_o[linkage.rows] * linkage.unit[:6]
     phi = data.contact_rows.gap[linkage.rows]
     for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
         U, s, _ = np.linalg.svd(wrenches[of_arm])

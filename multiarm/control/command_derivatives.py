@@ -143,7 +143,7 @@ def begin_command(data, by):
     for l in range(by.wrench.shape[0]):
         clear(by.wrench[l])
         clear(by.acceleration[l])
-    if not factor_wrench_products(data.rows.Wo, by.products, by.scale, by.product_pivots):
+    if not factor_wrench_products(data.rows.W_o, by.products, by.scale, by.product_pivots):
         return False
     solve_wrench_products(by.products, by.scale, by.product_pivots, by.twist)
     return True
@@ -157,10 +157,10 @@ def differentiate_shares(data, work, motion, rest, by):
     ``rates`` are of the twist y (:func:`write_derivatives_at_rest`).
     """
     columns, states = force_columns(data), by.wrench.shape[1]
-    for i in range(work.dofs.size - 1):
-        d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    for i in range(work.first_joint.size - 1):
+        d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         own = arm_columns(n, False)
-        for k in range(work.rows[i], work.rows[i + 1]):
+        for k in range(work.first_contact[i], work.first_contact[i + 1]):
             clear(by.forces[k])
             for c in range(own.velocities):
                 if own.twist <= c < own.positions:
@@ -168,21 +168,21 @@ def differentiate_shares(data, work, motion, rest, by):
                 rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
                 by.forces[k, column] = rate = rate + by.desired[k, column]
                 for l in range(by.wrench.shape[0]):
-                    by.wrench[l, column] -= data.rows.Wo[k, l] * rate
+                    by.wrench[l, column] -= data.rows.W_o[k, l] * rate
     for l in range(by.wrench.shape[0]):
         for c in range(states):
             by.wrench[l, c] = by.scale[l] * (by.wrench[l, c] + motion.dF_o[l, c])
     solve_rows(by.products, by.wrench.shape[0], by.product_pivots, by.wrench)
-    for k in range(data.rows.Wo.shape[0]):
+    for k in range(data.rows.W_o.shape[0]):
         for l in range(by.wrench.shape[0]):
-            share = data.rows.Wo[k, l] * by.scale[l]
+            share = data.rows.W_o[k, l] * by.scale[l]
             for c in range(states):
                 by.forces[k, c] += share * by.wrench[l, c]
-    for i in range(work.dofs.size - 1):
-        d0, r0 = work.dofs[i], work.rows[i]
-        for j in range(work.dofs[i + 1] - d0):
+    for i in range(work.first_joint.size - 1):
+        d0, r0 = work.first_joint[i], work.first_contact[i]
+        for j in range(work.first_joint[i + 1] - d0):
             slopes = data.slopes.torque[d0 + j]
-            for k in range(work.rows[i + 1] - r0):
+            for k in range(work.first_contact[i + 1] - r0):
                 weight, forces = work.W[i, j, k], by.forces[r0 + k]
                 for c in range(states):
                     slopes[c] -= weight * forces[c]
@@ -192,8 +192,8 @@ def differentiate_shares(data, work, motion, rest, by):
 def add_inverse_dynamics(data, work, motion):
     """Add the derivatives of ``M q'' + b - W lambda`` at fixed accelerations and forces."""
     columns = force_columns(data)
-    for i in range(work.dofs.size - 1):
-        d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    for i in range(work.first_joint.size - 1):
+        d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         own = arm_columns(n, False)
         for j in range(n):
             slopes = data.slopes.torque[d0 + j]
@@ -204,8 +204,12 @@ def add_inverse_dynamics(data, work, motion):
 @kernel
 def add_motion_derivatives(data, work, i, motion, excess, by):
     """Add ``M dq''`` of an arm to the torques, with ``by.preferred``; returns a status."""
-    d0, n, r0 = work.dofs[i], work.dofs[i + 1] - work.dofs[i], work.rows[i]
-    m, own, X = work.rows[i + 1] - r0, arm_columns(n, False), by.motions
+    d0, n, r0 = (
+        work.first_joint[i],
+        work.first_joint[i + 1] - work.first_joint[i],
+        work.first_contact[i],
+    )
+    m, own, X = work.first_contact[i + 1] - r0, arm_columns(n, False), by.motions
     columns, M = force_columns(data), motion.M[i]
     for j in range(n):
         for c in range(own.end):
@@ -218,7 +222,7 @@ def add_motion_derivatives(data, work, i, motion, excess, by):
             X[n + k, c] = -motion.dF[i, n + k, c]
         for l in range(by.acceleration.shape[0]):
             for c in range(own.positions):
-                X[n + k, c] -= data.rows.Wo[r0 + k, l] * by.acceleration[l, c]
+                X[n + k, c] -= data.rows.W_o[r0 + k, l] * by.acceleration[l, c]
     if not factor_lu(motion.K[i], n + m, by.pivots) > 0.0:
         return SINGULAR
     solve_rows(motion.K[i], n + m, by.pivots, X)

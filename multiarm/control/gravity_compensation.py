@@ -87,7 +87,7 @@ def add_holding_torques(model, data, work):
     for k in range(3):
         weight[k] = -model.object_mass * model.gravity[k]
         weight[3 + k] = 0.0
-    static_forces(data.rows.Wo, weight, data.rows.static_force)
+    static_forces(data.rows.W_o, weight, data.rows.static_force)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
@@ -152,16 +152,16 @@ def write_share_derivatives(address, size, at, _t):
     for l in range(share.shape[0]):
         for c in range(motion.dF_o.shape[1]):
             share[l, c] -= motion.dF_o[l, c]
-    for i in range(work.dofs.size - 1):
-        d0, r0 = work.dofs[i], work.rows[i]
-        own = arm_columns(work.dofs[i + 1] - d0, False)
-        for k in range(r0, work.rows[i + 1]):
+    for i in range(work.first_joint.size - 1):
+        d0, r0 = work.first_joint[i], work.first_contact[i]
+        own = arm_columns(work.first_joint[i + 1] - d0, False)
+        for k in range(r0, work.first_contact[i + 1]):
             for c in range(own.velocities):
                 if c < own.twist or c >= own.positions:  # y is no velocity of the state
                     column = column_of_state(columns, own, d0, c)
                     add_share(data, work, i, k, motion.rates[k, c], column)
             for l in range(share.shape[0]):
-                add_share(data, work, i, k, data.rows.Wo[k, l], columns.share + l)
+                add_share(data, work, i, k, data.rows.W_o[k, l], columns.share + l)
     add_inverse_dynamics(data, work, motion)
     return status
 
@@ -169,11 +169,11 @@ def write_share_derivatives(address, size, at, _t):
 @inlined
 def add_share(data, work, i, k, force, column):
     """Add the derivative of contact force k, of arm i, to those of its torques and of ``r_i``."""
-    d0 = work.dofs[i]
-    for j in range(work.dofs[i + 1] - d0):
-        data.slopes.torque[d0 + j, column] -= work.W[i, j, k - work.rows[i]] * force
+    d0 = work.first_joint[i]
+    for j in range(work.first_joint[i + 1] - d0):
+        data.slopes.torque[d0 + j, column] -= work.W[i, j, k - work.first_contact[i]] * force
     for l in range(data.slopes.share.shape[0]):
-        data.slopes.share[l, column] += data.rows.Wo[k, l] * force
+        data.slopes.share[l, column] += data.rows.W_o[k, l] * force
 
 
 def prepare_carrying(data: Data, work: CarryingWork) -> None:

@@ -116,7 +116,7 @@ def hold_pose(
     multipliers : (6,), written
         Of the nearest accelerations, in world axes.
     """
-    n = work.dofs[i + 1] - work.dofs[i]
+    n = work.first_joint[i + 1] - work.first_joint[i]
     bodies, frames = data.bodies, open_frames(model.joint_frames[i])
     link, body = open_body(bodies.links[i]), open_body(bodies.object)
     rates, places, target = np.empty(6), np.empty(9), np.empty(6)

@@ -68,7 +68,7 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, by):
 
     ``by`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
     """
-    d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
     own, frame, arm = arm_columns(n, False), model.joint_frames[i], open_equations(by.excess)
     M, held = open_equations(by.motion).M[i], command.preferred
     K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, own.end))

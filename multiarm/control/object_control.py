@@ -85,7 +85,7 @@ def computed_torque(address, size, at, t):
     for k in range(target.size):
         target[k] = -open_contact(data.rows.kinematics[k]).gap_bias
         for a in range(desired.size):
-            target[k] -= data.rows.Wo[k, a] * desired[a]
+            target[k] -= data.rows.W_o[k, a] * desired[a]
     add_motion_forces(law, command, True, model, data, work)
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
     return 0
@@ -146,11 +146,11 @@ def write_contact_forces(law, data, work):
     wrench, rows = data.control.object_wrench, data.rows
     if law.squeezes:
         share_load(
-            wrench, rows.Wo, work.rows, data.bodies.object, law.forces_of_contacts,
+            wrench, rows.W_o, work.first_contact, data.bodies.object, law.forces_of_contacts,
             law.wrenches_of_arms, rows.static_force,
         )  # fmt: skip
     else:
-        static_forces(rows.Wo, wrench, rows.static_force)
+        static_forces(rows.W_o, wrench, rows.static_force)
 
 
 @kernel
@@ -162,9 +162,9 @@ def add_motion_forces(law, command, feedforward, model, data, work):
     command.independent[0] = 1
     for j in range(data.state.joint_rates.size):
         command.preferred[j] = -law.free_rate * data.state.joint_rates[j]
-    for i in range(work.rows.size - 1):
-        d0, d1 = work.dofs[i], work.dofs[i + 1]
-        r0, r1 = work.rows[i], work.rows[i + 1]
+    for i in range(work.first_contact.size - 1):
+        d0, d1 = work.first_joint[i], work.first_joint[i + 1]
+        r0, r1 = work.first_contact[i], work.first_contact[i + 1]
         holds = law.free_stiffness == 0.0 or hold_pose(
             i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,
             data, work, command.preferred[d0:d1], command.held[i],
@@ -223,7 +223,7 @@ def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
     data, start = context.data, context.start
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
-    W_o = data.arrays.rows.Wo.copy()
+    W_o = data.arrays.rows.W_o.copy()
     _require_hold(W_o, control.kind)
     desired = desired_forces(data, control, W_o)
     pose = pose_of(start)

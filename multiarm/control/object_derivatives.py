@@ -121,8 +121,8 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
     status = write_derivatives_at_rest(struct, by.excess, by.twist)
     differentiate_shares(data, work, motion, excess, by)
     add_inverse_dynamics(data, work, motion)
-    for i in range(work.dofs.size - 1):
-        n = work.dofs[i + 1] - work.dofs[i]
+    for i in range(work.first_joint.size - 1):
+        n = work.first_joint[i + 1] - work.first_joint[i]
         rates = arm_columns(n, False).velocities
         for j in range(n):
             clear(by.preferred[j])
@@ -143,8 +143,8 @@ def begin(law, command, data, work, by):
     if command.independent[0] == 0:
         return False
     copy(data.control.object_wrench, by.twist)
-    for k in range(data.rows.Wo.shape[0]):
-        subtract_wrench(data.rows.Wo[k], law.forces_of_contacts[k], by.twist)
+    for k in range(data.rows.W_o.shape[0]):
+        subtract_wrench(data.rows.W_o[k], law.forces_of_contacts[k], by.twist)
     subtract_presses(law, data, work, by.twist)
     return begin_command(data, by)
 
@@ -162,10 +162,10 @@ def subtract_presses(law, data, work, wrench):
     world, y = np.empty(6), np.empty(6)
     for i in range(law.wrenches_of_arms.shape[0]):
         if pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
-            Wo = data.rows.Wo[work.rows[i] : work.rows[i + 1]]
-            share_wrench(Wo, world, y)
-            for k in range(Wo.shape[0]):
-                subtract_wrench(Wo[k], force_of(Wo[k], y), wrench)
+            W_o = data.rows.W_o[work.first_contact[i] : work.first_contact[i + 1]]
+            share_wrench(W_o, world, y)
+            for k in range(W_o.shape[0]):
+                subtract_wrench(W_o[k], force_of(W_o[k], y), wrench)
 
 
 @inlined
@@ -188,20 +188,20 @@ def differentiate_press(i, law, struct, data, work, by):
     excess, world, y, left = open_equations(by.excess), np.empty(6), np.empty(6), np.empty(6)
     if not pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
         return OK
-    r0, r1 = work.rows[i], work.rows[i + 1]
-    Wo, d0 = data.rows.Wo[r0:r1], work.dofs[i]
-    share_wrench(Wo, world, y)
+    r0, r1 = work.first_contact[i], work.first_contact[i + 1]
+    W_o, d0 = data.rows.W_o[r0:r1], work.first_joint[i]
+    share_wrench(W_o, world, y)
     clear(excess.a_j)
     clear(excess.force)
     copy(world, left)
     for k in range(r1 - r0):
-        excess.force[r0 + k] = force_of(Wo[k], y)
-        subtract_wrench(Wo[k], excess.force[r0 + k], left)
+        excess.force[r0 + k] = force_of(W_o[k], y)
+        subtract_wrench(W_o[k], excess.force[r0 + k], left)
     for l in range(left.size):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, by.excess, y)
-    own, columns = arm_columns(work.dofs[i + 1] - d0, False), force_columns(data)
+    own, columns = arm_columns(work.first_joint[i + 1] - d0, False), force_columns(data)
     for c in range(own.velocities):
         if own.twist <= c < own.positions:
             continue
@@ -212,10 +212,10 @@ def differentiate_press(i, law, struct, data, work, by):
             put(left, 0, add_cross(vec(left, 0), AXES[c - 3], vec(world, 0)))
             put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
         for k in range(r1 - r0):
-            subtract_wrench(Wo[k], excess.rates[r0 + k, c], left)
-        share_wrench(Wo, left, y)
+            subtract_wrench(W_o[k], excess.rates[r0 + k, c], left)
+        share_wrench(W_o, left, y)
         for k in range(r1 - r0):
-            by.desired[r0 + k, column] = excess.rates[r0 + k, c] + force_of(Wo[k], y)
+            by.desired[r0 + k, column] = excess.rates[r0 + k, c] + force_of(W_o[k], y)
     return status
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from multiarm.contacts.table import JointRows
 from multiarm.dynamics.guards import Guards
-from multiarm.dynamics.solver.node import NodeWork
+from multiarm.dynamics.solver.node import ArmGroups, NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
 from multiarm.dynamics.status import CALLBACK_FAILED, KERNEL_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import Rows, Variables
@@ -150,18 +150,23 @@ EFFECTS = _FIRST[5]
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-def row_places(joint_rows: Shapes, rows: Shapes, work: Shapes, coupled: Shapes) -> np.ndarray:
+def row_places(
+    joint_rows: Shapes, rows: Shapes, work: Shapes, groups: Shapes, coupled: Shapes
+) -> np.ndarray:
     """Places in a system's struct of the sizes of arrays, in the order of their shapes.
 
-    The arrays are some of ``JointRows``, ``Rows``, ``NodeWork`` and ``CoupledWork``.
+    The arrays are some of ``JointRows``, ``Rows``, ``NodeWork``, its ``ArmGroups`` and
+    ``CoupledWork``.
     """
     joint_rows_at = _FIRST[0] + place_of(Constants, "joint_rows")
     rows_at = _FIRST[1] + place_of(Variables, "rows")
+    groups_at = _FIRST[2] + place_of(NodeWork, "groups")
     return np.concatenate(
         [
             size_places(JointRows, joint_rows_at, joint_rows),
             size_places(Rows, rows_at, rows),
             size_places(NodeWork, _FIRST[2], work),
+            size_places(ArmGroups, groups_at, groups),
             size_places(CoupledWork, _FIRST[3], coupled),
         ]
     )

@@ -214,11 +214,11 @@ class DenseSolver:
     def __call__(self) -> None:
         """Solve once."""
         b, work = self._data.arrays, self._data.work
-        dofs = work.dofs
+        dofs = work.first_joint
         arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.bodies.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
         _require_usable(inertias, (b.forces.f_j, b.rows.c, b.forces.f_o, work.W))
-        W_o, W = _by_arm(work, b.rows.Wo, work.W)
+        W_o, W = _by_arm(work, b.rows.W_o, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
             reaction_o, reaction = _by_arm(work, *self.reactions)
@@ -229,7 +229,7 @@ class DenseSolver:
             f_j=[b.forces.f_j[dofs[i] : dofs[i + 1]] for i in arms],
             W_o=W_o,
             W=W,
-            c=[b.rows.c[work.rows[i] : work.rows[i + 1]] for i in arms],
+            c=[b.rows.c[work.first_contact[i] : work.first_contact[i + 1]] for i in arms],
             reaction_o=reaction_o,
             reaction=reaction,
         )
@@ -244,9 +244,9 @@ class DenseSolver:
 
 
 def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
-    sizes = zip(on_arms, np.diff(work.dofs), np.diff(work.rows), strict=True)
+    sizes = zip(on_arms, np.diff(work.first_joint), np.diff(work.first_contact), strict=True)
     blocks = [matrix[:d, :m] for matrix, d, m in sizes]
-    bounds = itertools.pairwise(work.rows)
+    bounds = itertools.pairwise(work.first_contact)
     return [on_object[first:end].T for first, end in bounds], blocks
 
 

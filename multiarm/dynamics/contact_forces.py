@@ -9,25 +9,25 @@ from multiarm.jit.kernels import clear, kernel
 
 
 @kernel
-def add_contact_forces(work, Wo, W, force, on_object, on_joints):
+def add_contact_forces(work, W_o, W, force, on_object, on_joints):
     """Add ``W_o force`` to the wrench on the object (6,) and ``W force`` to the joints' forces.
 
-    ``Wo`` (N, 6) and ``W`` (arms, d, m) are the directions of the forces, which need not be those
+    ``W_o`` (N, 6) and ``W`` (arms, d, m) are the directions of the forces, which need not be those
     of the constraints; ``work`` has the joints and the contacts of each arm.
     """
     for k in range(force.size):
         for l in range(on_object.size):
-            on_object[l] += Wo[k, l] * force[k]
+            on_object[l] += W_o[k, l] * force[k]
     add_joint_forces(work, W, force, 1.0, on_joints)
 
 
 @kernel
 def add_joint_forces(work, W, force, sign, on_joints):
     """Add ``sign W force`` to the joints' forces."""
-    for i in range(work.dofs.size - 1):
-        d0, first = work.dofs[i], work.rows[i]
-        for k in range(first, work.rows[i + 1]):
-            for j in range(work.dofs[i + 1] - d0):
+    for i in range(work.first_joint.size - 1):
+        d0, first = work.first_joint[i], work.first_contact[i]
+        for k in range(first, work.first_contact[i + 1]):
+            for j in range(work.first_joint[i + 1] - d0):
                 on_joints[d0 + j] += sign * W[i, j, k - first] * force[k]
 
 
@@ -51,4 +51,4 @@ def uncarried_wrench(data: Data) -> np.ndarray:
     After the laws have been evaluated in these data; zeros where none commands one.
     """
     rows = data.arrays.rows
-    return data.arrays.control.object_wrench - rows.Wo.T @ rows.static_force
+    return data.arrays.control.object_wrench - rows.W_o.T @ rows.static_force

@@ -175,9 +175,9 @@ def force_directions(data: Evaluated) -> np.ndarray:
     """What unit contact forces do to object and joints, ``[W_o; W]``, shape (6 + n, N)."""
     layout, work = data.model.layout, data.work
     directions = np.zeros((layout.nv, layout.contacts))
-    directions[layout.of_frames] = data.arrays.rows.Wo.T
+    directions[layout.of_frames] = data.arrays.rows.W_o.T
     for i in range(len(layout.names)):
-        joints, rows = layout.of_arm(i), slice(work.rows[i], work.rows[i + 1])
+        joints, rows = layout.of_arm(i), slice(work.first_contact[i], work.first_contact[i + 1])
         directions[joints, rows] = work.W[i, : joints.stop - joints.start, : rows.stop - rows.start]
     return directions
 
@@ -211,7 +211,7 @@ def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
     x = joint_origin(data, arm)
     body = fields_of(BodyMotion, data.arrays.bodies.object)
     R = body.rotation @ data.model.frames[arm].on_object[:3, :3]
-    rows = data.arrays.rows.Wo[data.model.layout.contacts_of(i)]
+    rows = data.arrays.rows.W_o[data.model.layout.contacts_of(i)]
     rows = rows[np.any(rows != 0.0, axis=1)]
     force = rows[:, :3]
     moment = rows[:, 3:] - np.cross(x - body.origin, force)

@@ -214,9 +214,9 @@ class _Equations:
         b, own = self._data.arrays, self._work
         arrays = (
             part.copy()
-            for part in (b.bodies.object_inertia, own.M, self._data.work.W, b.rows.Wo, own.rates)
+            for part in (b.bodies.object_inertia, own.M, self._data.work.W, b.rows.W_o, own.rates)
         )
-        codes = fields_of(Code, self._data.model.constants.codes[: len(b.rows.Wo)])
+        codes = fields_of(Code, self._data.model.constants.codes[: len(b.rows.W_o)])
         closed, layout = codes.kind != TANGENT, self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)
 

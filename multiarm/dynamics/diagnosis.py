@@ -173,7 +173,7 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
     i = data.model.arm_names.index(arm)
     arrays, layout = data.arrays, data.model.layout
     d, r = layout.joints_of(i), layout.contacts_of(i)
-    rows, W = arrays.rows.Wo[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
+    rows, W = arrays.rows.W_o[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None
     place = joint_origin(data, arm)

@@ -80,7 +80,7 @@ class EquationWork(NamedTuple):
     M: Floats3  # (n, d, d)
     dF: Floats3  # (n, d + m, C + d + 6) derivatives of F_i and F_phi
     dF_o: Floats2  # (6, columns) of F_o
-    Wr: Floats2  # (N, 6) the object's rows of the contact forces, those of W_o without friction
+    Wr_o: Floats2  # (N, 6) the object's rows of the contact forces, those of W_o without friction
     rates: Floats2  # (N, C) of the gaps' rates
     # (C + 1, 6) derivatives, and in the last used row the values, of the contacts' wrench on the
     # object, about its centre of mass in world axes, and of the opposite one on the link, about its
@@ -124,7 +124,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         M=np.zeros((n, d, d)),
         dF=np.zeros((n, d + m, C + d + TWIST)),
         dF_o=np.zeros((TWIST, columns)),
-        Wr=np.zeros((N, TWIST)),
+        Wr_o=np.zeros((N, TWIST)),
         rates=np.zeros((N, C)),
         body=np.zeros(BODY_WIDTH),
         link=np.zeros(BODY_WIDTH),
@@ -180,8 +180,8 @@ def write_derivatives(struct: INTS, own: INTS):
     copy(data.state.joint_rates, work.v)
     copy(data.accelerations.a_j, work.a_j)
     copy(data.rows.force, work.force)
-    for k in range(data.rows.Wo.shape[0]):
-        copy(data.rows.Wo[k], work.Wr[k])
+    for k in range(data.rows.W_o.shape[0]):
+        copy(data.rows.W_o[k], work.Wr_o[k])
     write_body(data, data.state.object_twist, data.accelerations.a_o, work)
     status = differentiate_bodies(struct, own)
     add_object_equation(
@@ -229,7 +229,7 @@ def differentiate_bodies(struct, own):
     links, work = open_links(own), open_equations(own)
     for l in range(work.dF_o.shape[0]):
         clear(work.dF_o[l])
-    for i in range(system.dofs.size - 1):
+    for i in range(system.first_joint.size - 1):
         differentiate_arm(i, model, data, system, links, work)
     return CALLBACK_FAILED if data.status.failed else OK
 
@@ -268,8 +268,8 @@ def add_object_equation(inertia, twist, acceleration, work):
 @kernel
 def differentiate_arm(i, model, data, system, links, work):
     """Write ``K_i`` and the derivatives of one arm's equations, and add those of its wrench."""
-    d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
-    first, last = system.rows[i], system.rows[i + 1]
+    d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
+    first, last = system.first_contact[i], system.first_contact[i + 1]
     is_arm, dF, link = i < links.first.size - 1, work.dF[i], work.link
     columns = columns_of_arm(i, n, links, work)
     C, columns_of_state = columns.end, state_columns(data)
@@ -292,7 +292,7 @@ def differentiate_arm(i, model, data, system, links, work):
         dF[j, C + j] = -1.0
     for k in range(first, last):
         for l in range(work.dF_o.shape[0]):
-            dF[n + k - first, C + n + l] = data.rows.Wo[k, l]
+            dF[n + k - first, C + n + l] = data.rows.W_o[k, l]
     for c in range(C):
         if columns.twist <= c < columns.positions or columns.velocities <= c < columns.placement:
             continue  # wrenches of contacts do not depend on velocities
@@ -334,13 +334,13 @@ def add_drift_feedback(struct, own, alpha, beta):
     """
     model, data, system = open_system(struct)
     links, work = open_links(own), open_equations(own)
-    for i in range(system.dofs.size - 1):
-        n, first = system.dofs[i + 1] - system.dofs[i], system.rows[i]
+    for i in range(system.first_joint.size - 1):
+        n, first = system.first_joint[i + 1] - system.first_joint[i], system.first_contact[i]
         columns, W = columns_of_arm(i, n, links, work), system.W[i]
-        for k in range(first, system.rows[i + 1]):
+        for k in range(first, system.first_contact[i + 1]):
             dF, by_gap = work.dF[i, n + k - first], beta * beta * gap_weight(model, k)
             for c in range(columns.twist):
-                rate = data.rows.Wo[k, c]
+                rate = data.rows.W_o[k, c]
                 dF[c] += by_gap * rate + 2.0 * alpha * work.rates[k, c]
                 dF[columns.twist + c] += 2.0 * alpha * rate
             for j in range(n):
@@ -375,9 +375,9 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
             dF[l, c] += work.dF_o[l, c]
         for c in range(places.joints):
             K[l, c] += data.bodies.object_inertia[l, c]
-    for i in range(system.dofs.size - 1):
-        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
-        first, last = system.rows[i], system.rows[i + 1]
+    for i in range(system.first_joint.size - 1):
+        d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
+        first, last = system.first_contact[i], system.first_contact[i + 1]
         columns = columns_of_arm(i, n, links, work)
         joints, contacts = places.joints + d0, places.velocity + first - n
         for a in range(n + last - first):
@@ -387,8 +387,8 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
                 K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
         for k in range(first, last):
             for l in range(places.joints):
-                K[l, places.velocity + k] -= work.Wr[k, l]
-                K[places.velocity + k, l] += data.rows.Wo[k, l]
+                K[l, places.velocity + k] -= work.Wr_o[k, l]
+                K[places.velocity + k, l] += data.rows.W_o[k, l]
 
 
 @allocating
@@ -456,9 +456,9 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
         row, dF_o = matrix[l], work.dF_o[l]
         for c in range(row.size):
             row[c] = -dF_o[c]
-    for i in range(system.dofs.size - 1):
-        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
-        first, last, X = system.rows[i], system.rows[i + 1], work.dF[i]
+    for i in range(system.first_joint.size - 1):
+        d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
+        first, last, X = system.first_contact[i], system.first_contact[i + 1], work.dF[i]
         if not factor_lu(work.K[i], n + last - first, work.pivots) > 0.0:
             return SINGULAR
         solve_rows(work.K[i], n + last - first, work.pivots, X)
@@ -468,21 +468,23 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
             forces = X[n + k - first]
             for l in range(of_frames):
                 subtract_own(
-                    work.Wr[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
+                    work.Wr_o[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
                 )
                 for c in range(of_frames):
-                    S[l, c] += work.Wr[k, l] * forces[C + n + c]
+                    S[l, c] += work.Wr_o[k, l] * forces[C + n + c]
     if not factor_lu(S, of_frames, work.pivots) > 0.0:
         return SINGULAR
     solve_rows(S, of_frames, work.pivots, matrix)
-    for i in range(system.dofs.size - 1):
-        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+    for i in range(system.first_joint.size - 1):
+        d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
         columns = columns_of_arm(i, n, links, work)
-        m, C = system.rows[i + 1] - system.rows[i], columns.end
+        m, C = system.first_contact[i + 1] - system.first_contact[i], columns.end
         for k in range(n + m):
             X = work.dF[i, k]
             row = matrix[
-                places.joints + d0 + k if k < n else places.velocity + system.rows[i] + k - n
+                places.joints + d0 + k
+                if k < n
+                else places.velocity + system.first_contact[i] + k - n
             ]
             clear(row)
             for l in range(of_frames):

@@ -83,7 +83,7 @@ def evaluate_projected(struct: INTS, alpha: NUMBER, beta: NUMBER):
 def keeps_factors(data):
     """Whether the factors of the last projection are those of an evaluation that follows."""
     functions = data.functions
-    return data.solution.elimination == SPLIT and functions.solve == functions.project
+    return data.solution.elimination == SPLIT and functions.solve == functions.solve_frictionless
 
 
 @kernel
@@ -107,13 +107,13 @@ def update_kinematics(struct: INTS):
 
 
 @kernel
-def solve_constrained(struct: INTS):
+def solve_frictionless(struct: INTS):
     """Solve for ``a_o, a_j, force`` with the right-hand sides ``f_o, f_j, c`` in ``data``.
 
     Contact forces act along their normals, without friction, as projections need.  Call
     :func:`update_kinematics` before.  Returns a status.
     """
-    return call_cfunc(open_data(struct).functions.project, struct, 0.0, 0.0)
+    return call_cfunc(open_data(struct).functions.solve_frictionless, struct, 0.0, 0.0)
 
 
 @cfunc
@@ -185,7 +185,7 @@ def control_of_closed(address, size, _a, _b):
 def passive_forces(struct, model, data, work):
     """``f_j = -b`` and the passive effects of the joints; returns a status."""
     for i in range(data.bodies.pointers.shape[0]):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         bias = floats_at(open_addresses(data.bodies.pointers[i]).bias, d)
         for j in range(d):
             data.forces.f_j[d0 + j] = -bias[j]
@@ -196,7 +196,7 @@ def passive_forces(struct, model, data, work):
 def load_gravity_torque(data, work):
     """Copy the joints' gravity forces, which backends compute only for control that needs them."""
     for i in range(data.bodies.pointers.shape[0]):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        d0, d = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         g = floats_at(open_addresses(data.bodies.pointers[i]).gravity_torque, d)
         for j in range(d):
             data.control.gravity_torque[d0 + j] = g[j]
@@ -222,7 +222,7 @@ def add_torques(data, work):
     total = 0.0
     for i in range(data.control.power.size):
         power = 0.0
-        for j in range(work.dofs[i], work.dofs[i + 1]):
+        for j in range(work.first_joint[i], work.first_joint[i + 1]):
             data.forces.f_j[j] += data.control.torque[j]
             power += data.control.torque[j] * data.state.joint_rates[j]
         data.control.power[i] = power
@@ -267,21 +267,21 @@ def drift_terms(data, alpha, beta):
 
 @cfunc
 def solve(address, size, _a, _b):
-    """Solve as :func:`solve_constrained` describes: four arms at a time, else arm by arm."""
+    """Solve as :func:`solve_frictionless` describes: four arms at a time, else arm by arm."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.dense:
         call_python(data.functions.dense)
-        data.solution.imbalance = imbalance(data, data.rows.Wo)
+        data.solution.imbalance = imbalance(data, data.rows.W_o)
         return CALLBACK_FAILED if data.status.failed else OK
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     result = solve_batched(
-        work, rows.Wo, data.bodies.object_inertia, forces.f_o, forces.f_j, rows.c,
+        work, rows.W_o, data.bodies.object_inertia, forces.f_o, forces.f_j, rows.c,
         accelerations.a_o, accelerations.a_j, rows.force,
     )  # fmt: skip
     if result == OK:
         write_solution(data, WHOLE, 0, 0, math.inf, 1)
-        data.solution.imbalance = imbalance(data, data.rows.Wo)
+        data.solution.imbalance = imbalance(data, data.rows.W_o)
         if data.solution.imbalance <= IMBALANCE_BOUND:
             return OK
     return call_cfunc(data.functions.coupled, struct, 0.0, 0.0)
@@ -328,10 +328,10 @@ def solve_decomposed(address, size, _a, _b):
 @kernel
 def solve_coupled_arms(data, work, coupled, decompose_all):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
-    status, data.status.arm = eliminate_arms(work, data.rows.Wo)
+    status, data.status.arm = eliminate_arms(work, data.rows.W_o)
     if status != OK:
         return status
-    pivot = couple(work, coupled, data.rows.Wo, data.bodies.object_inertia, decompose_all)
+    pivot = couple(work, coupled, data.rows.W_o, data.bodies.object_inertia, decompose_all)
     work.pivot[data.bodies.pointers.shape[0]] = pivot
     if not pivot > 0.0:
         return OBJECT_INERTIA if pivot == pivot else NOT_FINITE
@@ -348,7 +348,7 @@ def solve_factored(data, work, coupled):
         work, coupled, forces.f_o, forces.f_j, rows.c,
         accelerations.a_o, accelerations.a_j, rows.force,
     )  # fmt: skip
-    data.solution.imbalance = imbalance(data, rows.Wo)
+    data.solution.imbalance = imbalance(data, rows.W_o)
 
 
 @inlined

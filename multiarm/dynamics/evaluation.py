@@ -39,7 +39,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.solver.singular import loose_rows
+from multiarm.dynamics.solver.singular import undetermined_parts
 from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
@@ -106,10 +106,10 @@ class Snapshot:
         self.regular = not (self.dense or solution.coupled_arms)
         self.arrays, b = SimpleNamespace(), data.arrays
         self.arrays.bodies = _copied(b.bodies, ("links", "object", "object_inertia"))
-        self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "Wo"))
+        self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "W_o"))
         if not self.regular:
             self.arrays.state = _copied(b.state, ("joint_positions",))
-            self.work = _copied(data.work, ("rows", "M", "W"))
+            self.work = _copied(data.work, ("first_contact", "M", "W"))
             self.coupled = _copied(data.coupled, data.coupled._fields)
 
 
@@ -282,7 +282,7 @@ class Evaluation:
 
         Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
         """
-        rows = rows_by_owner(self._all.model.layout, self._all.arrays.rows.Wo)
+        rows = rows_by_owner(self._all.model.layout, self._all.arrays.rows.W_o)
         return {owner: rows[owner].T @ force for owner, force in self.contact_forces.items()}
 
     @cached_property
@@ -487,4 +487,4 @@ def _unique_forces(snapshot: Snapshot) -> np.ndarray:
         return np.ones(snapshot.model.layout.contacts, dtype=bool)
     if snapshot.dense:
         return null_space(constraint_matrix(snapshot), COUPLED_RANK_TOLERANCE).untouched
-    return loose_rows(snapshot.work, snapshot.coupled) < PART_TOLERANCE
+    return undetermined_parts(snapshot.work, snapshot.coupled) < PART_TOLERANCE

@@ -304,13 +304,13 @@ def clear_slopes(model, data, work, local, table, first):
     for l in range(first):
         clear(table[l, : at.positions])
         clear(table[l, at.states :])
-    for i in range(work.dofs.size - 1):
-        for j in range(work.dofs[i], work.dofs[i + 1]):
-            clear_columns(at, work.dofs[i], work.dofs[i + 1], table[first + j])
+    for i in range(work.first_joint.size - 1):
+        for j in range(work.first_joint[i], work.first_joint[i + 1]):
+            clear_columns(at, work.first_joint[i], work.first_joint[i + 1], table[first + j])
         for s in range(table.shape[0] - first - data.state.joint_rates.size):
-            if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
+            if work.first_joint[i] <= model.state_joints[s] < work.first_joint[i + 1]:
                 row = table[first + data.state.joint_rates.size + s]
-                clear_columns(at, work.dofs[i], work.dofs[i + 1], row)
+                clear_columns(at, work.first_joint[i], work.first_joint[i + 1], row)
 
 
 @inlined
@@ -506,22 +506,25 @@ def choose_columns(differences, column, model, data, work, columns, direction):
             direction[place_in_chart(at, places, column)] = 1.0
         return True
     first, longest = at.positions if column < at.rates else at.rates, 0
-    for i in range(work.dofs.size - 1):
-        if work.dofs[i + 1] - work.dofs[i] > work.dofs[longest + 1] - work.dofs[longest]:
+    for i in range(work.first_joint.size - 1):
+        if (
+            work.first_joint[i + 1] - work.first_joint[i]
+            > work.first_joint[longest + 1] - work.first_joint[longest]
+        ):
             longest = i
-    number = column - first - work.dofs[longest]
-    if not 0 <= number < work.dofs[longest + 1] - work.dofs[longest]:
+    number = column - first - work.first_joint[longest]
+    if not 0 <= number < work.first_joint[longest + 1] - work.first_joint[longest]:
         return False
     for i in range(columns.size):
         columns[i] = -1
-    for i in range(work.dofs.size - 1):
-        if number >= work.dofs[i + 1] - work.dofs[i]:
+    for i in range(work.first_joint.size - 1):
+        if number >= work.first_joint[i + 1] - work.first_joint[i]:
             continue
-        moved = first + work.dofs[i] + number
+        moved = first + work.first_joint[i] + number
         direction[place_in_chart(at, places, moved)] = 1.0
-        for j in range(work.dofs[i], work.dofs[i + 1]):
+        for j in range(work.first_joint[i], work.first_joint[i + 1]):
             columns[places.joints + j] = moved
         for s in range(model.state_joints.size):
-            if work.dofs[i] <= model.state_joints[s] < work.dofs[i + 1]:
+            if work.first_joint[i] <= model.state_joints[s] < work.first_joint[i + 1]:
                 columns[places.velocity + s] = moved
     return True

@@ -108,9 +108,9 @@ def arm_rows(i, struct, model, data, work):
 
     ``model, data, work`` are the views of ``struct``.
     """
-    d = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    d = work.first_joint[i + 1] - work.first_joint[i]
+    first = work.first_contact[i]
+    m = work.first_contact[i + 1] - first
     bodies = data.bodies
     J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
     x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.arm_wrenches
@@ -119,10 +119,10 @@ def arm_rows(i, struct, model, data, work):
         data.rows.kinematics, struct, i, data.functions.row,
     )  # fmt: skip
     for k in range(m):
-        row, Wo = open_contact(data.rows.kinematics[first + k]), data.rows.Wo[first + k]
+        row, W_o = open_contact(data.rows.kinematics[first + k]), data.rows.W_o[first + k]
         e, p, couple = row.normal, row.point, row.couple
-        put(Wo, 0, e)
-        put(Wo, 3, add(cross(sub(p, x_o), e), couple))
+        put(W_o, 0, e)
+        put(W_o, 3, add(cross(sub(p, x_o), e), couple))
         # the arm takes the opposite wrench; its Jacobian is about the world's origin
         force, moment = scale(-1.0, e), sub(cross(e, p), couple)
         if m < LANES:
@@ -172,13 +172,13 @@ def write_joint_rows(model, data, work):
         side, beyond = geometry.side, data.state.joint_positions[joint] - geometry.bound
         contact.gap = geometry.has_bound * side * beyond
         contact.gap_rate = side * data.state.joint_rates[joint]
-        work.W[i, joint - work.dofs[i], row - work.rows[i]] = side
+        work.W[i, joint - work.first_joint[i], row - work.first_contact[i]] = side
 
 
 @inlined
 def load_inertia(i, data, work):
     """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.M``."""
-    d = work.dofs[i + 1] - work.dofs[i]
+    d = work.first_joint[i + 1] - work.first_joint[i]
     addresses = open_addresses(data.bodies.pointers[i])
     stride = addresses.stride
     inertia, M = floats_at(addresses.inertia, d * stride), work.M[i]

@@ -24,8 +24,8 @@ def times_object_inertia(k, data, x):
 @inlined
 def times_arm_inertia(i, j, work, x):
     """Entry of ``M_i x_i`` for joint ``j`` of arm ``i``; ``x`` has all joints."""
-    first, product = work.dofs[i], 0.0
-    for k in range(work.dofs[i + 1] - first):  # the lower triangle is filled
+    first, product = work.first_joint[i], 0.0
+    for k in range(work.first_joint[i + 1] - first):  # the lower triangle is filled
         product += work.M[i, max(j, k), min(j, k)] * x[first + k]
     return product
 
@@ -38,9 +38,9 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
     first = momenta.size - rates.size
     for k in range(first):
         momenta[k] = times_object_inertia(k, data, twist)
-    for i in range(work.dofs.size - 1):
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
-            momenta[first + work.dofs[i] + j] = times_arm_inertia(i, j, work, rates)
+    for i in range(work.first_joint.size - 1):
+        for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+            momenta[first + work.first_joint[i] + j] = times_arm_inertia(i, j, work, rates)
 
 
 @kernel
@@ -49,8 +49,8 @@ def kinetic_energy(data, work):
     twist, rates, energy = data.state.object_twist, data.state.joint_rates, 0.0
     for k in range(twist.size):
         energy += 0.5 * twist[k] * times_object_inertia(k, data, twist)
-    for i in range(work.dofs.size - 1):
-        d0 = work.dofs[i]
-        for j in range(work.dofs[i + 1] - d0):
+    for i in range(work.first_joint.size - 1):
+        d0 = work.first_joint[i]
+        for j in range(work.first_joint[i + 1] - d0):
             energy += 0.5 * rates[d0 + j] * times_arm_inertia(i, j, work, rates)
     return energy

@@ -41,17 +41,17 @@ def write_residuals(
     first = acceleration.size - data.state.joint_rates.size
     a_o, a, forces = acceleration[:first], acceleration[first:], data.forces.total
     copy(generalised_forces, forces)
-    add_contact_forces(work, data.rows.Wo, work.W, force, forces[:first], forces[first:])
+    add_contact_forces(work, data.rows.W_o, work.W, force, forces[:first], forces[first:])
     check = data.check
     check.arm = check.on_object = check.constraint = 0.0
     for k in range(first):
         residual = times_object_inertia(k, data, a_o) - forces[k]
         check.on_object = larger(check.on_object, residual)
-    for i in range(work.dofs.size - 1):
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
-            residual = times_arm_inertia(i, j, work, a) - forces[first + work.dofs[i] + j]
+    for i in range(work.first_joint.size - 1):
+        for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+            residual = times_arm_inertia(i, j, work, a) - forces[first + work.first_joint[i] + j]
             check.arm = larger(check.arm, residual)
-        for row in range(work.rows[i], work.rows[i + 1]):
+        for row in range(work.first_contact[i], work.first_contact[i + 1]):
             residual = rate_by_object(row, data, a_o) + rate_by_arm(i, row, work, a) - c[row]
             check.constraint = larger(check.constraint, residual)
 
@@ -61,7 +61,7 @@ def rate_by_object(row, data, a_o):
     """``W_o^T a_o`` of a row."""
     rate = 0.0
     for k in range(a_o.size):
-        rate += data.rows.Wo[row, k] * a_o[k]
+        rate += data.rows.W_o[row, k] * a_o[k]
     return rate
 
 
@@ -69,8 +69,8 @@ def rate_by_object(row, data, a_o):
 def rate_by_arm(i, row, work, a):
     """``W^T a`` of a row of arm ``i``."""
     rate = 0.0
-    for j in range(work.dofs[i + 1] - work.dofs[i]):
-        rate += work.W[i, j, row - work.rows[i]] * a[work.dofs[i] + j]
+    for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+        rate += work.W[i, j, row - work.first_contact[i]] * a[work.first_joint[i] + j]
     return rate
 
 
@@ -93,8 +93,8 @@ def constraint_residual(model, data, work):
     worst, scale = 0.0, max(LEAST_ACCELERATION, free_acceleration(data))
     if not model.dense:
         scale = max(scale, free_rate(work))
-    for i in range(work.dofs.size - 1):
-        for row in range(work.rows[i], work.rows[i + 1]):
+    for i in range(work.first_joint.size - 1):
+        for row in range(work.first_contact[i], work.first_contact[i + 1]):
             by_object = rate_by_object(row, data, data.accelerations.a_o)
             by_arm, c = rate_by_arm(i, row, work, data.accelerations.a_j), data.rows.c[row]
             residual = abs(by_object + by_arm - c)
@@ -117,23 +117,23 @@ def free_acceleration(data):
 @inlined
 def free_rate(work):
     """Largest ``|W^T M^-1 f_j|`` of the last solution: contact accelerations without forces."""
-    if work.by_arm[0] == 0:
+    if not work.status.arm_by_arm:
         return largest_free_rate(work)
     largest = 0.0
-    for i in range(work.dofs.size - 1):
-        for a in range(work.rows[i + 1] - work.rows[i]):
+    for i in range(work.first_joint.size - 1):
+        for a in range(work.first_contact[i + 1] - work.first_contact[i]):
             rate = 0.0
-            for j in range(work.dofs[i + 1] - work.dofs[i]):
-                rate += work.Y[i, j, a] * work.y[work.dofs[i] + j]
+            for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+                rate += work.Y[i, j, a] * work.y[work.first_joint[i] + j]
             largest = max(largest, abs(rate))
     return largest
 
 
 @inlined
-def imbalance(data, Wo):
+def imbalance(data, W_o):
     """Residual of ``M_o a_o = f_o + W_o force``, relative to the largest force in it.
 
-    ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
+    ``W_o`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
     with that force at the object's radius of gyration.  Every solution is checked so.  Hence the
     result is zero where a bound that takes no root and no norm of a row shows that it is less than
     ``IMBALANCE_BOUND``; it is NaN where the solution is not finite.
@@ -143,8 +143,8 @@ def imbalance(data, Wo):
     front, back = load_pack(f_o, 0), load_pack(f_o, 2)  # six numbers, two of them twice
     for a in range(data.rows.force.size):
         force = broadcast(data.rows.force[a])
-        front = front + force * load_pack(Wo, 6 * a)
-        back = back + force * load_pack(Wo, 6 * a + 2)
+        front = front + force * load_pack(W_o, 6 * a)
+        back = back + force * load_pack(W_o, 6 * a + 2)
     store_pack(total, 0, front)
     store_pack(total, 2, back)
     x, y, z = a_o[3], a_o[4], a_o[5]
@@ -159,11 +159,11 @@ def imbalance(data, Wo):
     square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
     if forces <= small and m * moments * moments <= small * small * square:
         return 0.0
-    return relative_imbalance(data, Wo, forces, moments)
+    return relative_imbalance(data, W_o, forces, moments)
 
 
 @kernel
-def relative_imbalance(data, Wo, forces, moments):
+def relative_imbalance(data, W_o, forces, moments):
     """Residuals of forces [N] and moments [N m] relative to the largest terms."""
     inertia = data.bodies.object_inertia
     radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
@@ -172,7 +172,7 @@ def relative_imbalance(data, Wo, forces, moments):
     turn = norm(data.forces.f_o[3:6], 3)
     for a in range(data.rows.force.size):
         force = abs(data.rows.force[a])
-        push = max(push, force * norm(Wo[a, :3], 3))
-        turn = max(turn, force * norm(Wo[a, 3:6], 3))
+        push = max(push, force * norm(W_o[a, :3], 3))
+        turn = max(turn, force * norm(W_o[a, 3:6], 3))
     # NaN stays NaN
     return forces / push + moments / max(turn, push * radius)

@@ -81,17 +81,14 @@ class RowSelection(Data):
         size = layout.contacts + parts
         # arms with more contacts than joints are in no group
         fewer = np.minimum(self._joints, counts).tolist()
-        grouped, work = make_work(self._joints, fewer), self.work
-        packs = max(grouped.packs, work.packs, key=len)
+        groups = make_work(self._joints, fewer).groups
         constants = self.model.constants._replace(
             codes=np.zeros((size, width(Code)), dtype=np.int64),
             geometry=np.zeros((size, GEOMETRY_WIDTH)),
         )
         self.replace_arrays(
             constants=constants,
-            work=work._replace(
-                packs=packs, **{name: getattr(grouped, name) for name in group_shapes([1], [0])}
-            ),
+            work=self.work._replace(groups=groups),
             rows=self.arrays.rows._replace(parts=np.zeros((parts, CONTACT_WIDTH))),
             **variables,
         )
@@ -134,7 +131,8 @@ class RowSelection(Data):
     def work(self) -> NodeWork:  # type: ignore[override]
         """The workspace for the selected rows."""
         sizes = self._joints, self.counts
-        return beginnings(self._work, {**work_shapes(*sizes), **group_shapes(*sizes)})
+        work = beginnings(self._work, work_shapes(*sizes))
+        return work._replace(groups=beginnings(work.groups, group_shapes(*sizes)))
 
     @cached_property
     def coupled(self) -> CoupledWork:  # type: ignore[override]
@@ -171,7 +169,8 @@ def _shapes(joints: list[int], counts: list[int], of_joints: int) -> tuple[Shape
     return (
         dict.fromkeys(JointRows._fields, (of_joints,)),
         row_shapes(sum(counts)),
-        {**work_shapes(joints, counts), **group_shapes(joints, counts)},
+        work_shapes(joints, counts),
+        group_shapes(joints, counts),
         coupled_shapes(joints, counts),
     )
 
@@ -193,15 +192,15 @@ def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: I
     """
     constants, _, _ = open_system(full)
     model, data, work = open_system(struct)
-    copy(bounds, work.rows)
-    work.by_arm[0] = 0
+    copy(bounds, work.first_contact)
+    work.status.arm_by_arm = False
     select_rows(constants.codes, constants.geometry, rows, model.codes, model.geometry)
-    select_joint_rows(model.codes, work.rows, work.dofs, model.joint_rows)
+    select_joint_rows(model.codes, work.first_contact, work.first_joint, model.joint_rows)
     write_groups(order, work)
     # no result of other rows is left; columns of W beyond an arm's rows are zero
     for k in range(rows.size):
         clear(data.rows.kinematics[k])
-        clear(data.rows.Wo[k])
+        clear(data.rows.W_o[k])
     for k in range(data.rows.arm_wrenches.shape[0]):
         clear(data.rows.arm_wrenches[k])
     for k in range(data.rows.parts.shape[0]):

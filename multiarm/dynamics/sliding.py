@@ -99,30 +99,30 @@ def friction_of_unit_force(slides, s):
 
 
 @kernel
-def write_reactions(data, work, Wr, slides, reactions):
-    """Reaction matrices at the kinematics in ``data``, into ``Wr`` and ``reactions.Wr``.
+def write_reactions(data, work, Wr_o, slides, reactions):
+    """Reaction matrices at the kinematics in ``data``, into ``Wr_o`` and ``reactions.Wr``.
 
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     struct = struct_at(data.modes.tangents, 0)
     status = update_rows(struct)
     _, sideways, tangents = open_system(struct)
-    for k in range(data.rows.Wo.shape[0]):
-        for l in range(Wr.shape[1]):
-            Wr[k, l] = data.rows.Wo[k, l]
-    for i in range(work.dofs.size - 1):
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
-            for a in range(work.rows[i + 1] - work.rows[i]):
+    for k in range(data.rows.W_o.shape[0]):
+        for l in range(Wr_o.shape[1]):
+            Wr_o[k, l] = data.rows.W_o[k, l]
+    for i in range(work.first_joint.size - 1):
+        for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+            for a in range(work.first_contact[i + 1] - work.first_contact[i]):
                 reactions.Wr[i, j, a] = work.W[i, j, a]
     for s in range(slides.row.size):
         row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
         along, across = slip_of(sideways.rows.kinematics, t)
         write_direction(slides, s, along, across)
         first, second = friction_of_unit_force(slides, s)
-        for k in range(Wr.shape[1]):
-            Wr[row, k] += first * sideways.rows.Wo[t, k] + second * sideways.rows.Wo[t + 1, k]
-        column, tangent = row - work.rows[i], t - tangents.rows[i]
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
+        for k in range(Wr_o.shape[1]):
+            Wr_o[row, k] += first * sideways.rows.W_o[t, k] + second * sideways.rows.W_o[t + 1, k]
+        column, tangent = row - work.first_contact[i], t - tangents.first_contact[i]
+        for j in range(work.first_joint[i + 1] - work.first_joint[i]):
             sideways_W = tangents.W[i, j]
             reactions.Wr[i, j, column] += (
                 first * sideways_W[tangent] + second * sideways_W[tangent + 1]

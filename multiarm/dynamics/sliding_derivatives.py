@@ -108,8 +108,8 @@ def add_loads(struct, own, friction):
     for l in range(work.dF_o.shape[0]):
         for c in range(work.dF_o.shape[1]):
             work.dF_o[l, c] += sideways.dF_o[l, c]
-    for i in range(system.dofs.size - 1):
-        n = system.dofs[i + 1] - system.dofs[i]
+    for i in range(system.first_joint.size - 1):
+        n = system.first_joint[i + 1] - system.first_joint[i]
         for j in range(n):
             for c in range(columns_of_arm(i, n, links, work).end):
                 work.dF[i, j, c] += sideways.dF[i, j, c]
@@ -123,7 +123,11 @@ def differentiate_slip(s, struct, own, friction):
     _, sliding, tangents = open_system(struct_at(data.modes.tangents, 0))
     slides, at = slides_of(data), state_columns(data)
     i, t, slow = slides.arm[s], slides.tangent[s], slides.numbers.slow
-    d0, n, column = system.dofs[i], system.dofs[i + 1] - system.dofs[i], t - tangents.rows[i]
+    d0, n, column = (
+        system.first_joint[i],
+        system.first_joint[i + 1] - system.first_joint[i],
+        t - tangents.first_contact[i],
+    )
     columns, normal = columns_of_arm(i, n, links, work), data.rows.force[slides.row[s]]
     friction_0, friction_1 = friction_of_unit_force(slides, s)
     along_0, along_1 = slides.direction[s, 0], slides.direction[s, 1]
@@ -149,7 +153,7 @@ def differentiate_slip(s, struct, own, friction):
             place = column_of_state(at, columns, d0, c)
         for l in range(work.dF_o.shape[0]):
             work.dF_o[l, place] -= (
-                sliding.rows.Wo[t, l] * force_0 + sliding.rows.Wo[t + 1, l] * force_1
+                sliding.rows.W_o[t, l] * force_0 + sliding.rows.W_o[t + 1, l] * force_1
             )
 
 
@@ -160,10 +164,12 @@ def add_reactions(s, struct, own):
     work, slides = open_equations(own), slides_of(data)
     _, sliding, tangents = open_system(struct_at(data.modes.tangents, 0))
     i, t, row = slides.arm[s], slides.tangent[s], slides.row[s]
-    n, column = system.dofs[i + 1] - system.dofs[i], t - tangents.rows[i]
+    n, column = system.first_joint[i + 1] - system.first_joint[i], t - tangents.first_contact[i]
     first, second = friction_of_unit_force(slides, s)
-    for l in range(work.Wr.shape[1]):
-        work.Wr[row, l] += first * sliding.rows.Wo[t, l] + second * sliding.rows.Wo[t + 1, l]
+    for l in range(work.Wr_o.shape[1]):
+        work.Wr_o[row, l] += first * sliding.rows.W_o[t, l] + second * sliding.rows.W_o[t + 1, l]
     for j in range(n):
         W = tangents.W[i, j]
-        work.K[i, j, n + row - system.rows[i]] -= first * W[column] + second * W[column + 1]
+        work.K[i, j, n + row - system.first_contact[i]] -= (
+            first * W[column] + second * W[column + 1]
+        )

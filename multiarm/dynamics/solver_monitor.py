@@ -111,7 +111,10 @@ def compare_solution(address, size, _a, _b):
             lost = count_lost(i, before.lost_directions[i], work, coupled)
         elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
             lost = before.lost_directions[i]
-        elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
+        elif (
+            work.first_joint[i + 1] - work.first_joint[i]
+            == work.first_contact[i + 1] - work.first_contact[i]
+        ):
             sign = determinant_sign(i, work, coupled)
             if sign * before.determinant_signs[i] < 0.0:
                 step.sign_changes[i] = 1
@@ -140,7 +143,7 @@ def accept_solution(data):
 def count_lost(i, before, work, coupled):
     """Number of lost directions of a deficient arm, with hysteresis."""
     fewest = most = 0
-    for a in range(work.rows[i], work.rows[i + 1]):
+    for a in range(work.first_contact[i], work.first_contact[i + 1]):
         share = coupled.sigma[a] / coupled.scale[i] if coupled.scale[i] > 0.0 else 0.0
         fewest += 1 if share < LOST else 0
         most += 1 if share < REGAINED * LOST else 0
@@ -152,7 +155,7 @@ def count_lost(i, before, work, coupled):
 @kernel
 def determinant_sign(i, work, coupled):
     """Sign of ``det(W)`` of an arm with as many contacts as joints (elimination by rows)."""
-    n = work.dofs[i + 1] - work.dofs[i]
+    n = work.first_joint[i + 1] - work.first_joint[i]
     A, W, sign = coupled.A[i], work.W[i], 1.0
     for r in range(n):
         for k in range(n):

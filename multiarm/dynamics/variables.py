@@ -101,7 +101,7 @@ class Rows(NamedTuple):
 
     kinematics: Floats2  # (N, 18) of the contacts, see multiarm.contacts.kernel
     parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
-    Wo: Floats2  # (N, 6) ``[e; (P - x_o) x e]``
+    W_o: Floats2  # (N, 6) ``[e; (P - x_o) x e]``
     c: Floats1  # (N,) right-hand sides of the constraints
     force: Floats1  # (N,) contact forces, positive = pushing
     static_force: Floats1  # (N,) contact forces for the wrench that the control commands
@@ -262,7 +262,7 @@ class Functions(Numbers):
     kinematics: Int
     forces: Int
     solve: Int
-    project: Int  # the node algorithm without friction, for impulses and projections
+    solve_frictionless: Int  # the same without friction, for impulses and projections
     project_state: Int  # onto the constraints
     coupled: Int  # the system with deficient arms
     decomposed: Int  # the same with no arm eliminated as a whole
@@ -448,6 +448,6 @@ def make_rows(rows: int, parts: int) -> Rows:
 def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays of :class:`Rows` with an entry for every row."""
     return {
-        "kinematics": (rows, CONTACT_WIDTH), "Wo": (rows, 6), "c": (rows,), "force": (rows,),
+        "kinematics": (rows, CONTACT_WIDTH), "W_o": (rows, 6), "c": (rows,), "force": (rows,),
         "static_force": (rows,), "arm_wrenches": (6, rows),
     }  # fmt: skip

@@ -69,7 +69,7 @@ def add_contact_compliance(address, size, at, _t):
     force, power = springs.force, 0.0
     for s in range(force.size):
         power += force[s] * open_contact(of_springs.rows.kinematics[s]).gap_rate
-    add_contact_forces(work, of_springs.rows.Wo, work.W, force, data.forces.f_o, data.forces.f_j)
+    add_contact_forces(work, of_springs.rows.W_o, work.W, force, data.forces.f_o, data.forces.f_j)
     set_power(struct, at, power)
     return 0
 
@@ -109,14 +109,14 @@ def differentiate_contact_compliance(address, size, at, _t):
     for l in range(first):
         for c in range(by.states):
             data.slopes.force[l, c] -= equations.dF_o[l, c]
-    for i in range(work.dofs.size - 1):
-        d0, n = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    for i in range(work.first_joint.size - 1):
+        d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         columns = arm_columns(n, False)
         for j in range(n):
             for c in range(columns.end):
                 column = column_of_state(by, columns, d0, c)
                 data.slopes.force[first + d0 + j, column] -= equations.dF[i, j, c]
-        for s in range(work.rows[i], work.rows[i + 1]):
+        for s in range(work.first_contact[i], work.first_contact[i + 1]):
             if springs.active[s] != 0:
                 add_change_of_force(
                     s, i, d0, n, springs, of_springs, work, equations, first, by, data
@@ -127,11 +127,11 @@ def differentiate_contact_compliance(address, size, at, _t):
 @inlined
 def add_change_of_force(s, i, d0, n, springs, of_springs, work, equations, first, by, data):
     """Add what the change of a spring's force, along its contact, does to object and arm."""
-    columns, W = arm_columns(n, False), work.W[i, :, s - work.rows[i]]
+    columns, W = arm_columns(n, False), work.W[i, :, s - work.first_contact[i]]
     for c in range(columns.end):
         of_rate = columns.twist <= c < columns.positions or c >= columns.velocities
         if c < columns.positions:
-            rate = of_springs.rows.Wo[s, c % first]
+            rate = of_springs.rows.W_o[s, c % first]
         else:
             rate = W[(c - columns.positions) % n]
         # of the gap's rate by a velocity as of the gap by a displacement
@@ -140,7 +140,7 @@ def add_change_of_force(s, i, d0, n, springs, of_springs, work, equations, first
             change = springs.stiffness[s] * rate + springs.damping[s] * equations.rates[s, c]
         column = column_of_state(by, columns, d0, c)
         for l in range(first):
-            data.slopes.force[l, column] -= of_springs.rows.Wo[s, l] * change
+            data.slopes.force[l, column] -= of_springs.rows.W_o[s, l] * change
         for j in range(n):
             data.slopes.force[first + d0 + j, column] -= W[j] * change
 

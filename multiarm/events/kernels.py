@@ -77,7 +77,7 @@ class ModeArrays(NamedTuple):
     numbers: ModeNumbers
     held: Ints1  # (m,) rows among all
     states: Floats1  # (u,) state of every contact, as it is recorded
-    Wr: Floats2  # (m, 6) the object's rows of the reaction matrices
+    Wr_o: Floats2  # (m, 6) the object's rows of the reaction matrices
     prestress: Floats1  # (m,) the forces lambda_0
     # compliant contacts: rows among all, and forces
     springs: Ints1
@@ -121,7 +121,7 @@ def mode_sizes(reactions: Mapping[str, tuple[int, ...]]) -> ModeSizes:
         return size_places(holder, at, dict.fromkeys(names, (0,)))
 
     return ModeSizes(
-        rows=lengths(ModeArrays, _MODE, ("held", "Wr", "prestress")),
+        rows=lengths(ModeArrays, _MODE, ("held", "Wr_o", "prestress")),
         slides=lengths(Slides, _SLIDES, Slides._fields[1:]),
         guards=lengths(Guards, 0, [name for name in Guards._fields if name not in SHARED]),
         reactions=size_places(ReactionWork, _REACTIONS, reactions),
@@ -150,18 +150,18 @@ def solve_held(address, size, _a, _b):
     _, data, work = open_system(struct)
     mode = open_mode(struct_at(data.modes.mode, 0))
     if mode.numbers.stressed:
-        add_prestress(mode, data.rows.Wo, work.W, data, work)
-    status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
+        add_prestress(mode, data.rows.W_o, work.W, data, work)
+    status = call_cfunc(data.functions.solve_frictionless, struct, 0.0, 0.0)
     if mode.numbers.stressed:
         take_prestress(mode, data)
     return status
 
 
 @kernel
-def add_prestress(mode, Wo, W, data, work):
-    """Let the forces of ``mode.prestress``, along ``Wo`` and ``W``, act on object and joints."""
+def add_prestress(mode, W_o, W, data, work):
+    """Let the forces of ``mode.prestress``, along ``W_o`` and ``W``, act on object and joints."""
     copy(data.forces.f, data.forces.without_prestress)
-    add_contact_forces(work, Wo, W, mode.prestress, data.forces.f_o, data.forces.f_j)
+    add_contact_forces(work, W_o, W, mode.prestress, data.forces.f_o, data.forces.f_j)
 
 
 @kernel
@@ -179,15 +179,15 @@ def solve_sliding(address, size, _a, _b):
     model, data, work = open_system(struct)
     of_mode = struct_at(data.modes.mode, 0)
     mode, slides, reactions = open_mode(of_mode), open_slides(of_mode), open_reactions(of_mode)
-    if write_reactions(data, work, mode.Wr, slides, reactions) != OK:
+    if write_reactions(data, work, mode.Wr_o, slides, reactions) != OK:
         return CALLBACK_FAILED
     if mode.numbers.stressed:
-        add_prestress(mode, mode.Wr, reactions.Wr, data, work)
+        add_prestress(mode, mode.Wr_o, reactions.Wr, data, work)
     if model.dense:
         call_python(data.functions.dense_with_friction)
         if data.status.failed:
             return CALLBACK_FAILED
-        data.solution.imbalance = imbalance(data, mode.Wr)
+        data.solution.imbalance = imbalance(data, mode.Wr_o)
     else:
         status = solve_reactions(data, work, mode, reactions, False)
         if status == OK and not data.solution.imbalance <= IMBALANCE_BOUND:
@@ -206,19 +206,19 @@ def solve_sliding(address, size, _a, _b):
 def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
-    work.by_arm[0] = 1
+    work.status.arm_by_arm = True
     status, data.status.arm = eliminate_with_reactions(
-        reactions, rows.Wo, mode.Wr, data.bodies.object_inertia, couple_all
+        reactions, rows.W_o, mode.Wr_o, data.bodies.object_inertia, couple_all
     )
     copy(reactions.pivot, work.pivot)
     if status != OK:
         return status
     solve_for_reactions(
-        reactions, rows.Wo, mode.Wr, forces.f_o, forces.f_j, rows.c,
+        reactions, rows.W_o, mode.Wr_o, forces.f_o, forces.f_j, rows.c,
         accelerations.a_o, accelerations.a_j, rows.force,
     )  # fmt: skip
     write_reaction_solution(data, reactions)
-    data.solution.imbalance = imbalance(data, mode.Wr)
+    data.solution.imbalance = imbalance(data, mode.Wr_o)
     return OK
 
 
@@ -228,7 +228,7 @@ def write_reaction_solution(data, reactions):
 
     Arms are coupled for the digits, too; they count where some of their constraints are dependent.
     """
-    dependent, coupled_arms = reactions.status.rows - reactions.status.rank, 0
+    dependent, coupled_arms = reactions.status.contacts - reactions.status.rank, 0
     for i in range(reactions.coupled.size):
         data.deficient.undetermined[i] = reactions.undetermined[i]
         data.deficient.coupled[i] = reactions.coupled[i]
@@ -260,7 +260,7 @@ def record_forces(address, size, _t, _b):
     struct = struct_at(data.modes.full, 0)
     status = update_rows(struct)
     _, full, work = open_system(struct)
-    write_wrenches(full.rows.Wo, work.rows, shown, data.sample.wrenches)
+    write_wrenches(full.rows.W_o, work.first_contact, shown, data.sample.wrenches)
     return status
 
 

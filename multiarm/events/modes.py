@@ -192,7 +192,7 @@ class Modes:
     def _write_rows(self, mode: Mode, rows: np.ndarray) -> None:
         arrays = self.arrays
         arrays.held[: rows.size] = rows
-        arrays.Wr[: rows.size], arrays.prestress[: rows.size] = 0.0, 0.0
+        arrays.Wr_o[: rows.size], arrays.prestress[: rows.size] = 0.0, 0.0
         arrays.states[:] = _RECORDED[np.array(mode.states, dtype=np.int64)[self._contacts]]
 
     def _write_slides(self, mode: Mode, held: np.ndarray) -> None:
@@ -217,7 +217,7 @@ class Modes:
         self._struct[self._sizes.reactions] = sizes
         self._functions.solve = self._solve_sliding
         Wr = beginnings(self._reactions, {"Wr": shapes["Wr"]}).Wr
-        self._dense.reactions = self.arrays.Wr[: self.data.rows.size], Wr
+        self._dense.reactions = self.arrays.Wr_o[: self.data.rows.size], Wr
 
     # --- arrays -----------------------------------------------------------------------------------
 
@@ -227,7 +227,7 @@ class Modes:
             numbers=self.numbers,
             held=np.zeros(count, dtype=np.int64),
             states=np.zeros(len(self.unilateral.contacts)),
-            Wr=np.zeros((count, 6)),
+            Wr_o=np.zeros((count, 6)),
             prestress=np.zeros(count),
             springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
             spring_force=np.zeros(0) if springs is None else self.full.effect(COMPLIANCE).force,
@@ -272,8 +272,8 @@ def _reactions(full: Data, data: Data) -> ReactionWork:
     """The arrays of the node algorithm with friction; some are those of the mode's Data."""
     work, layout = data.work, full.model.layout
     return make_reaction_work(layout.joint_counts, layout.contact_counts)._replace(
-        dofs=work.dofs,
-        rows=work.rows,
+        first_joint=work.first_joint,
+        first_contact=work.first_contact,
         levers=work.levers,
         M=work.M,
         W=work.W,

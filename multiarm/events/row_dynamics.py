@@ -15,7 +15,7 @@ from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import retracted
 from multiarm.dynamics.equations import (
     evaluate_state,
-    solve_constrained,
+    solve_frictionless,
     update_kinematics,
     update_rows,
 )
@@ -132,5 +132,5 @@ def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
     b = data.arrays
     require_ok(data, update_kinematics(data.struct))
     b.forces.f[:], b.rows.c[:] = force, 0.0
-    require_ok(data, solve_constrained(data.struct))
+    require_ok(data, solve_frictionless(data.struct))
     return b.accelerations.a.copy()

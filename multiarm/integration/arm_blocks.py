@@ -55,7 +55,7 @@ class ArmBlocks(NamedTuple):
     derivatives: Floats3
     on_object: Floats3
     by_object: Floats2
-    Wo: Floats2  # (N, o) at the beginning of the step
+    W_o: Floats2  # (N, o) at the beginning of the step
     # factors: of S (u, u), of E (n, d + e, d + e), of the system for chi (u, u); pivots of each
     # arm's equations
     K_pivots: Ints2
@@ -76,7 +76,7 @@ class ArmBlocks(NamedTuple):
     @property
     def memory(self) -> tuple[np.ndarray, ...]:
         """What steps write, which is zero where a run begins."""
-        derivatives = self.derivatives, self.on_object, self.by_object, self.Wo
+        derivatives = self.derivatives, self.on_object, self.by_object, self.W_o
         factors = self.S, self.E, self.V, self.D, self.node
         return (*derivatives, *factors, self.chi, self.rates, self.unknowns)
 
@@ -152,7 +152,7 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         derivatives=np.zeros((n, rows, own_columns + of_object + u)),
         on_object=np.zeros((n, u, own_columns)),
         by_object=np.zeros((u + works, of_object)),
-        Wo=np.zeros((layout.contacts, frames)),
+        W_o=np.zeros((layout.contacts, frames)),
         K_pivots=np.zeros((n, d + m), dtype=np.int64),
         S=np.zeros((u, u)),
         S_pivots=np.zeros(u, dtype=np.int64),

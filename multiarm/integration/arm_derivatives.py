@@ -98,8 +98,13 @@ def add_equations(step, blocks):
         for c in range(of_state.positions):
             blocks.by_object[l, c] += equations.dF_o[l, c]
     for i in range(blocks.counts.size):
-        d0, r0, A, dF = work.dofs[i], work.rows[i], blocks.derivatives[i], equations.dF[i]
-        n, m = work.dofs[i + 1] - d0, work.rows[i + 1] - r0
+        d0, r0, A, dF = (
+            work.first_joint[i],
+            work.first_contact[i],
+            blocks.derivatives[i],
+            equations.dF[i],
+        )
+        n, m = work.first_joint[i + 1] - d0, work.first_contact[i + 1] - r0
         columns = arm_columns(n, False)
         for c in range(columns.end):
             column = column_of_block(at, columns, c)
@@ -109,7 +114,7 @@ def add_equations(step, blocks):
             for j in range(n):
                 blocks.on_object[i, l, j] += equations.dF_o[l, of_state.positions + d0 + j]
             for k in range(m):
-                blocks.Wo[r0 + k, l] = A[n + k, at.accelerations + l] = data.rows.Wo[r0 + k, l]
+                blocks.W_o[r0 + k, l] = A[n + k, at.accelerations + l] = data.rows.W_o[r0 + k, l]
 
 
 @inlined
@@ -136,7 +141,7 @@ def gather(blocks, data, work, power, of_drives):
     slopes = data.slopes.torque if of_drives else data.slopes.force
     force, first = (data.control.torque, 0) if of_drives else (data.forces.f_j, places.joints)
     for i in range(blocks.counts.size):
-        A, d0, d1 = blocks.derivatives[i], work.dofs[i], work.dofs[i + 1]
+        A, d0, d1 = blocks.derivatives[i], work.first_joint[i], work.first_joint[i + 1]
         joints, states = d1 - d0, blocks.counts[i]
         for c in range(2 * joints + states + 2 * frames + 1 + blocks.shared - frames):
             if c < joints:
@@ -191,8 +196,8 @@ def gather_share(blocks, data, work):
         for c in range(blocks.shared - o):
             blocks.S[o + l, o + c] += slopes[of_forces.share + c]
         for i in range(blocks.counts.size):
-            d0 = work.dofs[i]
-            for j in range(work.dofs[i + 1] - d0):
+            d0 = work.first_joint[i]
+            for j in range(work.first_joint[i + 1] - d0):
                 blocks.on_object[i, o + l, j] += slopes[of_forces.positions + d0 + j]
                 blocks.on_object[i, o + l, at.rates + j] += slopes[of_forces.rates + d0 + j]
 
@@ -210,7 +215,12 @@ def factor_arms(blocks, data, work):
         for c in range(frames):
             S[l, c] = data.bodies.object_inertia[l, c] if l < frames else 0.0
     for i in range(blocks.counts.size):
-        size = work.dofs[i + 1] - work.dofs[i] + work.rows[i + 1] - work.rows[i]
+        size = (
+            work.first_joint[i + 1]
+            - work.first_joint[i]
+            + work.first_contact[i + 1]
+            - work.first_contact[i]
+        )
         usable = usable and factor_lu(K[i], size, blocks.K_pivots[i]) > 0.0
     return usable
 
@@ -224,8 +234,12 @@ def solve_arms(blocks, work):
         for c in range(of_object):
             blocks.by_object[l, c] = -blocks.by_object[l, c]
     for i in range(blocks.counts.size):
-        r0, n, A = work.rows[i], work.dofs[i + 1] - work.dofs[i], blocks.derivatives[i]
-        m, B = work.rows[i + 1] - r0, blocks.on_object[i]
+        r0, n, A = (
+            work.first_contact[i],
+            work.first_joint[i + 1] - work.first_joint[i],
+            blocks.derivatives[i],
+        )
+        m, B = work.first_contact[i + 1] - r0, blocks.on_object[i]
         for k in range(n + m):
             row = A[k]
             for c in range(row.size):
@@ -236,7 +250,7 @@ def solve_arms(blocks, work):
             for c in range(at.pose):
                 row[c] = -row[c]
             for k in range(m if l < blocks.frames else 0):
-                weight, forces = blocks.Wo[r0 + k, l], A[n + k]
+                weight, forces = blocks.W_o[r0 + k, l], A[n + k]
                 for c in range(at.pose):
                     row[c] += weight * forces[c]
                 for c in range(of_object):
@@ -264,8 +278,8 @@ def write_time_slope(blocks, struct, slope):
     for k in range(blocks.works):
         slope[places.works + k] = blocks.by_object[blocks.shared + k, time]
     for i in range(blocks.counts.size):
-        A, first = blocks.derivatives[i], places.rates + work.dofs[i]
-        for j in range(work.dofs[i + 1] - work.dofs[i]):
+        A, first = blocks.derivatives[i], places.rates + work.first_joint[i]
+        for j in range(work.first_joint[i + 1] - work.first_joint[i]):
             s = A[j, at.time]
             for l in range(blocks.shared):
                 s += A[j, at.accelerations + l] * blocks.by_object[l, time]

@@ -56,7 +56,7 @@ def factor_stages(gamma, blocks, struct, velocity, h):
             blocks.E[i],
             blocks.V[i],
         )
-        n = work.dofs[i + 1] - work.dofs[i]
+        n = work.first_joint[i + 1] - work.first_joint[i]
         size = n + blocks.counts[i]
         for r in range(size):
             row = A[r if r < n else d + blocks.m + r - n]
@@ -129,7 +129,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
         chi[l] = s
     for i in range(blocks.counts.size):
         A, B, D, k_i = blocks.derivatives[i], blocks.on_object[i], blocks.D[i], blocks.unknowns[i]
-        d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        d0, joints = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         size = joints + blocks.counts[i]
         for r in range(size):
             row = A[r if r < joints else d + blocks.m + r - joints]
@@ -152,7 +152,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
     for l in range(frames):
         out[l], out[places.velocity + l] = k_o[l], k_o[frames + l]
     for i in range(blocks.counts.size):
-        d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        d0, joints = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         for r in range(joints + blocks.counts[i]):
             s = blocks.unknowns[i, r]
             for l in range(blocks.shared):
@@ -192,7 +192,7 @@ def add_powers(gamma, blocks, work, places, h, right, out):
         for c in range(blocks.rates.size):
             total += row[c] * blocks.rates[c]
         for i in range(blocks.counts.size):
-            d0, joints = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+            d0, joints = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
             row = blocks.derivatives[i, first + k]
             for c in range(blocks.rates.size):
                 total += row[at.pose + c] * blocks.rates[c]

@@ -246,12 +246,17 @@ def add_friction_power(struct, full):
     first = data.state.velocity.size + data.effects.states.size
     for s in range(slides.row.size):
         i, mu, row = slides.arm[s], slides.mu[s], slides.row[s]
-        own, pull = arm_columns(work.dofs[i + 1] - work.dofs[i], False), mu * data.rows.force[row]
+        own, pull = (
+            arm_columns(work.first_joint[i + 1] - work.first_joint[i], False),
+            mu * data.rows.force[row],
+        )
         respond_to_forces(data, full, data.state.velocity.size + row)
         for c in range(full.row.size):
             full.row[c] *= mu * slides.speed[s]
         for c in range(own.end):
-            full.row[column_of_state(columns, own, work.dofs[i], c)] += pull * friction.speed[s, c]
+            full.row[column_of_state(columns, own, work.first_joint[i], c)] += (
+                pull * friction.speed[s, c]
+            )
         for power in (slides.numbers.power, data.effects.power.size - 1):
             of_power = full.applied[first + power]
             for c in range(full.row.size):
@@ -290,10 +295,10 @@ def differentiate_projection(struct, full):
     stack_equations(struct, full.equations, K, full.solution)
     for i in range(size):
         clear(Y[i])
-    for i in range(system.dofs.size - 1):
-        d0, n = system.dofs[i], system.dofs[i + 1] - system.dofs[i]
+    for i in range(system.first_joint.size - 1):
+        d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
         columns = columns_of_arm(i, n, links, equations)
-        for k in range(system.rows[i], system.rows[i + 1]):
+        for k in range(system.first_contact[i], system.first_contact[i + 1]):
             row, by_gap = Y[nv + k], gap_weight(model, k)
             for l in range(nv):
                 row[l], row[nv + l] = by_gap * K[nv + k, l], K[nv + k, l]

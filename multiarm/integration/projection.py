@@ -26,7 +26,7 @@ import math
 from multiarm.contacts.kernel import greatest_gaps, open_contact
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract
-from multiarm.dynamics.equations import keeps_factors, solve_constrained, update_kinematics
+from multiarm.dynamics.equations import keeps_factors, solve_frictionless, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
 from multiarm.jit.kernels import (
@@ -97,7 +97,7 @@ def project_positions(
     -------
     int
         ``OK`` with the kinematics of the projected state in ``data``; ``PROJECTION_FAILED``; or
-        what :func:`multiarm.dynamics.equations.solve_constrained` returned.  The largest change of
+        what :func:`multiarm.dynamics.equations.solve_frictionless` returned.  The largest change of
         a coordinate is in ``data.status.position_change``.
     """
     _, data, _ = open_system(struct)
@@ -121,7 +121,7 @@ def project_positions(
         clear(data.forces.f)
         for k in range(data.rows.c.size):
             data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap
-        status = solve_constrained(struct)
+        status = solve_frictionless(struct)
         if status != OK:
             return status
         reach = greatest(data.accelerations.a_j)
@@ -160,7 +160,7 @@ def project_velocities(struct):
     clear(data.forces.f)
     for k in range(data.rows.c.size):
         data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap_rate
-    status = solve_constrained(struct)
+    status = solve_frictionless(struct)
     if status != OK:
         return status
     data.status.velocity_change = greatest(data.accelerations.a)

@@ -33,7 +33,7 @@ def write_sample(struct, t, works, row):
     if data.functions.contact_forces != 0:
         status = call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
-        write_wrenches(data.rows.Wo, work.rows, data.rows.force, sample.wrenches)
+        write_wrenches(data.rows.W_o, work.first_contact, data.rows.force, sample.wrenches)
     write_tips(model, data)
     row[0] = t
     at = append(row, 1, state.object_pose)
@@ -41,7 +41,7 @@ def write_sample(struct, t, works, row):
     for i in range(sample.wrenches.shape[0]):
         has_tip = i < sample.tips.shape[0]  # else these are the surroundings
         if has_tip:
-            first, last = work.dofs[i], work.dofs[i + 1]
+            first, last = work.first_joint[i], work.first_joint[i + 1]
             at = append(row, at, state.joint_positions[first:last])
             at = append(row, at, state.joint_rates[first:last])
             at = append(row, at, control.torque[first:last])

@@ -48,7 +48,7 @@ from multiarm.contacts.table import TANGENT, open_code
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract
-from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
+from multiarm.dynamics.equations import finite, solve_frictionless, update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_CONVERGED, OK
@@ -68,7 +68,7 @@ class VariationalWork(NamedTuple):
     # at the beginning of the step: configuration, constraint matrices, the object's inertia in
     # world axes, momenta (V,)
     begin: Floats1
-    Wo: Floats2  # (N, 6)
+    W_o: Floats2  # (N, 6)
     W: Floats3  # (a, d, m)
     inertia: Floats2  # (3, 3)
     start: Floats1
@@ -85,7 +85,7 @@ class VariationalWork(NamedTuple):
     @property
     def memory(self) -> tuple[np.ndarray, ...]:
         """What steps write, which is zero where a run begins."""
-        begin = self.begin, self.Wo, self.W, self.inertia, self.start, self.spin
+        begin = self.begin, self.W_o, self.W, self.inertia, self.start, self.spin
         unknowns = self.xi, self.impulse, self.last, self.turn
         return (*begin, *unknowns, self.push, self.gap, self.momentum)
 
@@ -99,7 +99,7 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
         coriolis_calls=coriolis.calls,
         coriolis=coriolis.matrices,
         begin=np.zeros(layout.nq),
-        Wo=np.zeros((rows, 6)),
+        W_o=np.zeros((rows, 6)),
         W=np.zeros_like(data.work.W),
         inertia=np.zeros((3, 3)),
         start=np.zeros(size),
@@ -151,10 +151,10 @@ def begin_step(step, work, t, h):
         for b in range(3):
             work.inertia[a, b] = data.bodies.object_inertia[3 + a, 3 + b]
     write_momenta(step.system, work.start)
-    for k in range(work.Wo.shape[0]):
-        copy(data.rows.Wo[k], work.Wo[k])
+    for k in range(work.W_o.shape[0]):
+        copy(data.rows.W_o[k], work.W_o[k])
     for i in range(data.bodies.pointers.shape[0]):
-        for j in range(node.dofs[i + 1] - node.dofs[i]):
+        for j in range(node.first_joint[i + 1] - node.first_joint[i]):
             copy(node.W[i, j], work.W[i, j])
     for k in range(work.xi.size):
         work.xi[k] = step.z[velocity + k] + 0.5 * h * step.k[0, velocity + k]
@@ -186,7 +186,7 @@ def find_velocities(step, work, t, h):
             rolls = open_code(model.codes[k]).kind == TANGENT
             rate = open_contact(data.rows.kinematics[k]).gap_rate
             data.rows.c[k] = -rate if rolls else work.gap[k]
-        status = solve_constrained(step.system)
+        status = solve_frictionless(step.system)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED
         change = correct_unknowns(work, data, iteration)
@@ -270,7 +270,7 @@ def midpoint_forces(step, work, h):
     push[5] = half * (data.forces.f_o[5] + w[0] * l1 - w[1] * l0)
     first_joint = chart_places(data).joints
     for i in range(data.bodies.pointers.shape[0]):
-        d0, d = node.dofs[i], node.dofs[i + 1] - node.dofs[i]
+        d0, d = node.first_joint[i], node.first_joint[i + 1] - node.first_joint[i]
         matrix = open_matrix(work.coriolis[i])
         stride = matrix.stride
         C = floats_at(matrix.at, d * stride)
@@ -300,7 +300,7 @@ def momentum_residual(step, work, h):
     for k in range(momentum.size):
         momentum[k] = work.start[k] + work.push[k] - momentum[k]
     first = chart_places(data).joints
-    add_contact_forces(node, work.Wo, work.W, work.impulse, momentum[:first], momentum[first:])
+    add_contact_forces(node, work.W_o, work.W, work.impulse, momentum[:first], momentum[first:])
     copy(momentum, data.forces.f)
 
 
@@ -312,7 +312,7 @@ def end_step(step, work, t, h):
     for k in range(momentum.size):
         momentum[k] = work.start[k] + 2.0 * work.push[k]
     first = chart_places(data).joints
-    add_contact_forces(node, work.Wo, work.W, work.impulse, momentum[:first], momentum[first:])
+    add_contact_forces(node, work.W_o, work.W, work.impulse, momentum[:first], momentum[first:])
     move_in_step(work, data, h, t + h)
     status = update_kinematics(step.system)
     step.stage.evaluations += 1
@@ -320,7 +320,7 @@ def end_step(step, work, t, h):
         return status
     copy(momentum, data.forces.f)
     clear(data.rows.c)
-    status = solve_constrained(step.system)
+    status = solve_frictionless(step.system)
     if status != OK:
         return status
     for k in range(work.xi.size):  # the chart's rotation vectors begin at zero

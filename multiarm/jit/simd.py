@@ -5,6 +5,9 @@ numbers, and a product that is added at once is rounded once where it can.  In m
 numbers follow each other: :func:`gather_pack` loads them from four places, and
 :func:`transpose_four` transposes four packs, so that what belongs to one arm is together.  Nothing
 in a lane depends on what the others hold.
+
+:func:`packs_of` opens a vector whose packs are read and set by their numbers, ``packs[k]``;
+:func:`load_pack` and :func:`store_pack` take the place of any number.
 """
 
 from __future__ import annotations
@@ -124,6 +127,95 @@ def store_pack(typing_context, array, at, value):
         return context.get_dummy_value()
 
     return types.void(array, types.intp, PACK), generate
+
+
+# --- packs in memory, by index --------------------------------------------------------------------
+
+
+class PacksType(types.Type):
+    """Numba's type of the packs of a vector, from one on."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Packs")
+
+
+@register_model(PacksType)
+class _PacksModel(models.PrimitiveModel):
+    """Packs are the address of the first."""
+
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, _VECTOR.as_pointer())
+
+
+PACKS = PacksType()
+
+
+@infer_global(operator.getitem)
+class _PackOfPacks(ConcreteTemplate):
+    cases = (signature(PACK, PACKS, types.intp),)
+
+
+@lower_builtin(operator.getitem, PACKS, types.intp)
+def _load_from_packs(_context, builder, _signature, arguments):
+    return builder.load(builder.gep(arguments[0], [arguments[1]]), align=8)
+
+
+@infer_global(operator.setitem)
+class _SetPackOfPacks(ConcreteTemplate):
+    cases = (signature(types.void, PACKS, types.intp, PACK),)
+
+
+@lower_builtin(operator.setitem, PACKS, types.intp, PACK)
+def _store_into_packs(context, builder, _signature, arguments):
+    packs, k, value = arguments
+    builder.store(value, builder.gep(packs, [k]), align=8)
+    return context.get_dummy_value()
+
+
+@infer_global(operator.add)
+class _LaterPacks(ConcreteTemplate):
+    cases = (signature(PACKS, PACKS, types.intp),)
+
+
+@lower_builtin(operator.add, PACKS, types.intp)
+def _move_on_packs(_context, builder, _signature, arguments):
+    return builder.gep(arguments[0], [arguments[1]])
+
+
+class _Packs:
+    """The packs of a vector, from one on, where kernels are interpreted."""
+
+    __slots__ = ("_first", "_numbers")
+
+    def __init__(self, array: np.ndarray, first: int) -> None:
+        self._numbers, self._first = array, first
+
+    def __add__(self, k: int) -> _Packs:
+        return _Packs(self._numbers, self._first + k)
+
+    def __getitem__(self, k: int) -> np.ndarray:
+        return _load_pack(self._numbers, LANES * (self._first + k))
+
+    def __setitem__(self, k: int, value: np.ndarray) -> None:
+        _store_pack(self._numbers, LANES * (self._first + k), value)
+
+
+@generated(_Packs)
+def packs_of(typing_context, array, first):
+    """The packs of a vector of float64, from number ``first`` of them on.
+
+    ``packs[k]`` is one of them, and ``packs + k`` are those from there on.
+    """
+
+    def generate(context, builder, signature, arguments):
+        at = builder.mul(arguments[1], _INTEGER(LANES))
+        pointer = _pointer(context, builder, signature.args[0], arguments[0], at)
+        return builder.bitcast(pointer, _VECTOR.as_pointer())
+
+    return PACKS(array, types.intp), generate
+
+
+# --- operations -----------------------------------------------------------------------------------
 
 
 def _broadcast(number):

@@ -15,9 +15,10 @@ from timing import fitted_slope
 import multiarm as ma
 from multiarm.dynamics.solver import batched
 from multiarm.dynamics.solver.dense import solve_dense
-from multiarm.dynamics.solver.node import FIRST_ARM, START, make_work
+from multiarm.dynamics.solver.node import ArmGroup, make_work
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import Kernel
+from multiarm.jit.rows import fields_of
 from multiarm.jit.simd import LANES
 
 
@@ -94,14 +95,25 @@ def stacked(solution):
     return np.concatenate([solution.a_o, solution.q.ravel()])
 
 
-def put(array, at, value):
-    array[at] = value
+class FirstLanes:
+    """The packs of a vector, from one on, of which only the first lanes are read and set."""
+
+    def __init__(self, array, first):
+        self.array, self.first = array, first
+
+    def __add__(self, k):
+        return FirstLanes(self.array, self.first + k)
+
+    def __getitem__(self, k):
+        return self.array[LANES * (self.first + k)]
+
+    def __setitem__(self, k, value):
+        self.array[LANES * (self.first + k)] = value
 
 
 # What the instructions on lanes do to the first of them.
 ONE_LANE = {
-    "load_pack": lambda array, at: array[at],
-    "store_pack": put,
+    "packs_of": FirstLanes,
     "broadcast": Counting,
     "gather_pack": lambda array, at, *_: np.ravel(array)[at],
     "min_positive": lambda a, b: (b if b < a else a) if b > 0.0 else 0.0,
@@ -111,21 +123,23 @@ ONE_LANE = {
 
 
 def one_arm_a_group(n, d, N):
-    """Arrays for ``n`` equal arms, each of which has a group of its own."""
-    work, one = make_work([d] * n, [N] * n), make_work([d], [N])
-    arms, start = np.arange(n), one.groups[0, START]
-    groups = np.repeat(one.groups, n, axis=0)
-    groups[:, START] += arms * (one.packs.size - start)
-    groups[:, FIRST_ARM:] = arms[:, None]
-    size = start + n * (one.packs.size - start)
-    shift = np.repeat([d, N], [LANES * d, LANES * N])
-    return work._replace(
-        groups=groups,
-        places=one.places + arms[:, None] * shift,
-        present=np.repeat(one.present, n, axis=0),
+    """Arrays for ``n`` equal arms, each of which has a group of its own; their floats count."""
+    work, one = make_work([d] * n, [N] * n), make_work([d], [N]).groups
+    arms, lanes = np.arange(n), np.arange(n)[:, None]
+    group = np.repeat(one.group, n, axis=0)
+    fields_of(ArmGroup, group).first[:] = arms * (one.tables.size // LANES)
+    groups = one._replace(
+        group=group,
+        arms=np.repeat(lanes, LANES, axis=1),
+        joint_index=one.joint_index + d * lanes,
+        contact_index=one.contact_index + N * lanes,
+        contact_present=np.repeat(one.contact_present, n, axis=0),
+        arm_present=np.repeat(one.arm_present, n, axis=0),
         stiffness=np.repeat(one.stiffness, n, axis=0),
-        packs=np.zeros(size),
+        tables=np.zeros(n * one.tables.size),
     )
+    floats = {k: counted(v) for k, v in groups._asdict().items() if v.dtype == float}
+    return work._replace(groups=groups._replace(**floats))
 
 
 @pytest.mark.parametrize(("n", "d", "N"), [(1, 6, 1), (2, 6, 1), (4, 6, 1), (3, 4, 3), (2, 7, 6)])
@@ -138,15 +152,12 @@ def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng,
             monkeypatch.setattr(batched, name, ONE_LANE[name])
     s = random_coefficients(rng, n, d, N)
     work = one_arm_a_group(n, d, N)
-    work = work._replace(
-        **{name: counted(getattr(work, name)) for name in ("S", "packs", "present", "stiffness")}
-    )
-    work = work._replace(M=counted(s.M), W=counted(s.W))
-    Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
+    work = work._replace(S=counted(work.S), M=counted(s.M), W=counted(s.W))
+    W_o = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
     a_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
     right = [counted(part) for part in (s.f_o, s.f_j.ravel(), s.c.ravel())]
     monkeypatch.setattr(Counting, "count", 0)
-    status = batched.solve_batched(work, Wo, counted(s.M_o), *right, a_o, q, force)
+    status = batched.solve_batched(work, W_o, counted(s.M_o), *right, a_o, q, force)
     assert status == OK
     assert Counting.count == node_operations(n, d, N)
     np.testing.assert_allclose(np.concatenate([numbers(a_o), numbers(q)]), dense(s), rtol=1e-9)
@@ -253,7 +264,7 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
     }
     for name, kernels in given.items():
         np.testing.assert_allclose(np.ravel(getattr(s, name)), kernels.ravel(), atol=1e-11)
-    np.testing.assert_allclose(s.W_o[:, :, 0], data.rows.Wo, atol=1e-12)
+    np.testing.assert_allclose(s.W_o[:, :, 0], data.rows.W_o, atol=1e-12)
     np.testing.assert_allclose(s.W_o, s.G.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
     np.testing.assert_allclose(s.W, -s.J.transpose(0, 2, 1) @ s.wrench, atol=1e-14)
 

@@ -95,11 +95,11 @@ def test_gravity_compensation_adds_no_internal_force(welded_ur5_system):
 
 def test_static_forces_are_the_least_norm_solution(rng):
     for rows, rank in ((12, 6), (7, 6), (6, 5), (4, 4), (5, 3)):
-        Wo = rng.standard_normal((rows, rank)) @ rng.standard_normal((rank, 6))
-        weight = Wo.T @ rng.standard_normal(rows)  # one that the contacts can carry
+        W_o = rng.standard_normal((rows, rank)) @ rng.standard_normal((rank, 6))
+        weight = W_o.T @ rng.standard_normal(rows)  # one that the contacts can carry
         force = np.full(rows, np.nan)
-        static_forces(Wo, weight, force)
-        np.testing.assert_allclose(force, np.linalg.pinv(Wo.T) @ weight, atol=1e-8)
+        static_forces(W_o, weight, force)
+        np.testing.assert_allclose(force, np.linalg.pinv(W_o.T) @ weight, atol=1e-8)
 
 
 def test_held_harmonic_torques_start_from_rest():

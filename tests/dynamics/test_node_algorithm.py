@@ -133,15 +133,15 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     work, coupled = make_work([4, 5], [3, 2]), make_coupled([4, 5], [3, 2])
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.M[i, : len(M), : len(M)], work.W[i, : len(W), : W.shape[1]] = M, W
-    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
+    W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
     right = system.f_o, np.concatenate(system.f_j), np.concatenate(system.c)
     found = np.zeros(6), np.zeros(9), np.zeros(5)
-    assert solve_batched(work, Wo, system.M_o, *right, *found) == DEFICIENT
+    assert solve_batched(work, W_o, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
-        assert eliminate_arms(work, Wo) == (ARM_NOT_FINITE, 1) and work.pivot[1] == 0.0
+        assert eliminate_arms(work, W_o) == (ARM_NOT_FINITE, 1) and work.pivot[1] == 0.0
     else:
-        assert eliminate_arms(work, Wo) == (OK, 0)
-        assert not couple(work, coupled, Wo, system.M_o) > 0.0
+        assert eliminate_arms(work, W_o) == (OK, 0)
+        assert not couple(work, coupled, W_o, system.M_o) > 0.0
 
 
 @pytest.mark.parametrize("lever", [1.0, 3.0, -0.2])
@@ -190,11 +190,13 @@ def loaded(system):
 
 def solve_in(work, system):
     """Status, and the arms' unknowns and forces, arm by arm."""
-    a_o, q, force = np.zeros(6), np.zeros(work.dofs[-1]), np.zeros(work.rows[-1])
+    a_o, q, force = np.zeros(6), np.zeros(work.first_joint[-1]), np.zeros(work.first_contact[-1])
     right = system.f_o, np.concatenate(system.f_j), np.concatenate(system.c)
-    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    status = solve_batched(work, Wo, system.M_o, *right, a_o, q, force)
-    arms = zip(np.split(q, work.dofs[1:-1]), np.split(force, work.rows[1:-1]), strict=True)
+    W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
+    status = solve_batched(work, W_o, system.M_o, *right, a_o, q, force)
+    arms = zip(
+        np.split(q, work.first_joint[1:-1]), np.split(force, work.first_contact[1:-1]), strict=True
+    )
     return status, [np.concatenate(arm) for arm in arms]
 
 
@@ -291,8 +293,8 @@ def test_an_arm_without_inertia_is_named(rng, which, inertia, failure):
     system.M[which][-1, -1] = inertia
     node_work = loaded(system)
     assert solve_in(node_work, system)[0] == DEFICIENT
-    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    assert eliminate_arms(node_work, Wo) == (failure, which)
+    W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
+    assert eliminate_arms(node_work, W_o) == (failure, which)
     assert node_work.pivot[which] == 0.0
 
 

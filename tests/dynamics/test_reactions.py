@@ -50,8 +50,8 @@ def solve_with_reactions(
     dofs, rows = [len(m) for m in M], [w.shape[1] for w in W]
     reaction = W if reaction is None else reaction
     work = make_reaction_work(dofs, rows)
-    Wo = np.ascontiguousarray(np.hstack(W_o).T, dtype=float)
-    Wr = Wo if reaction_o is None else np.ascontiguousarray(np.hstack(reaction_o).T, dtype=float)
+    W_o = np.ascontiguousarray(np.hstack(W_o).T, dtype=float)
+    Wr_o = W_o if reaction_o is None else np.ascontiguousarray(np.hstack(reaction_o).T, dtype=float)
     loads = np.array(f_o, float), np.concatenate(f_j).astype(float), np.concatenate(c).astype(float)
     a_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
     for couple_all in (False, True):
@@ -59,15 +59,15 @@ def solve_with_reactions(
             work.M[i, : dofs[i], : dofs[i]] = inertia
             work.W[i, : dofs[i], : rows[i]] = own
             work.Wr[i, : dofs[i], : rows[i]] = forces
-        failure, arm = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, float), couple_all)
+        failure, arm = eliminate_with_reactions(work, W_o, Wr_o, np.array(M_o, float), couple_all)
         if failure != OK:
             part = f"arm {arm + 1}" if failure in (ARM_INERTIA, ARM_NOT_FINITE) else "the object"
             raise ValueError(
                 f"{part}: the inertia matrix is not positive definite, or a number is not finite"
             )
-        solve_for_reactions(work, Wo, Wr, *loads, a_o, q, force)
-        left = np.abs(np.array(M_o) @ a_o - f_o - Wr.T @ force)
-        if np.all(left <= IMBALANCE_BOUND * (np.abs(f_o) + np.abs(Wr).T @ np.abs(force))):
+        solve_for_reactions(work, W_o, Wr_o, *loads, a_o, q, force)
+        left = np.abs(np.array(M_o) @ a_o - f_o - Wr_o.T @ force)
+        if np.all(left <= IMBALANCE_BOUND * (np.abs(f_o) + np.abs(Wr_o).T @ np.abs(force))):
             break
     status, bounds = work.status, np.cumsum(rows)[:-1]
     free = work.null_force[: status.null_forces, : len(force)]
@@ -76,7 +76,7 @@ def solve_with_reactions(
         joint_accelerations=np.split(q, np.cumsum(dofs)[:-1]),
         contact_forces=np.split(force, bounds),
         unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
-        rank=len(force) - (status.rows - status.rank),
+        rank=len(force) - (status.contacts - status.rank),
         motion_unique=not status.motions,
         undetermined_arms=tuple(np.flatnonzero(work.undetermined).tolist()),
     )
@@ -331,7 +331,7 @@ def test_an_object_without_inertia_is_no_arm(rng):
 def coupled_rows(system):
     status, _, work = eliminated(system)
     assert status == OK
-    return work.status.rows
+    return work.status.contacts
 
 
 def eliminated(system):
@@ -341,8 +341,8 @@ def eliminated(system):
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = work.Wr[i, : dofs[i], : rows[i]] = W
-    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    return *eliminate_with_reactions(work, Wo, Wo, system.M_o), work
+    W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
+    return *eliminate_with_reactions(work, W_o, W_o, system.M_o), work
 
 
 # --- friction ------------------------------------------------------------------------------------

@@ -40,8 +40,8 @@ def test_no_imbalance_above_the_bound_counts_as_none(components):
     b = data.arrays
     mass, push = b.bodies.object_inertia[0, 0], float(len(b.rows.force))
     radius = np.sqrt(np.trace(b.bodies.object_inertia[3:, 3:]) / mass)
-    b.rows.Wo[:], b.forces.f_o[:], b.accelerations.a_o[:], b.rows.force[:] = 0.0, 0.0, 0.0, 1.0
-    b.rows.Wo[:, 0], b.accelerations.a_o[0] = 1.0, push / mass
+    b.rows.W_o[:], b.forces.f_o[:], b.accelerations.a_o[:], b.rows.force[:] = 0.0, 0.0, 0.0, 1.0
+    b.rows.W_o[:, 0], b.accelerations.a_o[0] = 1.0, push / mass
     scale = np.array([push] * 3 + [push * radius] * 3)
     shares, found = np.geomspace(0.1, 10.0, 40) * IMBALANCE_BOUND, []
     for share in shares:
@@ -56,7 +56,7 @@ def test_no_imbalance_above_the_bound_counts_as_none(components):
 @kernel
 def imbalance_of(struct):
     data = open_data(struct)
-    return imbalance(data, data.rows.Wo)
+    return imbalance(data, data.rows.W_o)
 
 
 def test_a_residual_that_is_not_a_number_is_not_hidden_by_larger_ones():

@@ -72,13 +72,15 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
         assert update_kinematics(selection.struct) == OK
         codes = fields_of(Code, selection.model.constants.codes[: len(rows)])
         alone += np.count_nonzero((codes.kind == TANGENT) & (codes.normal_part > 0))
-        np.testing.assert_array_equal(selection.arrays.rows.Wo, full.arrays.rows.Wo[rows])
+        np.testing.assert_array_equal(selection.arrays.rows.W_o, full.arrays.rows.W_o[rows])
         np.testing.assert_array_equal(
             selection.arrays.rows.kinematics, full.arrays.rows.kinematics[rows]
         )
         for k, row in enumerate(rows):
             i = int(np.searchsorted(bounds, row, side="right")) - 1
-            column = selection.work.W[i, : dofs[i + 1] - dofs[i], k - selection.work.rows[i]]
+            column = selection.work.W[
+                i, : dofs[i + 1] - dofs[i], k - selection.work.first_contact[i]
+            ]
             expected = full.work.W[i, : dofs[i + 1] - dofs[i], row - bounds[i]]
             np.testing.assert_allclose(column, expected, rtol=1e-14, atol=1e-15)
     assert alone > 0
@@ -93,7 +95,7 @@ def test_a_selection_solves_as_data_that_is_made_for_its_rows(full):
         for data in (full.view(selection.model), selection):
             assert evaluate_state(data.struct, 2.0, 3.0) == OK
             results.append((data.arrays.accelerations.a.copy(), data.arrays.rows.force.copy()))
-        grouped += len(selection.work.groups)
+        grouped += len(selection.work.groups.group)
         np.testing.assert_array_equal(*(acceleration for acceleration, _ in results))
         np.testing.assert_array_equal(*(force for _, force in results))
     assert grouped > 10

@@ -45,9 +45,9 @@ from multiarm.dynamics.solver.bounds import COUPLED_BELOW
 from multiarm.dynamics.solver.node import eliminate_arms, make_work
 from multiarm.dynamics.solver.singular import (
     couple,
-    loose_rows,
     make_coupled,
     solve_coupled,
+    undetermined_parts,
 )
 from multiarm.dynamics.status import ARM_INERTIA, DEFICIENT, OK
 from multiarm.problems import HARD_CASES
@@ -291,7 +291,7 @@ def test_undetermined_forces_are_those_with_a_part_in_the_null_space(seed):
     system, _ = redundant_system(seed)
     node, W = solved(system), stacked(system)[2]
     parts = np.linalg.norm(null_vectors(W), axis=1)
-    np.testing.assert_allclose(loose_rows(node.work, node.coupled), parts, atol=1e-7)
+    np.testing.assert_allclose(undetermined_parts(node.work, node.coupled), parts, atol=1e-7)
 
 
 def test_singular_arm_of_the_worked_example():

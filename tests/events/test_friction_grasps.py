@@ -86,7 +86,10 @@ def test_conditioning_of_sliding_hands_is_that_of_the_held_contacts():
     with system.borrow() as data:
         held = enter_mode_at(data, 0.0, state).data
         for i, arm in enumerate(system.arm_names):
-            joints, contacts = np.diff(held.work.dofs)[i], np.diff(held.work.rows)[i]
+            joints, contacts = (
+                np.diff(held.work.first_joint)[i],
+                np.diff(held.work.first_contact)[i],
+            )
             M = read_inertia(held.arrays.bodies.pointers[i], joints)
             W = held.work.W[i, :joints, :contacts]
             K = W.T @ np.linalg.solve(M, W)

@@ -29,6 +29,7 @@ from multiarm.jit.simd import (
     load_pack,
     min_positive,
     minimum,
+    packs_of,
     store_pack,
     sum_pack,
     transpose_four,
@@ -120,11 +121,13 @@ def write_packs(source, out):
     store_pack(out, 24, broadcast(sum_pack(load_pack(source, 8))))
     store_pack(out, 28, gather_pack(source, 7, 0, 13, 10))
     transpose_four(source, 0, out, 32, 44, 40, 36)
+    row = packs_of(out, 11) + 1
+    row[1], row[0] = packs_of(source, 2)[1], row[-1]
 
 
 def packs() -> golden.Results:
     """Of numbers that are not finite, too; to the last digit."""
-    source, out = np.arange(16.0) / 3.0, np.zeros(48)
+    source, out = np.arange(16.0) / 3.0, np.zeros(56)
     source[:8] = 1.0, -2.0, 0.3, np.nan, -1.5, 0.0, np.nan, 2.5
     write_packs(source, out)
     return {"numbers": [repr(number) for number in out.tolist()]}

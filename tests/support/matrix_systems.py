@@ -36,14 +36,14 @@ def solve_by_node(system):
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = W
-    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
+    W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
     a_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
     f_j, c = np.concatenate(system.f_j), np.concatenate(system.c)
-    failed = solve_batched(work, Wo, system.M_o, system.f_o, f_j, c, a_o, q, force)
+    failed = solve_batched(work, W_o, system.M_o, system.f_o, f_j, c, a_o, q, force)
     if failed == DEFICIENT:
         coupled = make_coupled(dofs, rows)
-        assert eliminate_arms(work, Wo) == (OK, 0)
-        assert couple(work, coupled, Wo, system.M_o) > 0.0
+        assert eliminate_arms(work, W_o) == (OK, 0)
+        assert couple(work, coupled, W_o, system.M_o) > 0.0
         solve_coupled(work, coupled, system.f_o, f_j, c, a_o, q, force)
     return SimpleNamespace(failed=failed, pivot=work.pivot, x=np.concatenate([a_o, q]), force=force)
 

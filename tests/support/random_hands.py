@@ -138,14 +138,15 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, SystemSo
     found = ma.evaluate(compiled)
     b, work, names = data_of(compiled).arrays, data_of(compiled).work, compiled.arm_names
     pointers = b.bodies.pointers
-    dofs, rows = np.diff(work.dofs), work.rows
-    size = float(np.max(np.linalg.norm(b.rows.Wo[:, 3:], axis=1)))
-    W_o = [b.rows.Wo[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
+    dofs, rows = np.diff(work.first_joint), work.first_contact
+    size = float(np.max(np.linalg.norm(b.rows.W_o[:, 3:], axis=1)))
+    W_o = [b.rows.W_o[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
     W = [work.W[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     system = System(
         M_o=b.bodies.object_inertia.copy(), f_o=b.forces.f_o.copy(),
         M=[read_inertia(pointers[i], d) for i, d in enumerate(dofs)],
-        f_j=np.split(b.forces.f_j.copy(), work.dofs[1:-1]), c=np.split(b.rows.c.copy(), rows[1:-1]),
+        f_j=np.split(b.forces.f_j.copy(), work.first_joint[1:-1]),
+        c=np.split(b.rows.c.copy(), rows[1:-1]),
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
         reach=[compiled.arms[n].levers(compiled.frames[n].on_tip[:3, 3]) for n in names],
     )  # fmt: skip

@@ -51,7 +51,12 @@ from multiarm.dynamics.solver.reactions import (
     make_reaction_work,
     solve_for_reactions,
 )
-from multiarm.dynamics.solver.singular import couple, loose_rows, make_coupled, solve_coupled
+from multiarm.dynamics.solver.singular import (
+    couple,
+    make_coupled,
+    solve_coupled,
+    undetermined_parts,
+)
 from multiarm.dynamics.status import OK
 
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
@@ -128,21 +133,21 @@ def solve_by_node(system: System) -> SystemSolution:
     """
     dofs, rows = [len(M) for M in system.M], [W.shape[1] for W in system.W]
     work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
-    loads, Wo = loads_of(system), np.ascontiguousarray(np.hstack(system.W_o).T)
+    loads, W_o = loads_of(system), np.ascontiguousarray(np.hstack(system.W_o).T)
     load_arms(system, work, {"W": system.W})
-    eliminated = solve_batched(work, Wo, system.M_o, *loads) == OK
+    eliminated = solve_batched(work, W_o, system.M_o, *loads) == OK
     if eliminated and balanced(system, loads):
         return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):
         load_arms(system, work, {"W": system.W})
-        failure, _ = eliminate_arms(work, Wo)
-        if failure != OK or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
+        failure, _ = eliminate_arms(work, W_o)
+        if failure != OK or not couple(work, coupled, W_o, system.M_o, decompose_all) > 0.0:
             raise ValueError("the node algorithm takes an inertia for indefinite")
         solve_coupled(work, coupled, *loads)
         if balanced(system, loads):
             break
     rank = loads.c.size - int(coupled.status.unknowns - coupled.status.rank)
-    return _solution(work, loads, rank, loose_rows(work, coupled) < PART_TOLERANCE)
+    return _solution(work, loads, rank, undetermined_parts(work, coupled) < PART_TOLERANCE)
 
 
 def solve_by_reactions(system: System) -> SystemSolution:
@@ -158,23 +163,23 @@ def solve_by_reactions(system: System) -> SystemSolution:
     for own, reach in zip(work.levers, system.reach, strict=True):
         own[: len(reach)] = reach
     loads = loads_of(system)
-    Wo, Wr = (np.ascontiguousarray(np.hstack(W).T) for W in (system.W_o, system.reaction_o))
+    W_o, Wr_o = (np.ascontiguousarray(np.hstack(W).T) for W in (system.W_o, system.reaction_o))
     for couple_all in (False, True):
         load_arms(system, work, {"W": system.W, "Wr": system.reaction})
-        failure, _ = eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all)
+        failure, _ = eliminate_with_reactions(work, W_o, Wr_o, system.M_o, couple_all)
         if failure != OK:
             raise ValueError("the form with reactions takes an inertia for indefinite")
-        solve_for_reactions(work, Wo, Wr, *loads)
+        solve_for_reactions(work, W_o, Wr_o, *loads)
         if balanced(system, loads):
             break
     status, size = work.status, loads.c.size
-    rank = size - (status.rows - status.rank)
+    rank = size - (status.contacts - status.rank)
     loose = np.linalg.norm(work.null_force[: status.null_forces, :size], axis=0)
     return _solution(work, loads, rank, loose < PART_TOLERANCE)
 
 
 def _solution(work, loads: Loads, rank: int, unique: np.ndarray) -> SystemSolution:
-    dofs, rows = work.dofs[1:-1], work.rows[1:-1]
+    dofs, rows = work.first_joint[1:-1], work.first_contact[1:-1]
     split = np.split(loads.q, dofs), np.split(loads.force, rows), np.split(unique, rows)
     return SystemSolution(loads.a_o, *split, rank)
 

@@ -26,28 +26,28 @@ SHORTEST_LEVER = 1e-6
 
 
 @kernel
-def write_wrench_products(Wo, A, scale):
+def write_wrench_products(W_o, A, scale):
     """Write ``W_o W_o^T`` into ``A[:6, :6]``, its rows and columns times ``scale`` (6,), written.
 
     Moments are divided by the longest lever arm, so that all rows are forces.
     """
     longest = SHORTEST_LEVER
-    for k in range(Wo.shape[0]):
-        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
+    for k in range(W_o.shape[0]):
+        longest = max(longest, math.sqrt(W_o[k, 3] ** 2 + W_o[k, 4] ** 2 + W_o[k, 5] ** 2))
     for i in range(6):
         scale[i] = 1.0 if i < 3 else 1.0 / longest
     for i in range(6):
         for j in range(6):
             A[i, j] = 0.0
-            for k in range(Wo.shape[0]):
-                A[i, j] += Wo[k, i] * Wo[k, j]
+            for k in range(W_o.shape[0]):
+                A[i, j] += W_o[k, i] * W_o[k, j]
             A[i, j] *= scale[i] * scale[j]
 
 
 @kernel
-def factor_wrench_products(Wo, A, scale, pivots):
+def factor_wrench_products(W_o, A, scale, pivots):
     """Write the factors of :func:`write_wrench_products`; returns whether any wrench is carried."""
-    write_wrench_products(Wo, A, scale)
+    write_wrench_products(W_o, A, scale)
     return factor_lu(A, 6, pivots) > CARRIED
 
 
@@ -62,26 +62,26 @@ def solve_wrench_products(A, scale, pivots, x):
 
 
 @allocating
-def static_forces(Wo, weight, force):
+def static_forces(W_o, weight, force):
     r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
 
-    ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  The solution is exact when
+    ``W_o`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  The solution is exact when
     the contacts can carry the wrench, else that of least squares, with moments over the longest
     lever arm.
     """
     y = np.empty(6)
-    share_wrench(Wo, weight, y)
-    for k in range(Wo.shape[0]):
+    share_wrench(W_o, weight, y)
+    for k in range(W_o.shape[0]):
         force[k] = 0.0
         for i in range(6):
-            force[k] += Wo[k, i] * y[i]
+            force[k] += W_o[k, i] * y[i]
 
 
 @allocating
-def share_wrench(Wo, wrench, y):
+def share_wrench(W_o, wrench, y):
     """Write the ``y`` of these forces :math:`W_o^T y` for a wrench (6,)."""
     A, b, scale = np.empty((6, 6)), np.empty(6), np.empty(6)
-    write_wrench_products(Wo, A, scale)
+    write_wrench_products(W_o, A, scale)
     for i in range(6):
         b[i] = scale[i] * wrench[i]
     solve_semidefinite(A, b, y)
@@ -103,14 +103,14 @@ def pressing_wrench(rotation, on_object, world):
 
 
 @allocating
-def share_load(wrench, Wo, rows, rotation, of_contacts, of_arms, force):
+def share_load(wrench, W_o, rows, rotation, of_contacts, of_arms, force):
     r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
 
     Parameters
     ----------
     wrench : (6,)
         About the centre of mass, world axes [N, N m].
-    Wo : (N, 6), rows : int (n + 1,)
+    W_o : (N, 6), rows : int (n + 1,)
         Rows of all contacts in world axes, and where each arm's begin.
     rotation : (9,)
         Of the object, row by row.
@@ -124,13 +124,13 @@ def share_load(wrench, Wo, rows, rotation, of_contacts, of_arms, force):
     for i in range(rows.size - 1):
         if pressing_wrench(rotation, of_arms[i], world):
             r0, r1 = rows[i], rows[i + 1]
-            static_forces(Wo[r0:r1], world, force[r0:r1])
+            static_forces(W_o[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]
     copy(wrench, remaining)
     for k in range(desired.size):
         for i in range(6):
-            remaining[i] -= Wo[k, i] * desired[k]
-    static_forces(Wo, remaining, force)
+            remaining[i] -= W_o[k, i] * desired[k]
+    static_forces(W_o, remaining, force)
     for k in range(desired.size):
         force[k] += desired[k]

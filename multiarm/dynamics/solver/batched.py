@@ -23,9 +23,10 @@ which are :math:`Y, G, Z` without the square roots of the pivots: a root takes a
 products.  Back substitution gives accelerations and forces.
 
 A table has one row for each joint and each contact, and one for the solution.  Its columns are the
-joints, the contacts, the right-hand side, and the object's six directions.  Arms with fewer joints
-or contacts than others of their group are padded by decoupled joints of inertia 1, and by contacts
-of enormous mobility without force.  Padding changes no number of the arm.
+joints, the contacts, the right-hand side, and the object's six directions.  Its packs follow each
+other row by row, and a row stands for the packs from its first one on.  Arms with fewer joints or
+contacts than others of their group are padded by decoupled joints of inertia 1, and by contacts of
+enormous mobility without force.  Padding changes no number of the arm.
 """
 
 from __future__ import annotations
@@ -33,41 +34,32 @@ from __future__ import annotations
 import math
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
-from multiarm.dynamics.solver.node import (
-    CONTACTS,
-    COUNT,
-    FACTORS_AT,
-    FIRST_ARM,
-    JOINTS,
-    NODE_AT,
-    NODE_WIDTH,
-    OBJECT_AT,
-    START,
-    WIDTH,
-)
+from multiarm.dynamics.solver.node import NODE, open_group
 from multiarm.dynamics.status import DEFICIENT, OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import (
     LANES,
     broadcast,
     gather_pack,
-    load_pack,
     min_positive,
     minimum,
-    store_pack,
+    packs_of,
     sum_pack,
 )
 
+PADDED_MOBILITY = 1e100
+"""Of the contacts that pad a group [1/kg]: no arm has as much, and its square is finite."""
+
 
 @inlined
-def solve_batched(work, Wo, object_inertia, f_o, f_j, c, a_o, a_j, force):
+def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
     """Eliminate the whole system and solve it for one right-hand side.
 
     Parameters
     ----------
     work : NodeWork
         With the arms' inertias ``M`` and their ``W``.
-    Wo : (N, 6), object_inertia : (6, 6)
+    W_o : (N, 6), object_inertia : (6, 6)
         The object's rows, arms stacked, and its inertia; world axes.
     f_o : (6,), f_j : (sum of joints,), c : (N,)
         Right-hand sides, arms stacked.
@@ -81,58 +73,71 @@ def solve_batched(work, Wo, object_inertia, f_o, f_j, c, a_o, a_j, force):
         digits would be lost, or an inertia is not positive definite: then nothing is solved, and
         the arms must be eliminated one by one.  The pivots are in ``work.pivot``.
     """
-    packs, n = work.packs, work.dofs.size - 1
-    work.by_arm[0] = 0
-    if not least_pivot(work, Wo, f_j, c) > COUPLED_BELOW:
+    groups, n = work.groups, work.first_joint.size - 1
+    work.status.arm_by_arm = False
+    if not least_pivot(work, W_o, f_j, c) > COUPLED_BELOW:
         return DEFICIENT
     work.pivot[n] = solve_node(work, object_inertia, f_o, a_o)
     # arms that are stiff in some directions leave no digits of the object's inertia in the others
     if not work.pivot[n] > COUPLED_BELOW:
         return DEFICIENT
-    for k in range(6):
-        store_pack(packs, OBJECT_AT + LANES * k, broadcast(a_o[k]))
-    for g in range(work.groups.shape[0]):
-        substitute_group(work.groups[g], work)
-        scatter_unknowns(work.groups[g], work, a_j, force)
+    of_object = packs_of(groups.object, 0)
+    for k in range(NODE):
+        of_object[k] = broadcast(a_o[k])
+    for g in range(groups.group.shape[0]):
+        group = open_group(groups.group[g])
+        substitute_group(group, packs_of(groups.tables, group.first), of_object)
+        scatter_unknowns(g, group, work, a_j, force)
     return OK
 
 
 @inlined
-def least_pivot(work, Wo, f_j, c):
+def least_pivot(work, W_o, f_j, c):
     """Eliminate all arms, four at a time; returns the smallest ``NodeWork.pivot``.
 
     It is 0 where an inertia is not positive definite, and where there are no groups since some arm
     is always deficient.
     """
-    packs, least = work.packs, 1.0 if work.groups.shape[0] > 0 else 0.0
-    for k in range(6 * NODE_WIDTH):
-        store_pack(packs, NODE_AT + LANES * k, broadcast(0.0))
-    for g in range(work.groups.shape[0]):
-        group, present = work.groups[g], work.present[g]
-        fill_table(group, work, Wo, f_j, c, work.places[g], present)
-        inertia, relative = eliminate_group(group, work, work.stiffness[g])
-        add_group(group, work, load_pack(present, present.size - LANES))
-        store_pack(packs, OBJECT_AT, inertia)
-        store_pack(packs, OBJECT_AT + LANES, relative)
-        for lane in range(group[COUNT]):
-            pivot = packs[OBJECT_AT + LANES + lane]
-            work.pivot[group[FIRST_ARM + lane]] = pivot
-            least = min(least, pivot if packs[OBJECT_AT + lane] > 0.0 else 0.0)
+    groups, count = work.groups, work.groups.group.shape[0]
+    least = 1.0 if count > 0 else 0.0
+    node, factors = packs_of(groups.node, 0), packs_of(groups.factors, 0)
+    for k in range(NODE * (NODE + 1)):
+        node[k] = broadcast(0.0)
+    for g in range(count):
+        group = open_group(groups.group[g])
+        table = packs_of(groups.tables, group.first)
+        fill_joint_rows(g, group, table, work, f_j)
+        fill_contact_rows(g, group, table, groups, W_o, c)
+        inertia, relative = eliminate_group(group, table, factors, groups.stiffness[g])
+        add_group(group, table, factors, node, groups.arm_present[g])
+        least = min(least, write_pivots(g, group, work, inertia, relative))
+    return least
+
+
+@inlined
+def write_pivots(g, group, work, inertia, relative):
+    """Write the results of :func:`eliminate_group` by arm; returns the smallest pivot."""
+    groups, least = work.groups, 1.0
+    lanes = packs_of(groups.pivot, 0)
+    lanes[0], lanes[1] = inertia, relative
+    for lane in range(group.count):
+        pivot = groups.pivot[LANES + lane]
+        work.pivot[groups.arms[g, lane]] = pivot
+        least = min(least, pivot if groups.pivot[lane] > 0.0 else 0.0)
     return least
 
 
 @inlined
 def solve_node(work, object_inertia, f_o, a_o):
     """Sum over the arms and solve for the object; returns the smallest relative pivot."""
-    packs, S = work.packs, work.S
-    for k in range(6):
-        at = NODE_AT + LANES * NODE_WIDTH * k
-        a_o[k] = f_o[k] + sum_pack(load_pack(packs, at))
+    node, S = packs_of(work.groups.node, 0), work.S
+    for k in range(NODE):
+        row = (NODE + 1) * k
+        a_o[k] = f_o[k] + sum_pack(node[row])
         for l in range(k + 1):
-            at += LANES
-            S[k, l] = object_inertia[k, l] + sum_pack(load_pack(packs, at))
+            S[k, l] = object_inertia[k, l] + sum_pack(node[row + 1 + l])
     smallest = 1.0
-    for j in range(6):
+    for j in range(NODE):
         diagonal = S[j, j]
         pivot = diagonal
         for k in range(j):
@@ -147,229 +152,194 @@ def solve_node(work, object_inertia, f_o, a_o):
             return 0.0
         smallest = min(smallest, relative)
         S[j, j] = 1.0 / pivot
-        for i in range(j + 1, 6):
+        for i in range(j + 1, NODE):
             s = S[i, j]
             for k in range(j):
                 s -= S[i, k] * S[j, k]
             S[i, j] = s
-    for j in range(5, -1, -1):
+    for j in range(NODE - 1, -1, -1):
         s = a_o[j] * S[j, j]
-        for i in range(5, j, -1):
+        for i in range(NODE - 1, j, -1):
             s -= S[i, j] * a_o[i]
         a_o[j] = s
     return smallest
 
 
 @inlined
-def eliminate_group(group, work, stiffness):
-    """Eliminate the joints and contacts of four arms; ``stiffness`` is a row of ``work.stiffness``.
+def eliminate_group(group, table, factors, stiffness):
+    """Eliminate the joints and contacts of four arms; ``stiffness`` is that of their joints.
 
     Returns the smallest pivot of each inertia or its inverse, 0 where an inertia is not positive
     definite, and ``NodeWork.pivot`` of each arm.
     """
-    d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    packs, one, zero = work.packs, broadcast(1.0), broadcast(0.0)
+    d, right, width = group.joints, group.joints + group.contacts, group.width
+    one, zero, stiffness = broadcast(1.0), broadcast(0.0), packs_of(stiffness, 0)
     inertia, relative = one, one
     stiffest, weakest = broadcast(math.inf), broadcast(math.inf)
-    right, row = d + m, start
+    row = table
     for i in range(d):
-        pivot = reduce_pivot(packs, start, stride, i, 0, i, load_pack(packs, row + LANES * i))
+        pivot = reduce_pivot(table, width, factors, i, 0, i, row[i])
         inverse = one / pivot
         inertia = min_positive(min_positive(inertia, pivot), inverse)
-        stiffest = minimum(stiffest, pivot * load_pack(stiffness, LANES * i))
-        store_pack(packs, row + LANES * i, inverse)
-        reduce_columns(packs, start, stride, row, 0, i, i + 1, right + 1)
-        row += stride
+        stiffest = minimum(stiffest, pivot * stiffness[i])
+        row[i] = inverse
+        reduce_columns(table, width, factors, 0, i, row, i + 1, right + 1)
+        row = row + width
     for i in range(d, right):
-        diagonal = reduce_pivot(packs, start, stride, i, 0, d, load_pack(packs, row + LANES * i))
-        pivot = reduce_pivot(packs, start, stride, i, d, i, diagonal)
+        diagonal = reduce_pivot(table, width, factors, i, 0, d, row[i])
+        pivot = reduce_pivot(table, width, factors, i, d, i, diagonal)
         relative = min_positive(relative, pivot / diagonal)
         weakest = minimum(weakest, zero - diagonal)
-        store_pack(packs, row + LANES * i, one / pivot)
-        reduce_columns(packs, start, stride, row, 0, i, i + 1, right + 1)
-        reduce_columns(packs, start, stride, row, d, i, right + 1, right + 7)
-        row += stride
+        row[i] = one / pivot
+        reduce_columns(table, width, factors, 0, i, row, i + 1, right + 1)
+        reduce_columns(table, width, factors, d, i, row, right + 1, right + 1 + NODE)
+        row = row + width
     mobile = weakest * stiffest * broadcast(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
     return inertia, min_positive(relative, mobile)
 
 
 @inlined
-def reduce_pivot(packs, start, stride, i, low, high, pivot):
-    """Subtract rows ``low`` to ``high`` from the pivot of row ``i``; factors to ``FACTORS_AT``."""
-    at = start + LANES * i + low * stride
-    diagonal = start + low * (stride + LANES)
+def reduce_pivot(table, width, factors, i, low, high, pivot):
+    """``pivot`` of row ``i`` less rows ``low`` to ``high``; writes their factors ``u_ji / p_j``."""
+    above, diagonal = table + (low * width + i), table + low * (width + 1)
     for j in range(low, high):
-        u = load_pack(packs, at)
-        factor = u * load_pack(packs, diagonal)
-        store_pack(packs, FACTORS_AT + LANES * j, factor)
+        u = above[0]
+        factor = u * diagonal[0]
+        factors[j] = factor
         pivot = pivot - factor * u
-        at += stride
-        diagonal += stride + LANES
+        above, diagonal = above + width, diagonal + (width + 1)
     return pivot
 
 
 @inlined
-def reduce_columns(packs, start, stride, row, low, high, first, last):
-    """Subtract rows ``low`` to ``high`` from columns ``first`` to ``last`` of the row at ``row``.
+def reduce_columns(table, width, factors, low, high, row, first, last):
+    """Subtract rows ``low`` to ``high`` of a table, times their factors, from another row.
 
-    The factors of the rows are at ``FACTORS_AT``.
+    In the columns ``first`` to ``last``; four are in registers at a time.
     """
     k = first
     while k + 4 <= last:
-        at = row + LANES * k
-        s0, s1 = load_pack(packs, at), load_pack(packs, at + LANES)
-        s2, s3 = load_pack(packs, at + 2 * LANES), load_pack(packs, at + 3 * LANES)
-        above = start + LANES * k + low * stride
+        out, above = row + k, table + (low * width + k)
+        s0, s1, s2, s3 = out[0], out[1], out[2], out[3]
         for j in range(low, high):
-            factor = load_pack(packs, FACTORS_AT + LANES * j)
-            s0 = s0 - factor * load_pack(packs, above)
-            s1 = s1 - factor * load_pack(packs, above + LANES)
-            s2 = s2 - factor * load_pack(packs, above + 2 * LANES)
-            s3 = s3 - factor * load_pack(packs, above + 3 * LANES)
-            above += stride
-        store_pack(packs, at, s0)
-        store_pack(packs, at + LANES, s1)
-        store_pack(packs, at + 2 * LANES, s2)
-        store_pack(packs, at + 3 * LANES, s3)
+            factor = factors[j]
+            s0 = s0 - factor * above[0]
+            s1 = s1 - factor * above[1]
+            s2 = s2 - factor * above[2]
+            s3 = s3 - factor * above[3]
+            above = above + width
+        out[0], out[1], out[2], out[3] = s0, s1, s2, s3
         k += 4
     while k < last:
-        at = row + LANES * k
-        s = load_pack(packs, at)
-        above = start + LANES * k + low * stride
+        s, above = row[k], table + (low * width + k)
         for j in range(low, high):
-            s = s - load_pack(packs, FACTORS_AT + LANES * j) * load_pack(packs, above)
-            above += stride
-        store_pack(packs, at, s)
+            s = s - factors[j] * above[0]
+            above = above + width
+        row[k] = s
         k += 1
 
 
 @inlined
-def add_group(group, work, share):
-    """Add four eliminated arms to the node matrix; ``share`` is 1 for arms, 0 for padding."""
-    d, start, stride = group[JOINTS], group[START], LANES * group[WIDTH]
-    packs, right = work.packs, group[JOINTS] + group[CONTACTS]
-    for k in range(6):
-        at = start + d * stride + LANES * (right + 1 + k)
-        diagonal = start + d * (stride + LANES)
+def add_group(group, table, factors, node, present):
+    """Add four eliminated arms to the node matrix; ``present`` is 1 for arms, 0 for padding."""
+    d, right, width = group.joints, group.joints + group.contacts, group.width
+    share = packs_of(present, 0)[0]
+    for k in range(NODE):
+        above, diagonal = table + (d * width + right + 1 + k), table + d * (width + 1)
         for j in range(d, right):
-            factor = load_pack(packs, at) * (load_pack(packs, diagonal) * share)
-            store_pack(packs, FACTORS_AT + LANES * j, factor)
-            at += stride
-            diagonal += stride + LANES
-        row = NODE_AT + LANES * (NODE_WIDTH * k - right)  # the table's right column comes first
-        reduce_columns(packs, start, stride, row, d, right, right, right + 2 + k)
+            factors[j] = above[0] * (diagonal[0] * share)
+            above, diagonal = above + width, diagonal + (width + 1)
+        row = node + ((NODE + 1) * k - right)  # the table's right column comes first
+        reduce_columns(table, width, factors, d, right, row, right, right + 2 + k)
 
 
 @inlined
-def substitute_group(group, work):
+def substitute_group(group, table, of_object):
     """Back substitution for four arms; writes the unknowns into the row after the table."""
-    d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    packs = work.packs
-    right = d + m
-    x = row = start + right * stride
+    d, right, width = group.joints, group.joints + group.contacts, group.width
+    solution = row = table + right * width
     for i in range(right - 1, -1, -1):
-        row -= stride
-        at = row + LANES * right
-        s = load_pack(packs, at)
+        row = row + (-width)
+        s = row[right]
         if i >= d:
-            for k in range(6):
-                at += LANES
-                s = s - load_pack(packs, at) * load_pack(packs, OBJECT_AT + LANES * k)
+            for k in range(NODE):
+                s = s - row[right + 1 + k] * of_object[k]
         for k in range(right - 1, i, -1):
-            s = s - load_pack(packs, row + LANES * k) * load_pack(packs, x + LANES * k)
-        store_pack(packs, x + LANES * i, s * load_pack(packs, row + LANES * i))
+            s = s - row[k] * solution[k]
+        solution[i] = s * row[i]
 
 
 @inlined
-def fill_table(group, work, Wo, f_j, c, places, present):
-    """Write the equations of four arms into their table.
-
-    ``group, places, present`` are rows of ``work.groups``, ``work.places``, ``work.present``.
-    """
-    fill_joint_rows(group, work, f_j, places)
-    fill_contact_rows(group, work, Wo, c, places[LANES * work.M.shape[1] :], present)
-
-
-@inlined
-def fill_joint_rows(group, work, f_j, places):
+def fill_joint_rows(g, group, table, work, f_j):
     """Write ``M``, ``W`` and ``f_j`` of four arms into their table."""
-    d, m, stride = group[JOINTS], group[CONTACTS], LANES * group[WIDTH]
-    M, W, packs = work.M, work.W, work.packs
+    M, W, d, m, width = work.M, work.W, group.joints, group.contacts, group.width
+    arms, index = work.groups.arms[g], work.groups.joint_index[g]
     most, columns = W.shape[1], W.shape[2]
-    a0, a1 = most * group[FIRST_ARM], most * group[FIRST_ARM + 1]
-    a2, a3 = most * group[FIRST_ARM + 2], most * group[FIRST_ARM + 3]
-    row = group[START]
+    a0, a1, a2, a3 = most * arms[0], most * arms[1], most * arms[2], most * arms[3]
+    row = table
     for j in range(d):
-        at = row + LANES * j
         for k in range(j, d):
             o = k * most + j
-            value = gather_pack(M, a0 * most + o, a1 * most + o, a2 * most + o, a3 * most + o)
-            store_pack(packs, at, value)
-            at += LANES
-        for o in range(j * columns, j * columns + m):
+            row[k] = gather_pack(M, a0 * most + o, a1 * most + o, a2 * most + o, a3 * most + o)
+        for k in range(m):
+            o = j * columns + k
             w0, w1, w2, w3 = a0 * columns + o, a1 * columns + o, a2 * columns + o, a3 * columns + o
-            store_pack(packs, at, gather_pack(W, w0, w1, w2, w3))
-            at += LANES
-        p = places[LANES * j : LANES * j + LANES]
-        store_pack(packs, at, gather_pack(f_j, p[0], p[1], p[2], p[3]))
-        row += stride
+            row[d + k] = gather_pack(W, w0, w1, w2, w3)
+        p = index[LANES * j : LANES * j + LANES]
+        row[d + m] = gather_pack(f_j, p[0], p[1], p[2], p[3])
+        row = row + width
 
 
 @inlined
-def fill_contact_rows(group, work, Wo, c, places, present):
+def fill_contact_rows(g, group, table, groups, W_o, c):
     """Write ``c`` and ``W_o^T`` of four arms into their table, and zeros for ``K``."""
-    d, m = group[JOINTS], group[CONTACTS]
-    packs, row = work.packs, group[START] + LANES * d * group[WIDTH]
-    zero, one = broadcast(0.0), broadcast(1.0)
-    padding = broadcast(1e100)  # mobility [1/kg]: no arm has as much, and its square is finite
+    d, m, width = group.joints, group.contacts, group.width
+    present, index = packs_of(groups.contact_present[g], 0), groups.contact_index[g]
+    zero, one, padding = broadcast(0.0), broadcast(1.0), broadcast(PADDED_MOBILITY)
+    row = table + d * width
     for a in range(m):
-        held = load_pack(present, LANES * a)
-        at = row + LANES * (d + a)
-        store_pack(packs, at, (held - one) * padding)
-        for _ in range(a + 1, m):
-            at += LANES
-            store_pack(packs, at, zero)
-        at += LANES
-        p = places[LANES * a : LANES * a + LANES]
-        store_pack(packs, at, gather_pack(c, p[0], p[1], p[2], p[3]))
-        w0, w1, w2, w3 = 6 * p[0], 6 * p[1], 6 * p[2], 6 * p[3]
-        for k in range(6):
-            at += LANES
-            store_pack(packs, at, held * gather_pack(Wo, w0 + k, w1 + k, w2 + k, w3 + k))
-        row += LANES * group[WIDTH]
+        held = present[a]
+        row[d + a] = (held - one) * padding
+        for b in range(a + 1, m):
+            row[d + b] = zero
+        p = index[LANES * a : LANES * a + LANES]
+        row[d + m] = gather_pack(c, p[0], p[1], p[2], p[3])
+        w0, w1, w2, w3 = NODE * p[0], NODE * p[1], NODE * p[2], NODE * p[3]
+        for k in range(NODE):
+            row[d + m + 1 + k] = held * gather_pack(W_o, w0 + k, w1 + k, w2 + k, w3 + k)
+        row = row + width
 
 
 @inlined
-def scatter_unknowns(group, work, a_j, force):
+def scatter_unknowns(g, group, work, a_j, force):
     """Copy the unknowns of four arms into the stacked vectors."""
-    d, right = group[JOINTS], group[JOINTS] + group[CONTACTS]
-    x = group[START] + LANES * right * group[WIDTH]
-    packs = work.packs
-    for lane in range(group[COUNT]):
-        i = group[FIRST_ARM + lane]
-        at = x + lane
-        for j in range(work.dofs[i], work.dofs[i + 1]):
-            a_j[j] = packs[at]
+    groups, tables, d = work.groups, work.groups.tables, group.joints
+    solution = LANES * (group.first + (d + group.contacts) * group.width)
+    for lane in range(group.count):
+        i = groups.arms[g, lane]
+        at = solution + lane
+        for j in range(work.first_joint[i], work.first_joint[i + 1]):
+            a_j[j] = tables[at]
             at += LANES
-        at = x + LANES * d + lane
-        for a in range(work.rows[i], work.rows[i + 1]):
-            force[a] = -packs[at]
+        at = solution + LANES * d + lane
+        for a in range(work.first_contact[i], work.first_contact[i + 1]):
+            force[a] = -tables[at]
             at += LANES
 
 
 @kernel
 def largest_free_rate(work):
     """Largest ``|W^T M^-1 f_j|`` of the last solution: contact accelerations without forces."""
-    packs, largest = work.packs, 0.0
-    for g in range(work.groups.shape[0]):
-        group = work.groups[g]
-        d, right = group[JOINTS], group[JOINTS] + group[CONTACTS]
-        for of_arm in range(group[START], group[START] + group[COUNT]):
+    groups, largest = work.groups, 0.0
+    for g in range(groups.group.shape[0]):
+        group = open_group(groups.group[g])
+        d, right = group.joints, group.joints + group.contacts
+        for lane in range(group.count):
             for a in range(d, right):
-                rate = 0.0
+                rate, row = 0.0, LANES * group.first + lane
                 for j in range(d):
-                    at = of_arm + LANES * group[WIDTH] * j
-                    u = packs[at + LANES * a]
-                    rate += u * packs[at + LANES * j] * packs[at + LANES * right]
+                    u, inverse = groups.tables[row + LANES * a], groups.tables[row + LANES * j]
+                    rate += u * inverse * groups.tables[row + LANES * right]
+                    row += LANES * group.width
                 largest = max(largest, abs(rate))
     return largest

@@ -70,6 +70,34 @@ def forward_columns(L, Y, n, m):
             Y[j, a] *= inverse
 
 
+@inlined
+def forward(L, n, x):
+    """Write ``L^-1 x`` into ``x`` (n,), with the factor of :func:`factor_cholesky`."""
+    for j in range(n):
+        s = x[j]
+        for k in range(j):
+            s -= L[j, k] * x[k]
+        x[j] = s * L[j, j]
+
+
+@inlined
+def backward(L, n, x):
+    """Write ``L^-T x`` into ``x`` (n,), with the factor of :func:`factor_cholesky`."""
+    for j in range(n - 1, -1, -1):
+        s = x[j]
+        for k in range(j + 1, n):
+            s -= L[k, j] * x[k]
+        x[j] = s * L[j, j]
+
+
+@inlined
+def copy_lower(A, n, out):
+    """Write the lower triangle of ``A[:n, :n]`` into ``out``."""
+    for j in range(n):
+        for k in range(j + 1):
+            out[j, k] = A[j, k]
+
+
 @allocating
 def solve_semidefinite(A, b, x):
     """Solve ``A x = b`` for a symmetric, positive semidefinite matrix (n, n); returns its rank.

@@ -48,32 +48,75 @@ from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
 from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, OK
 from multiarm.jit.kernels import inlined, kernel, plain
+from multiarm.jit.rows import Number, row_of, width
 from multiarm.jit.simd import LANES, aligned_zeros
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
+from multiarm.jit.structs import Flag, Floats1, Floats2, Floats3, Ints1, Ints2, Numbers
 
-# Columns of NodeWork.groups: joints and contacts of the largest arm, number of arms, offset and
-# width of the table, the four arms.
-JOINTS, CONTACTS, COUNT, START, WIDTH, FIRST_ARM = range(6)
-GROUP_WIDTH = FIRST_ARM + LANES
+NODE = 6
+"""Unknowns of the node: the object's acceleration."""
 
-# Offsets in NodeWork.packs before the tables: lower triangle of the node matrix, each row after its
-# right-hand side; the object's unknowns (scratch at first); scratch for a row's factors.
-NODE_AT, NODE_WIDTH = 0, 7
-OBJECT_AT = NODE_AT + LANES * 6 * NODE_WIDTH
-FACTORS_AT = OBJECT_AT + LANES * 6
+
+class ArmGroup(NamedTuple):
+    """Numbers of a group of four arms: a row of ``ArmGroups.group``."""
+
+    joints: Number  # of the arm with the most
+    contacts: Number  # of the arm with the most
+    count: Number  # arms; a group of fewer than four repeats its first one
+    first: Number  # pack of its table in ``ArmGroups.tables``
+    width: Number  # packs of a row of its table: joints, contacts, right-hand side, node
+
+
+open_group = row_of(ArmGroup)
+
+
+class ArmGroups(NamedTuple):
+    """``g`` groups of four arms (:mod:`multiarm.dynamics.solver.batched`), and their packs.
+
+    There is none when an arm has more contacts than joints, so that it is deficient in any posture.
+    """
+
+    group: Ints2  # (g, 5) of :class:`ArmGroup`
+    arms: Ints2  # (g, 4)
+    # (g, 4 d), (g, 4 m): index of every joint and contact of the four arms in the stacked vectors;
+    # padding has that of another one
+    joint_index: Ints2
+    contact_index: Ints2
+    # (g, 4 m), (g, 4): 1 for contacts and arms, 0 for padding
+    contact_present: Floats2
+    arm_present: Floats2
+    stiffness: Floats2  # (g, 4 d) 1 / lever^2 of every joint; infinite for padding
+    # packs: lower triangle of the node matrix, each row after its right-hand side, summed over the
+    # groups; the object's unknowns; the factors of one row, as many as joints and contacts; the
+    # smallest pivots of the inertia and of all; tables
+    node: Floats1
+    object: Floats1
+    factors: Floats1
+    pivot: Floats1
+    tables: Floats1
+
+
+class NodeStatus(Numbers):
+    """How the last system was eliminated."""
+
+    arm_by_arm: Flag  # else four arms at a time: its factors are in ``ArmGroups.tables``
 
 
 class NodeWork(NamedTuple):
     """Arrays of the elimination; ``n`` arms with at most ``d`` joints and ``m`` contacts each."""
 
     # (n + 1,): first joint and first contact of each arm in the stacked vectors
-    dofs: Ints1
-    rows: Ints1
+    first_joint: Ints1
+    first_contact: Ints1
     # (n, d, d), (n, d, m): inertias (lower triangles; 1 on the diagonal beyond an arm's joints) and
     # constraint matrices, which the kinematics write and no solver changes
     M: Floats3
     W: Floats3
-    by_arm: Ints1  # (1,) whether the last system was eliminated arm by arm; else in packs
+    # (n, d): largest distance by which a unit turn of each joint can move a contact of its arm [m];
+    # 1 for prismatic joints
+    levers: Floats2
+    # (n + 1,): distance of each K, and last of S, from a singular matrix (1 at best, 0 at worst)
+    pivot: Floats1
+    status: NodeStatus
     # of an elimination arm by arm (n, d, d), (n, d, m), (n, m, m), (n, m, 6); lower triangles,
     # diagonals inverted
     L: Floats3
@@ -81,115 +124,185 @@ class NodeWork(NamedTuple):
     G: Floats3
     Z: Floats3
     S: Floats2  # (6, 6) factor of the node matrix, lower triangle, diagonal inverted
-    # (dofs[n],), (rows[n],): intermediate vectors of a solution arm by arm
+    # (all joints,), (all contacts,): intermediate vectors of a solution arm by arm
     y: Floats1
     z: Floats1
-    # (n, d): largest distance by which a unit turn of each joint can move a contact of its arm [m];
-    # 1 for prismatic joints
-    levers: Floats2
-    # (n + 1,): distance of each K, and last of S, from a singular matrix (1 at best, 0 at worst)
-    pivot: Floats1
-    # (g, 10): groups of four arms; none when an arm has more contacts than joints, so that it is
-    # deficient in any posture.  A group of fewer arms repeats its first one.
-    groups: Ints2
-    places: Ints2  # (g, 4 d + 4 m) index of every joint and contact in the stacked vectors
-    present: Floats2  # (g, 4 m + 4) 1 for every contact, and last for each arm; 0 for padding
-    stiffness: Floats2  # (g, 4 d) 1 / lever^2 of every joint; infinite for padding
-    packs: Floats1  # contributions to the node matrix, scratch, and the tables
+    groups: ArmGroups
 
 
 def make_work(
-    dofs: list[int], rows: list[int], levers: Sequence[np.ndarray] | None = None
+    joints: list[int], contacts: list[int], levers: Sequence[np.ndarray] | None = None
 ) -> NodeWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts, levers (dofs[i],) [m]."""
-    n, d = len(dofs), max(dofs)
+    """Allocate for arms with ``joints[i]`` joints, ``contacts[i]`` contacts, and levers [m]."""
+    n, d = len(joints), max(joints)
     every_lever = np.ones((n, d))
     if levers is not None:
         for row, lever in zip(every_lever, levers, strict=True):
             row[: len(lever)] = lever
     M = np.zeros((n, d, d))
-    for inertia, joints in zip(M, dofs, strict=True):
-        inertia[range(joints, d), range(joints, d)] = 1.0
-    whole, shapes = {"groups", "places"}, work_shapes(dofs, rows) | group_shapes(dofs, rows)
+    for inertia, count in zip(M, joints, strict=True):
+        inertia[range(count, d), range(count, d)] = 1.0
+    shapes = work_shapes(joints, contacts)
     work = NodeWork(
-        dofs=_starts(dofs),
-        rows=_starts(rows),
+        first_joint=first_indices(joints),
+        first_contact=first_indices(contacts),
         M=M,
-        by_arm=np.zeros(1, dtype=np.int64),
-        L=np.zeros((n, d, d)),
-        S=np.zeros((6, 6)),
-        y=np.zeros(sum(dofs)),
         levers=every_lever,
         pivot=np.ones(n + 1),
-        packs=np.zeros(0),
-        **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
+        status=NodeStatus(),
+        L=np.zeros((n, d, d)),
+        S=np.zeros((NODE, NODE)),
+        y=np.zeros(sum(joints)),
+        groups=_make_groups(joints, contacts),
+        **{name: np.zeros(shape) for name, shape in shapes.items()},
     )
-    size = write_groups(group_order(dofs, rows), work)
-    return work._replace(packs=aligned_zeros(size))
+    tables = aligned_zeros(LANES * write_groups(group_order(joints, contacts), work))
+    return work._replace(groups=work.groups._replace(tables=tables))
 
 
-def work_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays that depend on the contacts."""
-    n, d, m = len(dofs), max(dofs), max(rows)
-    return {"W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, 6), "z": (sum(rows),)}
-
-
-def group_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of ``groups, places, present, stiffness`` of :class:`NodeWork`."""
-    d, m = max(dofs), max(rows)
-    g = -(-len(dofs) // LANES) if all(map(operator.ge, dofs, rows)) else 0
+def work_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of :class:`NodeWork` that depend on the contacts."""
+    n, d, m = len(joints), max(joints), max(contacts)
     return {
-        "groups": (g, GROUP_WIDTH), "places": (g, LANES * (d + m)),
-        "present": (g, LANES * (m + 1)), "stiffness": (g, LANES * d),
+        "W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, NODE), "z": (sum(contacts),),
     }  # fmt: skip
 
 
-def group_order(dofs: list[int], rows: list[int]) -> np.ndarray:
+def group_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of :class:`ArmGroups` that depend on the contacts."""
+    d, m = max(joints), max(contacts)
+    g = -(-len(joints) // LANES) if all(map(operator.ge, joints, contacts)) else 0
+    return {
+        "group": (g, width(ArmGroup)), "arms": (g, LANES), "joint_index": (g, LANES * d),
+        "contact_index": (g, LANES * m), "contact_present": (g, LANES * m),
+        "arm_present": (g, LANES), "stiffness": (g, LANES * d),
+    }  # fmt: skip
+
+
+def _make_groups(joints: list[int], contacts: list[int]) -> ArmGroups:
+    """Allocate the groups, but for their tables."""
+    whole, shapes = (
+        {"group", "arms", "joint_index", "contact_index"},
+        group_shapes(joints, contacts),
+    )
+    return ArmGroups(
+        node=aligned_zeros(LANES * NODE * (NODE + 1)),
+        object=aligned_zeros(LANES * NODE),
+        factors=aligned_zeros(LANES * (max(joints) + max(contacts))),
+        pivot=aligned_zeros(LANES * 2),
+        tables=np.zeros(0),
+        **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
+    )
+
+
+def group_order(joints: list[int], contacts: list[int]) -> np.ndarray:
     """The arms in the order in which they are put into groups: similar ones stand together."""
-    order = sorted(range(len(dofs)), key=lambda i: (-dofs[i], -rows[i]))
+    order = sorted(range(len(joints)), key=lambda i: (-joints[i], -contacts[i]))
     return np.array(order, dtype=np.int64)
 
 
 @plain
 def write_groups(order, work):
-    """Write the tables of the groups for arms in an order; returns the size of ``packs``."""
-    n, all_joints = order.size, work.stiffness.shape[1] // LANES
-    all_contacts = work.places.shape[1] // LANES - all_joints
-    size = FACTORS_AT + LANES * (all_joints + all_contacts)
-    for g in range(work.groups.shape[0]):
-        group, places, present = work.groups[g], work.places[g], work.present[g]
-        group[JOINTS] = group[CONTACTS] = 0
-        group[COUNT] = min(LANES, n - LANES * g)
+    """Write the groups for arms in an order; returns the number of packs of all tables."""
+    groups, packs = work.groups, 0
+    for g in range(groups.group.shape[0]):
+        group = open_group(groups.group[g])
+        group.joints = group.contacts = 0
+        group.count = min(LANES, order.size - LANES * g)
         for lane in range(LANES):
-            arm = order[LANES * g + (lane if lane < group[COUNT] else 0)]
-            group[FIRST_ARM + lane] = arm
-            d, m = work.dofs[arm + 1] - work.dofs[arm], work.rows[arm + 1] - work.rows[arm]
-            group[JOINTS], group[CONTACTS] = max(group[JOINTS], d), max(group[CONTACTS], m)
-            for j in range(all_joints):
-                lever = work.levers[arm, j]
-                places[LANES * j + lane] = place_in_vector(work.dofs, arm, j)
-                work.stiffness[g, LANES * j + lane] = 1.0 / (lever * lever) if j < d else math.inf
-            for k in range(all_contacts):
-                places[LANES * (all_joints + k) + lane] = place_in_vector(work.rows, arm, k)
-                present[LANES * k + lane] = 1.0 if k < m else 0.0
-            present[LANES * all_contacts + lane] = 1.0 if lane < group[COUNT] else 0.0
-        unknowns = group[JOINTS] + group[CONTACTS]
-        group[START], group[WIDTH] = size, unknowns + NODE_WIDTH
-        size += LANES * group[WIDTH] * (unknowns + 1)  # the last row is for the unknowns
-    return size
+            arm = order[LANES * g + (lane if lane < group.count else 0)]
+            groups.arms[g, lane] = arm
+            groups.arm_present[g, lane] = 1.0 if lane < group.count else 0.0
+            write_lane(g, lane, arm, work)
+            group.joints = max(group.joints, joint_count(arm, work))
+            group.contacts = max(group.contacts, contact_count(arm, work))
+        unknowns = group.joints + group.contacts
+        group.first, group.width = packs, unknowns + 1 + NODE
+        packs += group.width * (unknowns + 1)  # the last row is for the unknowns
+    return packs
 
 
 @plain
-def place_in_vector(starts, arm, k):
-    """Index of a joint or contact of an arm in a stacked vector; padding reads from somewhere."""
-    first, end = starts[arm], starts[arm + 1]
-    if first + k < end:
+def write_lane(g, lane, arm, work):
+    """Write what a group has of the joints and contacts of one of its arms."""
+    groups, d, m = work.groups, joint_count(arm, work), contact_count(arm, work)
+    for j in range(groups.joint_index.shape[1] // LANES):
+        lever, at = work.levers[arm, j], LANES * j + lane
+        groups.joint_index[g, at] = index_or_another(work.first_joint[arm], d, j)
+        groups.stiffness[g, at] = 1.0 / (lever * lever) if j < d else math.inf
+    for k in range(groups.contact_index.shape[1] // LANES):
+        at = LANES * k + lane
+        groups.contact_index[g, at] = index_or_another(work.first_contact[arm], m, k)
+        groups.contact_present[g, at] = 1.0 if k < m else 0.0
+
+
+@plain
+def index_or_another(first, count, k):
+    """Index of number ``k`` of ``count`` that begin at ``first``; one that exists for padding."""
+    if k < count:
         return first + k
-    return first if first < end else 0
+    return first if count > 0 else 0
 
 
-def _starts(sizes: list[int]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+@plain
+def joint_count(i, work):
+    """Number of joints of an arm."""
+    return work.first_joint[i + 1] - work.first_joint[i]
+
+
+@plain
+def contact_count(i, work):
+    """Number of contacts of an arm."""
+    return work.first_contact[i + 1] - work.first_contact[i]
+
+
+def first_indices(counts: list[int]) -> np.ndarray:
+    """Index of the first of each arm in a vector of all, and last the number of all, (n + 1,)."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+# --- vectors of the node --------------------------------------------------------------------------
+# Their number of entries is a constant: these loops are none in compiled code.
+
+
+@inlined
+def set_vector(row, out):
+    """``out = row``."""
+    for k in range(NODE):
+        out[k] = row[k]
+
+
+@inlined
+def scale_vector(factor, out):
+    """``out *= factor``."""
+    for k in range(NODE):
+        out[k] *= factor
+
+
+@inlined
+def add_multiple(factor, row, out):
+    """``out += factor row``."""
+    for k in range(NODE):
+        out[k] += factor * row[k]
+
+
+@inlined
+def less_product(s, row, x):
+    """``s - row . x``."""
+    for k in range(NODE):
+        s -= row[k] * x[k]
+    return s
+
+
+@inlined
+def add_square(z, S):
+    """``S += z z^T``, in the lower triangle."""
+    for k in range(NODE):
+        for l in range(k + 1):
+            S[k, l] += z[k] * z[l]
+
+
+# --- elimination and solution, arm by arm ---------------------------------------------------------
 
 
 @kernel
@@ -213,15 +326,13 @@ def failure_of_inertia(M, n):
 
 
 @inlined
-def eliminate_arm(i, work, Wo):
+def eliminate_arm(i, work, W_o):
     """Factor arm ``i``, and write its ``NodeWork.pivot``; returns a status.
 
     ``work.M[i]`` is the arm's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
-    contact) and ``Wo`` (sum of rows, 6) the object's rows.
+    contact) and ``W_o`` (N, 6) the object's rows.
     """
-    n = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    n, first, m = joint_count(i, work), work.first_contact[i], contact_count(i, work)
     L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
     copy_block(work.M[i], n, n, L)
     copy_block(work.W[i], n, m, Y)
@@ -245,40 +356,37 @@ def eliminate_arm(i, work, Wo):
     work.pivot[i] = pivot = min(pivot, factor_cholesky(G, m))
     if not pivot > COUPLED_BELOW:
         return OK
-    for a in range(m):
-        for k in range(6):
-            Z[a, k] = Wo[first + a, k]
-        for b in range(a):
-            factor = G[a, b]
-            for k in range(6):
-                Z[a, k] -= factor * Z[b, k]
-        inverse = G[a, a]
-        for k in range(6):
-            Z[a, k] *= inverse
+    reduce_object_rows(G, W_o, first, m, Z)
     return OK
+
+
+@inlined
+def reduce_object_rows(G, W_o, first, m, Z):
+    """Write ``Z = G^-1 W_o^T`` of an arm with ``m`` contacts, of which ``first`` is the first."""
+    for a in range(m):
+        set_vector(W_o[first + a], Z[a])
+        for b in range(a):
+            add_multiple(-G[a, b], Z[b], Z[a])
+        scale_vector(G[a, a], Z[a])
 
 
 @inlined
 def add_to_node(i, work):
     """Add ``Z^T Z`` of an eliminated arm to the node matrix."""
-    Z, S = work.Z[i], work.S
-    for a in range(work.rows[i + 1] - work.rows[i]):
-        for k in range(6):
-            factor = Z[a, k]
-            for l in range(k + 1):
-                S[k, l] += factor * Z[a, l]
+    for a in range(contact_count(i, work)):
+        add_square(work.Z[i, a], work.S)
 
 
 @kernel
-def eliminate_arms(work, Wo):
+def eliminate_arms(work, W_o):
     """Factor all arms, one after the other, from what :func:`eliminate_arm` describes.
 
     Returns a status, and the arm whose inertia failed where it is not ``OK``.  The pivots are left
     in ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
     """
-    work.by_arm[0] = 1
-    for i in range(work.dofs.size - 1):
-        status = eliminate_arm(i, work, Wo)
+    work.status.arm_by_arm = True
+    for i in range(work.first_joint.size - 1):
+        status = eliminate_arm(i, work, W_o)
         if status != OK:
             return status, i
     return OK, 0
@@ -287,7 +395,7 @@ def eliminate_arms(work, Wo):
 @inlined
 def unconstrained_motion(i, work, f_j):
     """``y = L^-1 f_j`` of an arm."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    d0, d = work.first_joint[i], joint_count(i, work)
     L, y = work.L[i], work.y
     for j in range(d):
         s = f_j[d0 + j]
@@ -299,8 +407,8 @@ def unconstrained_motion(i, work, f_j):
 @inlined
 def reduce_constraints(i, work, c, a_o):
     """``z`` of an arm; adds ``Z^T z`` to the object's right-hand side ``a_o``."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    d0, d = work.first_joint[i], joint_count(i, work)
+    r0, m = work.first_contact[i], contact_count(i, work)
     Y, G, Z, y, z = work.Y[i], work.G[i], work.Z[i], work.y, work.z
     for a in range(m):
         z[r0 + a] = c[r0 + a]
@@ -314,40 +422,16 @@ def reduce_constraints(i, work, c, a_o):
             s -= G[a, b] * z[r0 + b]
         s *= G[a, a]
         z[r0 + a] = s
-        for k in range(6):
-            a_o[k] += Z[a, k] * s
-
-
-@inlined
-def node_forward(S, a_o):
-    """``L_S^-1 a_o``, in place."""
-    for j in range(6):
-        s = a_o[j]
-        for k in range(j):
-            s -= S[j, k] * a_o[k]
-        a_o[j] = s * S[j, j]
-
-
-@inlined
-def node_backward(S, a_o):
-    """``L_S^-T a_o``, in place."""
-    for j in range(5, -1, -1):
-        s = a_o[j]
-        for k in range(j + 1, 6):
-            s -= S[k, j] * a_o[k]
-        a_o[j] = s * S[j, j]
+        add_multiple(s, Z[a], a_o)
 
 
 @inlined
 def recover_forces(i, work, a_o, force):
     """Contact forces of an arm for the object's ``a_o``."""
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    r0, m = work.first_contact[i], contact_count(i, work)
     G, Z, z = work.G[i], work.Z[i], work.z
     for a in range(m):
-        s = z[r0 + a]
-        for k in range(6):
-            s -= Z[a, k] * a_o[k]
-        force[r0 + a] = s
+        force[r0 + a] = less_product(z[r0 + a], Z[a], a_o)
     for a in range(m - 1, -1, -1):
         s = force[r0 + a] * G[a, a]
         force[r0 + a] = s
@@ -358,8 +442,8 @@ def recover_forces(i, work, a_o, force):
 @inlined
 def recover_joints(i, work, Y, force, a_j):
     """Joint accelerations of an arm for its contact forces; ``Y`` is ``L^-1 W``, or of ``W~``."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    d0, d = work.first_joint[i], joint_count(i, work)
+    r0, m = work.first_contact[i], contact_count(i, work)
     L, y = work.L[i], work.y
     for j in range(d):
         s = y[d0 + j]

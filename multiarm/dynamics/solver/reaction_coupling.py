@@ -35,60 +35,72 @@ from multiarm.dynamics.solver.bounds import (
     COUPLED_RANK_TOLERANCE,
     PART_TOLERANCE,
 )
-from multiarm.dynamics.solver.factors import decompose, rank_of, solve_lu, solve_lu_transposed
-from multiarm.dynamics.solver.node import node_backward, node_forward
+from multiarm.dynamics.solver.factors import (
+    backward,
+    decompose,
+    forward,
+    rank_of,
+    solve_lu,
+    solve_lu_transposed,
+)
+from multiarm.dynamics.solver.node import (
+    NODE,
+    add_multiple,
+    contact_count,
+    joint_count,
+    less_product,
+    set_vector,
+)
 from multiarm.jit.kernels import clear, inlined, kernel
 
 
 @kernel
-def decompose_coupled(work, Wo, Wr):
+def decompose_coupled(work, W_o, Wr_o):
     """Decompose the coupled system; False when a number is not finite."""
     status = work.status
     status.null_forces = status.null_constraints = status.motions = 0
     for i in range(work.undetermined.size):
         work.undetermined[i] = 0
-    write_columns(work, Wo, Wr)
-    rows, length = status.rows, status.length
-    if not decompose(work.U, rows, length, work.V, work.sigma):
+    write_columns(work, W_o, Wr_o)
+    count, length = status.contacts, status.length
+    if not decompose(work.U, count, length, work.V, work.sigma):
         return False
-    if not decompose(work.Ur, rows, length, work.Vr, work.sigma_r):
+    if not decompose(work.Ur, count, length, work.Vr, work.sigma_r):
         return False
-    status.rank = rank_of(work.sigma[:rows], COUPLED_RANK_TOLERANCE)
-    status.reaction_rank = rank_of(work.sigma_r[:rows], COUPLED_RANK_TOLERANCE)
+    status.rank = rank_of(work.sigma[:count], COUPLED_RANK_TOLERANCE)
+    status.reaction_rank = rank_of(work.sigma_r[:count], COUPLED_RANK_TOLERANCE)
     form_core(work)
     if not decompose(work.core, status.reaction_rank, status.rank, work.core_V, work.core_sigma):
         return False
     size = min(status.rank, status.reaction_rank)
     status.core_rank = rank_of(work.core_sigma[:size], CORE_TOLERANCE, 1.0)
-    find_null_forces(work, Wo, Wr)
-    return find_null_constraints(work, Wo, Wr)
+    find_null_forces(work, W_o, Wr_o)
+    return find_null_constraints(work, W_o, Wr_o)
 
 
 @inlined
-def write_columns(work, Wo, Wr):
+def write_columns(work, W_o, Wr_o):
     """Columns of G and G~, scaled to unit length (columns of zeros are not scaled)."""
-    row, length = 0, 6
+    count, length = 0, NODE
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:
             continue
-        d = work.dofs[i + 1] - work.dofs[i]
-        first = work.rows[i]
-        for a in range(work.rows[i + 1] - first):
-            work.place[row] = first + a
-            clear(work.U[row])
-            clear(work.Ur[row])
-            for k in range(6):
-                work.U[row, k] = Wo[first + a, k]
-                work.Ur[row, k] = Wr[first + a, k]
-            node_forward(work.Ls, work.U[row])
-            node_forward(work.Ls, work.Ur[row])
+        first, d = work.first_contact[i], joint_count(i, work)
+        for a in range(contact_count(i, work)):
+            u, ur = work.U[count], work.Ur[count]
+            work.place[count] = first + a
+            clear(u)
+            clear(ur)
+            set_vector(W_o[first + a], u)
+            set_vector(Wr_o[first + a], ur)
+            forward(work.Ls, NODE, u)
+            forward(work.Ls, NODE, ur)
             for j in range(d):
-                work.U[row, length + j] = work.Y[i, j, a]
-                work.Ur[row, length + j] = work.Yr[i, j, a]
-            row += 1
+                u[length + j], ur[length + j] = work.Y[i, j, a], work.Yr[i, j, a]
+            count += 1
         length += d
-    work.status.rows, work.status.length = row, length
-    for k in range(row):
+    work.status.contacts, work.status.length = count, length
+    for k in range(count):
         work.scale[k] = normalize(work.U[k], length)
         work.scale_r[k] = normalize(work.Ur[k], length)
 
@@ -111,29 +123,28 @@ def normalize(x, n):
 def form_core(work):
     """Write ``U^T P U~`` by columns, and its transpose."""
     rank, reaction_rank = work.status.rank, work.status.reaction_rank
-    x = work.six
+    x = work.node_vector
     for j in range(reaction_rank):
-        for k in range(6):
-            x[k] = work.Ur[j, k]
-        solve_lu(work.node, 6, work.node_pivots, x)
+        set_vector(work.Ur[j], x)
+        solve_lu(work.node, NODE, work.node_pivots, x)
         for i in range(rank):
             s = 0.0
-            for k in range(6):
+            for k in range(NODE):
                 s += work.U[i, k] * x[k]
-            for k in range(6, work.status.length):
+            for k in range(NODE, work.status.length):
                 s += work.U[i, k] * work.Ur[j, k]
             work.core[j, i] = s
             work.core_left[i, j] = s
 
 
 @inlined
-def find_null_forces(work, Wo, Wr):
+def find_null_forces(work, W_o, Wr_o):
     """Forces without effect on the constraints, orthonormal in newtons, and the object's motion."""
     status, vectors = work.status, work.null_force
-    rows, total = status.rows, Wo.shape[0]
-    for k in range(status.reaction_rank, rows):
+    count, total = status.contacts, W_o.shape[0]
+    for k in range(status.reaction_rank, count):
         clear(vectors[status.null_forces])
-        for a in range(rows):
+        for a in range(count):
             vectors[status.null_forces, work.place[a]] = work.scale_r[a] * work.Vr[k, a]
         status.null_forces += 1
     for k in range(status.core_rank, status.reaction_rank):
@@ -141,17 +152,16 @@ def find_null_forces(work, Wo, Wr):
         clear(vector)
         for j in range(status.reaction_rank):
             part = work.core_V[k, j] / work.sigma_r[j]
-            for a in range(rows):
+            for a in range(count):
                 vector[work.place[a]] += part * work.scale_r[a] * work.Vr[j, a]
-        x = work.six
-        object_wrench(work, Wr, vector, x)
+        x = work.node_vector
+        object_wrench(work, Wr_o, vector, x)
         solve_object(work, x)
-        for k6 in range(6):
-            vector[total + k6] = x[k6]
-        extend_to_regular_arms(work, Wo, x, vector, False)
+        set_vector(x, vector[total:])
+        extend_to_regular_arms(work, W_o, x, vector, False)
         normalize_forces(vector, total)
         for i in range(work.undetermined.size):
-            for a in range(work.rows[i], work.rows[i + 1]):
+            for a in range(work.first_contact[i], work.first_contact[i + 1]):
                 if abs(vector[a]) > PART_TOLERANCE:
                     work.undetermined[i] = 1
         status.null_forces += 1
@@ -160,13 +170,13 @@ def find_null_forces(work, Wo, Wr):
 
 
 @inlined
-def find_null_constraints(work, Wo, Wr):
+def find_null_constraints(work, W_o, Wr_o):
     """Combinations of constraints that no contact force affects, orthonormal."""
     status, vectors = work.status, work.null_constraint
-    rows, total = status.rows, Wo.shape[0]
-    for k in range(status.rank, rows):
+    count, total = status.contacts, W_o.shape[0]
+    for k in range(status.rank, count):
         clear(vectors[status.null_constraints])
-        for a in range(rows):
+        for a in range(count):
             vectors[status.null_constraints, work.place[a]] = work.scale[a] * work.V[k, a]
         status.null_constraints += 1
     if status.core_rank < status.rank:
@@ -181,14 +191,14 @@ def find_null_constraints(work, Wo, Wr):
             clear(vector)
             for j in range(status.rank):
                 part = work.core_left_V[k, j] / work.sigma[j]
-                for a in range(rows):
+                for a in range(count):
                     vector[work.place[a]] += part * work.scale[a] * work.V[j, a]
-            x = work.six
-            object_wrench(work, Wo, vector, x)
-            node_forward(work.Ls, x)
-            solve_lu_transposed(work.node, 6, work.node_pivots, x)
-            node_backward(work.Ls, x)
-            extend_to_regular_arms(work, Wr, x, vector, True)
+            x = work.node_vector
+            object_wrench(work, W_o, vector, x)
+            forward(work.Ls, NODE, x)
+            solve_lu_transposed(work.node, NODE, work.node_pivots, x)
+            backward(work.Ls, NODE, x)
+            extend_to_regular_arms(work, Wr_o, x, vector, True)
             status.null_constraints += 1
     orthonormalize(vectors, status.null_constraints, total)
     return True
@@ -197,58 +207,49 @@ def find_null_constraints(work, Wo, Wr):
 @kernel
 def solve_object(work, x):
     """Solve with the node matrix ``S`` of the arms that are not coupled, in place."""
-    node_forward(work.Ls, x)
-    solve_lu(work.node, 6, work.node_pivots, x)
-    node_backward(work.Ls, x)
+    forward(work.Ls, NODE, x)
+    solve_lu(work.node, NODE, work.node_pivots, x)
+    backward(work.Ls, NODE, x)
 
 
 @kernel
 def solve_arm(i, work, x, transposed):
     """Solve with ``K_i`` of an arm that is not coupled (or with its transpose), in place."""
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    first, end, pivots = work.first_contact[i], work.first_contact[i + 1], work.K_pivots[i]
+    m, scale, scale_r = end - first, work.arm_scale[first:end], work.arm_scale_r[first:end]
     if transposed:
         for a in range(m):
-            x[a] *= work.arm_scale_r[first + a]
-        solve_lu_transposed(work.K[i], m, work.K_pivots[i], x)
+            x[a] *= scale_r[a]
+        solve_lu_transposed(work.K[i], m, pivots, x)
         for a in range(m):
-            x[a] *= work.arm_scale[first + a]
+            x[a] *= scale[a]
     else:
         for a in range(m):
-            x[a] *= work.arm_scale[first + a]
-        solve_lu(work.K[i], m, work.K_pivots[i], x)
+            x[a] *= scale[a]
+        solve_lu(work.K[i], m, pivots, x)
         for a in range(m):
-            x[a] *= work.arm_scale_r[first + a]
+            x[a] *= scale_r[a]
 
 
 @inlined
-def object_wrench(work, Wo, force, x):
+def object_wrench(work, W_o, force, x):
     """Wrench of the coupled arms' entries of ``force`` on the object, into ``x``."""
-    for k in range(6):
-        x[k] = 0.0
-    for a in range(work.status.rows):
-        row = work.place[a]
-        for k in range(6):
-            x[k] += Wo[row, k] * force[row]
+    clear(x)
+    for k in range(work.status.contacts):
+        row = work.place[k]
+        add_multiple(force[row], W_o[row], x)
 
 
 @inlined
-def extend_to_regular_arms(work, Wo, x, vector, transposed):
+def extend_to_regular_arms(work, W_o, x, vector, transposed):
     """Forces with which the other arms keep their constraints when the object moves by ``x``."""
-    u = work.contacts
     for i in range(work.coupled.size):
-        if work.coupled[i] != 0:
-            continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
-        for a in range(m):
-            s = 0.0
-            for k in range(6):
-                s -= Wo[first + a, k] * x[k]
-            u[a] = s
-        solve_arm(i, work, u, transposed)
-        for a in range(m):
-            vector[first + a] = u[a]
+        if work.coupled[i] == 0:
+            first, end = work.first_contact[i], work.first_contact[i + 1]
+            part = vector[first:end]
+            for a in range(end - first):
+                part[a] = less_product(0.0, W_o[first + a], x)
+            solve_arm(i, work, part, transposed)
 
 
 @inlined

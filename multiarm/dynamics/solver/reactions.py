@@ -39,20 +39,33 @@ from multiarm.dynamics.solver.bounds import (
     STIFFER_THAN_OBJECT,
 )
 from multiarm.dynamics.solver.factors import (
+    backward,
     copy_block,
+    copy_lower,
     factor_cholesky,
     factor_lu,
+    forward,
     forward_columns,
 )
 from multiarm.dynamics.solver.node import (
+    NODE,
+    add_multiple,
+    add_square,
+    contact_count,
     failure_of_inertia,
+    first_indices,
+    joint_count,
+    less_product,
     mobility,
-    node_backward,
-    node_forward,
     recover_joints,
+    reduce_object_rows,
     unconstrained_motion,
 )
-from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
+from multiarm.dynamics.solver.reaction_coupling import (
+    decompose_coupled,
+    solve_arm,
+    solve_object,
+)
 from multiarm.dynamics.status import ARM_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
@@ -61,8 +74,8 @@ from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, I
 class ReactionStatus(Numbers):
     """How the coupled system was decomposed."""
 
-    rows: Int  # contacts of the coupled arms
-    length: Int  # entries of a column of G: six, and the joints of the coupled arms
+    contacts: Int  # of the coupled arms
+    length: Int  # entries of a column of G: of the node, and of the joints of the coupled arms
     rank: Int  # of G
     reaction_rank: Int  # of G~
     core_rank: Int
@@ -79,8 +92,8 @@ class ReactionWork(NamedTuple):
     """
 
     # as in NodeWork
-    dofs: Ints1
-    rows: Ints1
+    first_joint: Ints1
+    first_contact: Ints1
     levers: Floats2
     # (n, d, d), (n, d, m): inertias (lower triangles), W and W~; none of them is changed
     M: Floats3
@@ -107,7 +120,7 @@ class ReactionWork(NamedTuple):
     # (n + 1,): distance of each K from a singular matrix, with and without friction; last of the
     # node's
     pivot: Floats1
-    stiffness: Floats2  # (6, 6) scratch for the node matrix without friction
+    whitened: Floats2  # (6, 6) scratch: the same in units of the object's inertia
     status: ReactionStatus
     place: Ints1  # (N,) row of each coupled contact in the stacked vectors
     # (N,): scales of the columns of G and G~
@@ -140,24 +153,25 @@ class ReactionWork(NamedTuple):
     unloaded: Floats1  # (6,) the object's acceleration without contacts
     without_friction: Floats2  # (m, m) factor of ``Y^T Y`` of an arm
     # scratch (6,), (m,), (m, 6)
-    six: Floats1
-    contacts: Floats1
-    six_columns: Floats2
+    node_vector: Floats1
+    arm_vector: Floats1
+    arm_rows: Floats2
 
 
-def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; all levers are 1."""
-    n, d, D = len(dofs), max(dofs), sum(dofs)
+def make_reaction_work(joints: list[int], contacts: list[int]) -> ReactionWork:
+    """Allocate for arms with ``joints[i]`` joints, ``contacts[i]`` contacts, levers of 1 m."""
+    n, d, D = len(joints), max(joints), sum(joints)
     shapes = {
-        "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (6, 6), "Ls": (6, 6),
-        "node": (6, 6), "node_pivots": (6,), "coupled": (n,), "undetermined": (n,),
-        "pivot": (n + 1,), "stiffness": (6, 6), "y": (D,), "unloaded": (6,), "six": (6,),
-        **reaction_shapes(dofs, rows),
+        "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (NODE, NODE), "Ls": (NODE, NODE),
+        "node": (NODE, NODE), "node_pivots": (NODE,), "coupled": (n,), "undetermined": (n,),
+        "pivot": (n + 1,), "whitened": (NODE, NODE), "y": (D,), "unloaded": (NODE,),
+        "node_vector": (NODE,),
+        **reaction_shapes(joints, contacts),
     }  # fmt: skip
     whole = {"K_pivots", "node_pivots", "coupled", "undetermined", "place"}
     work = ReactionWork(
-        dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
-        rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
+        first_joint=first_indices(joints),
+        first_contact=first_indices(contacts),
         status=ReactionStatus(),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
@@ -165,62 +179,57 @@ def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
     return work
 
 
-def reaction_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+def reaction_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
-    n, d, m, D, N = len(dofs), max(dofs), max(rows), sum(dofs), sum(rows)
+    n, d, m, D, N = len(joints), max(joints), max(contacts), sum(joints), sum(contacts)
     return {
         "W": (n, d, m), "Wr": (n, d, m), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m),
         "K_pivots": (n, m),
         "arm_scale": (N,), "arm_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
-        "U": (N, 6 + D), "Ur": (N, 6 + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
+        "U": (N, NODE + D), "Ur": (N, NODE + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
         "sigma_r": (N,), "core": (N, N), "core_V": (N, N), "core_left": (N, N),
         "core_left_V": (N, N), "core_sigma": (N,), "core_left_sigma": (N,),
-        "null_force": (N, N + 6),
-        "null_constraint": (N, N + 6), "z": (N,), "left": (N,), "right": (N,),
-        "without_friction": (m, m), "contacts": (m,), "six_columns": (m, 6),
+        "null_force": (N, N + NODE), "null_constraint": (N, N + NODE), "z": (N,), "left": (N,),
+        "right": (N,), "without_friction": (m, m), "arm_vector": (m,), "arm_rows": (m, NODE),
     }  # fmt: skip
 
 
 @kernel
-def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
+def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
     """Factor the whole system; returns a status, and the arm of ``ARM_INERTIA, ARM_NOT_FINITE``.
 
     With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
     ``work.M[i]`` are the arms' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
-    ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the object's rows.
+    ``W`` and ``W~`` (one column a contact), ``W_o`` and ``Wr_o`` (N, 6) the object's rows.
     """
     n = work.coupled.size
-    for k in range(6):
-        for l in range(k + 1):
-            work.Lo[k, l] = object_inertia[k, l]
-    if not factor_cholesky(work.Lo, 6) > 0.0:
+    copy_lower(object_inertia, NODE, work.Lo)
+    if not factor_cholesky(work.Lo, NODE) > 0.0:
         return OBJECT_INERTIA, 0
     for i in range(n):
         status = factor_arm(i, work)
         if status != OK:
             return status, i
         work.coupled[i] = 0 if work.pivot[i] > COUPLING_TOLERANCE and not couple_all else 1
-    work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
+    work.pivot[n] = factor_node(work, W_o, Wr_o, object_inertia)
     if not work.status.evenness > COUPLING_TOLERANCE:
         for i in range(n):
             # arms that are stiffer than the object alone leave no digits of its inertia
-            if relative_mobility(i, work, Wo) < STIFFER_THAN_OBJECT:
+            if relative_mobility(i, work, W_o) < STIFFER_THAN_OBJECT:
                 work.coupled[i] = 1
-        work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
+        work.pivot[n] = factor_node(work, W_o, Wr_o, object_inertia)
     if not work.pivot[n] > COUPLING_TOLERANCE:
         for i in range(n):
             work.coupled[i] = 1
-        factor_node(work, Wo, Wr, object_inertia)
-    return (OK if decompose_coupled(work, Wo, Wr) else NOT_FINITE), 0
+        factor_node(work, W_o, Wr_o, object_inertia)
+    return (OK if decompose_coupled(work, W_o, Wr_o) else NOT_FINITE), 0
 
 
 @kernel
 def factor_arm(i, work):
     """Factor an arm's inertia and ``K``, and write its ``ReactionWork.pivot``; returns a status."""
-    n = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
+    n, first, m = joint_count(i, work), work.first_contact[i], contact_count(i, work)
     L, Y, Yr, K = work.L[i], work.Y[i], work.Yr[i], work.K[i]
     copy_block(work.M[i], n, n, L)
     copy_block(work.W[i], n, m, Y)
@@ -254,14 +263,14 @@ def factor_arm(i, work):
 
 
 @kernel
-def relative_mobility(i, work, Wo):
+def relative_mobility(i, work, W_o):
     """Smallest mobility of an arm along its contacts, relative to that of the object alone."""
-    smallest, x = 1.0, work.six
-    for row in range(work.rows[i], work.rows[i + 1]):
+    smallest, x = 1.0, work.node_vector
+    for row in range(work.first_contact[i], work.first_contact[i + 1]):
         square = 0.0
-        copy(Wo[row], x)
-        node_forward(work.Lo, x)
-        for k in range(6):
+        copy(W_o[row], x)
+        forward(work.Lo, NODE, x)
+        for k in range(NODE):
             square += x[k] * x[k]
         square *= work.arm_scale[row] * work.arm_scale[row]  # one over that of the arm
         if square > 1.0:
@@ -281,28 +290,25 @@ def gram(A, B, n, m, K):
 
 
 @kernel
-def factor_node(work, Wo, Wr, object_inertia):
+def factor_node(work, W_o, Wr_o, object_inertia):
     """Node matrix of the arms that are not coupled, in inertia coordinates; its relative pivot."""
-    S, Ls, C = work.node, work.Ls, work.six_columns
-    for k in range(6):
-        for l in range(k + 1):
-            S[k, l] = S[l, k] = Ls[k, l] = object_inertia[k, l]
+    S, C = work.node, work.arm_rows
+    copy_block(object_inertia, NODE, NODE, S)
+    copy_lower(object_inertia, NODE, work.Ls)
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
-        solve_arm_rows(i, work, Wo, C)
-        for a in range(m):
-            for k in range(6):
-                for l in range(6):
-                    S[k, l] += Wr[first + a, k] * C[a, l]
-        add_without_friction(i, work, Wo)
+        first = work.first_contact[i]
+        solve_object_rows(i, work, W_o, C)
+        for a in range(contact_count(i, work)):
+            for k in range(NODE):
+                add_multiple(Wr_o[first + a, k], C[a], S[k])
+        add_without_friction(i, work, W_o)
     work.status.evenness = evenness(work)
-    if not factor_cholesky(Ls, 6) > 0.0:
+    if not factor_cholesky(work.Ls, NODE) > 0.0:
         return 0.0
-    whiten(S, Ls, work.six)
-    return factor_lu(S, 6, work.node_pivots)
+    whiten(S, work.Ls)
+    return factor_lu(S, NODE, work.node_pivots)
 
 
 @inlined
@@ -311,177 +317,148 @@ def evenness(work):
 
     Relative to its largest entry: 1 without any arm.
     """
-    T, largest, smallest = work.stiffness, 0.0, math.inf
-    for k in range(6):
+    T, largest, smallest = work.whitened, 0.0, math.inf
+    for k in range(NODE):
         for l in range(k + 1):
             T[k, l] = T[l, k] = work.Ls[k, l]
-    whiten(T, work.Lo, work.six)
-    for k in range(6):
+    whiten(T, work.Lo)
+    for k in range(NODE):
         largest = max(largest, T[k, k])
-    if not factor_cholesky(T, 6) > 0.0:
+    if not factor_cholesky(T, NODE) > 0.0:
         return 0.0
-    for k in range(6):
+    for k in range(NODE):
         smallest = min(smallest, 1.0 / (T[k, k] * T[k, k]))
     return smallest / largest
 
 
 @kernel
-def whiten(S, L, x):
+def whiten(S, L):
     """Write ``L^-1 S L^-T`` in place."""
-    for _ in range(2):  # L^-1 (L^-1 S)^T is the result's transpose
-        for l in range(6):
-            for k in range(6):
-                x[k] = S[k, l]
-            node_forward(L, x)
-            for k in range(6):
-                S[k, l] = x[k]
-        for k in range(6):
+    for _ in range(2):  # S becomes S^T L^-T = (L^-1 S)^T
+        for k in range(NODE):
             for l in range(k):
                 S[k, l], S[l, k] = S[l, k], S[k, l]
+        for k in range(NODE):
+            forward(L, NODE, S[k])
 
 
 @inlined
-def solve_arm_rows(i, work, Wo, C):
+def solve_object_rows(i, work, W_o, C):
     """Write ``K^-1 W_o^T`` of one arm, (m, 6)."""
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
-    u = work.contacts
-    for k in range(6):
+    first, m, u = work.first_contact[i], contact_count(i, work), work.arm_vector
+    for k in range(NODE):
         for a in range(m):
-            u[a] = Wo[first + a, k]
+            u[a] = W_o[first + a, k]
         solve_arm(i, work, u, False)
         for a in range(m):
             C[a, k] = u[a]
 
 
 @inlined
-def add_without_friction(i, work, Wo):
+def add_without_friction(i, work, W_o):
     """Add ``W_o (Y^T Y)^-1 W_o^T`` of one arm to ``Ls``."""
-    n = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
-    G, Z = work.without_friction, work.six_columns
-    gram(work.Y[i], work.Y[i], n, m, G)
+    m, G, Z = contact_count(i, work), work.without_friction, work.arm_rows
+    gram(work.Y[i], work.Y[i], joint_count(i, work), m, G)
     factor_cholesky(G, m)
+    reduce_object_rows(G, W_o, work.first_contact[i], m, Z)
     for a in range(m):
-        for k in range(6):
-            s = Wo[first + a, k]
-            for b in range(a):
-                s -= G[a, b] * Z[b, k]
-            Z[a, k] = s * G[a, a]
-        for k in range(6):
-            for l in range(k + 1):
-                work.Ls[k, l] += Z[a, k] * Z[a, l]
+        add_square(Z[a], work.Ls)
 
 
 @kernel
-def solve_for_reactions(work, Wo, Wr, f_o, f_j, c, a_o, a_j, force):
+def solve_for_reactions(work, W_o, Wr_o, f_o, f_j, c, a_o, a_j, force):
     """Solve the eliminated system for one right-hand side.
 
     Parameters
     ----------
-    Wo, Wr : (N, 6)
+    W_o, Wr_o : (N, 6)
         The object's rows, as in :func:`eliminate_with_reactions`.
     f_o : (6,), f_j : (D,), c : (N,)
         Right-hand sides, arms stacked.
     a_o : (6,), a_j : (D,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
-    unconstrained_motions(work, Wo, f_o, f_j, c)
-    object_acceleration(work, Wo, Wr, f_o, a_o, force)
-    u = work.contacts
+    unconstrained_motions(work, W_o, f_o, f_j, c)
+    accelerate_object(work, W_o, Wr_o, f_o, a_o, force)
     for i in range(work.coupled.size):
-        if work.coupled[i] != 0:
-            continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
-        for a in range(m):
-            u[a] = work.z[first + a]
-            for k in range(6):
-                u[a] -= Wo[first + a, k] * a_o[k]
-        solve_arm(i, work, u, False)
-        for a in range(m):
-            force[first + a] = u[a]
+        if work.coupled[i] == 0:
+            first, end = work.first_contact[i], work.first_contact[i + 1]
+            part = force[first:end]
+            for a in range(end - first):
+                part[a] = less_product(work.z[first + a], W_o[first + a], a_o)
+            solve_arm(i, work, part, False)
     total = force.size
-    for k in range(work.status.null_forces):  # projection: forces of least norm
-        part = 0.0
+    for v in range(work.status.null_forces):  # projection: forces of least norm
+        vector, along = work.null_force[v], 0.0
         for a in range(total):
-            part += work.null_force[k, a] * force[a]
+            along += vector[a] * force[a]
         for a in range(total):
-            force[a] -= part * work.null_force[k, a]
-        for k6 in range(6):
-            a_o[k6] -= part * work.null_force[k, total + k6]
+            force[a] -= along * vector[a]
+        add_multiple(-along, vector[total:], a_o)
     for i in range(work.coupled.size):
         recover_joints(i, work, work.Yr[i], force, a_j)
 
 
 @inlined
-def unconstrained_motions(work, Wo, f_o, f_j, c):
+def unconstrained_motions(work, W_o, f_o, f_j, c):
     """Accelerations without contacts, and ``z``, which the contact forces must cause.
 
     Contradictions are removed from ``z`` by the least change.
     """
     copy(f_o, work.unloaded)
-    node_forward(work.Lo, work.unloaded)
-    node_backward(work.Lo, work.unloaded)
+    forward(work.Lo, NODE, work.unloaded)
+    backward(work.Lo, NODE, work.unloaded)
     for i in range(work.coupled.size):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        d0, first = work.first_joint[i], work.first_contact[i]
         unconstrained_motion(i, work, f_j)
-        for row in range(work.rows[i], work.rows[i + 1]):
-            work.z[row] = c[row]
-            for j in range(d):
-                work.z[row] -= work.Y[i, j, row - work.rows[i]] * work.y[d0 + j]
+        for a in range(contact_count(i, work)):
+            work.z[first + a] = c[first + a]
+            for j in range(joint_count(i, work)):
+                work.z[first + a] -= work.Y[i, j, a] * work.y[d0 + j]
     for v in range(work.status.null_constraints):
-        vector, left = work.null_constraint[v], 0.0
+        vector, along = work.null_constraint[v], 0.0
         for row in range(c.size):
-            left += vector[row] * work.z[row]
-            for k in range(6):
-                left -= vector[row] * Wo[row, k] * work.unloaded[k]
+            along += vector[row] * work.z[row]
+            for k in range(NODE):
+                along -= vector[row] * W_o[row, k] * work.unloaded[k]
         for row in range(c.size):
-            work.z[row] -= left * vector[row]
+            work.z[row] -= along * vector[row]
 
 
 @inlined
-def object_acceleration(work, Wo, Wr, f_o, a_o, force):
-    """The object's acceleration and the forces of the coupled arms."""
-    u = work.contacts
+def accelerate_object(work, W_o, Wr_o, f_o, a_o, force):
+    """The object's acceleration ``a_o`` and the forces of the coupled arms."""
     copy(f_o, a_o)
     for i in range(work.coupled.size):
-        if work.coupled[i] != 0:
-            continue
-        first = work.rows[i]
-        m = work.rows[i + 1] - first
-        for a in range(m):
-            u[a] = work.z[first + a]
-        solve_arm(i, work, u, False)
-        for a in range(m):
-            for k in range(6):
-                a_o[k] += Wr[first + a, k] * u[a]
-    if work.status.rows > 0:
-        x = work.six
+        if work.coupled[i] == 0:  # with the forces that hold it still
+            first, end = work.first_contact[i], work.first_contact[i + 1]
+            part = force[first:end]
+            for a in range(end - first):
+                part[a] = work.z[first + a]
+            solve_arm(i, work, part, False)
+            for a in range(end - first):
+                add_multiple(part[a], Wr_o[first + a], a_o)
+    if work.status.contacts > 0:
+        x = work.node_vector
         copy(a_o, x)
         solve_object(work, x)
-        solve_coupled_reactions(work, Wo, x, force)
-        for a in range(work.status.rows):
-            row = work.place[a]
-            for k in range(6):
-                a_o[k] += Wr[row, k] * force[row]
+        solve_coupled_reactions(work, W_o, x, force)
+        for k in range(work.status.contacts):
+            row = work.place[k]
+            add_multiple(force[row], Wr_o[row], a_o)
     solve_object(work, a_o)
 
 
 @inlined
-def solve_coupled_reactions(work, Wo, x, force):
+def solve_coupled_reactions(work, W_o, x, force):
     """``F lambda = d`` by the decompositions; ``x`` is the object's motion without these forces."""
-    status, rows, place = work.status, work.status.rows, work.place
+    status, count, place = work.status, work.status.contacts, work.place
     left, right = work.left, work.right
-    for a in range(rows):  # the right-hand side, scaled
-        d = work.z[place[a]]
-        for k in range(6):
-            d -= Wo[place[a], k] * x[k]
-        left[a] = work.scale[a] * d
+    for a in range(count):  # the right-hand side, scaled
+        left[a] = work.scale[a] * less_product(work.z[place[a]], W_o[place[a]], x)
     for i in range(status.rank):
         s = 0.0
-        for a in range(rows):
+        for a in range(count):
             s += work.V[i, a] * left[a]
         right[i] = s / work.sigma[i]
     for p in range(status.core_rank):
@@ -494,7 +471,7 @@ def solve_coupled_reactions(work, Wo, x, force):
         for p in range(status.core_rank):
             s += work.core_V[p, j] * left[p]
         right[j] = s / work.sigma_r[j]
-    for a in range(rows):
+    for a in range(count):
         s = 0.0
         for j in range(status.reaction_rank):
             s += work.Vr[j, a] * right[j]

@@ -53,12 +53,23 @@ from multiarm.dynamics.solver.bounds import (
     SPLIT_BY_ARM,
     SPLIT_BY_OBJECT,
 )
-from multiarm.dynamics.solver.factors import factor_cholesky, norm, orthogonalize
+from multiarm.dynamics.solver.factors import (
+    backward,
+    copy_lower,
+    factor_cholesky,
+    forward,
+    norm,
+    orthogonalize,
+)
 from multiarm.dynamics.solver.node import (
+    NODE,
     NodeWork,
+    add_multiple,
+    add_square,
     add_to_node,
-    node_backward,
-    node_forward,
+    contact_count,
+    joint_count,
+    less_product,
     recover_forces,
     recover_joints,
     reduce_constraints,
@@ -90,9 +101,9 @@ class CoupledWork(NamedTuple):
     split: Floats1  # (n,) smallest sigma that is eliminated
     inertia: Floats2  # (6, 6) Cholesky factor of the object's own inertia
     wrench: Floats1  # (6,) of a contact on the object, over that factor
-    # (N,): arm and number of the direction of every unknown
+    # (N,): arm of every unknown, and which of the arm's directions it is along
     arm: Ints1
-    row: Ints1
+    direction: Ints1
     # (N, 6): wrench of every unknown on the object, and L_S^-1 times it
     C: Floats2
     B: Floats2
@@ -107,40 +118,40 @@ class CoupledWork(NamedTuple):
     status: CoupledStatus
 
 
-def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
-    n, whole = len(dofs), {"arm", "row"}
-    shapes = coupled_shapes(dofs, rows)
+def make_coupled(joints: list[int], contacts: list[int]) -> CoupledWork:
+    """Allocate for arms with ``joints[i]`` joints and ``contacts[i]`` contacts."""
+    n, whole = len(joints), {"arm", "direction"}
+    shapes = coupled_shapes(joints, contacts)
     return CoupledWork(
         deficient=np.zeros(n, dtype=np.int64),
         scale=np.zeros(n),
         split=np.zeros(n),
-        inertia=np.zeros((6, 6)),
-        wrench=np.zeros(6),
+        inertia=np.zeros((NODE, NODE)),
+        wrench=np.zeros(NODE),
         status=CoupledStatus(margin=np.inf),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
 
 
-def coupled_shapes(dofs: list[int], rows: list[int]) -> dict[str, tuple[int, ...]]:
+def coupled_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
-    n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
+    n, d, m, N = len(joints), max(joints), max(contacts), sum(contacts)
     return {
-        "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "row": (N,), "C": (N, 6),
-        "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N), "z": (N,), "right": (N,),
-        "unknown": (N,),
+        "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "direction": (N,),
+        "C": (N, NODE), "B": (N, NODE), "basis": (NODE + N, N), "images": (NODE + N, NODE + N),
+        "z": (N,), "right": (N,), "unknown": (N,),
     }  # fmt: skip
 
 
-def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
+def undetermined_parts(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     """Part of every contact in the null space, shape (N,): 0 (force is determined) to 1."""
     p, rank = coupled.status.unknowns, coupled.status.rank
-    rows = np.zeros((p, work.rows[-1]))
-    for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
-        first, end = work.rows[i : i + 2]
-        rows[u, first:end] = coupled.V[i, a, : end - first]
+    directions = np.zeros((p, work.first_contact[-1]))
+    for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.direction[:p], strict=True)):
+        first, end = work.first_contact[i : i + 2]
+        directions[u, first:end] = coupled.V[i, a, : end - first]
     basis = coupled.basis[:rank, :p]
-    return np.linalg.norm(rows - basis.T @ (basis @ rows), axis=0)
+    return np.linalg.norm(directions - basis.T @ (basis @ directions), axis=0)
 
 
 @kernel
@@ -148,8 +159,8 @@ def object_mobility(row, coupled):
     """``sqrt(w^T M_o^-1 w)``, which ``sigma`` is compared with."""
     wrench = coupled.wrench
     copy(row, wrench)
-    node_forward(coupled.inertia, wrench)
-    return norm(wrench, 6)
+    forward(coupled.inertia, NODE, wrench)
+    return norm(wrench, NODE)
 
 
 @kernel
@@ -163,15 +174,13 @@ def aligned_share(W, n, m, levers):
 
 
 @kernel
-def split_arm(i, work, coupled, Wo):
+def split_arm(i, work, coupled, W_o):
     """Decompose ``Y`` of a deficient arm: directions are added to ``S`` or to the unknowns.
 
     Returns whether all numbers are finite.
     """
-    d = work.dofs[i + 1] - work.dofs[i]
-    first = work.rows[i]
-    m = work.rows[i + 1] - first
-    Y, V, A, S = work.Y[i], coupled.V[i], coupled.A[i], work.S
+    d, first, m = joint_count(i, work), work.first_contact[i], contact_count(i, work)
+    Y, V, A = work.Y[i], coupled.V[i], coupled.A[i]
     for a in range(m):
         for j in range(d):
             A[a, j] = Y[j, a]
@@ -183,7 +192,7 @@ def split_arm(i, work, coupled, Wo):
     for a in range(m):
         coupled.sigma[first + a] = norm(A[a], d)
         scale = max(scale, coupled.sigma[first + a])
-        by_object = max(by_object, object_mobility(Wo[first + a], coupled))
+        by_object = max(by_object, object_mobility(W_o[first + a], coupled))
         total += coupled.sigma[first + a]
     if not math.isfinite(total):
         return False
@@ -194,20 +203,19 @@ def split_arm(i, work, coupled, Wo):
     least = max(IMMOVABLE * scale, IMMOVABLE_BY_OBJECT * by_object)
     for a in range(m):
         wrench, sigma = work.Z[i, a], coupled.sigma[first + a]
-        for k in range(6):
+        for k in range(NODE):
             wrench[k] = 0.0
             for b in range(m):
-                wrench[k] += V[a, b] * Wo[first + b, k]
+                wrench[k] += V[a, b] * W_o[first + b, k]
         if sigma > coupled.split[i]:
-            for k in range(6):
+            for k in range(NODE):
                 wrench[k] /= sigma
-                for l in range(k + 1):
-                    S[k, l] += wrench[k] * wrench[l]
+            add_square(wrench, work.S)
             continue
         if not sigma > least:
             coupled.sigma[first + a] = 0.0
         p = coupled.status.unknowns
-        coupled.arm[p], coupled.row[p] = i, a
+        coupled.arm[p], coupled.direction[p] = i, a
         copy(wrench, coupled.C[p])
         coupled.status.unknowns = p + 1
     return True
@@ -216,15 +224,15 @@ def split_arm(i, work, coupled, Wo):
 @inlined
 def sigma_of(u, work, coupled):
     """``sigma`` of an unknown."""
-    return coupled.sigma[work.rows[coupled.arm[u]] + coupled.row[u]]
+    return coupled.sigma[work.first_contact[coupled.arm[u]] + coupled.direction[u]]
 
 
 @kernel
-def lever_length(Wo):
+def lever_length(W_o):
     """Largest moment of a unit contact force on the object [m]; 1 when there is none."""
     longest = 0.0
-    for k in range(Wo.shape[0]):
-        longest = max(longest, norm(Wo[k, 3:6], 3))
+    for k in range(W_o.shape[0]):
+        longest = max(longest, norm(W_o[k, 3:6], 3))
     return longest if longest > 0.0 else 1.0
 
 
@@ -232,9 +240,9 @@ def lever_length(Wo):
 def find_rank(work, coupled, lever):
     """Write an orthonormal basis of the unknowns outside the null space, and the rank."""
     basis, status = coupled.basis, coupled.status
-    p, rows = status.unknowns, 6
+    p, rows = status.unknowns, NODE
     for u in range(p):
-        for k in range(6):
+        for k in range(NODE):
             basis[k, u] = coupled.C[u, k] / (1.0 if k < 3 else lever)
         sigma = sigma_of(u, work, coupled)
         if sigma > 0.0:
@@ -242,7 +250,7 @@ def find_rank(work, coupled, lever):
                 basis[rows, w] = 0.0
             basis[rows, u] = sigma / coupled.scale[coupled.arm[u]]
             rows += 1
-    status.movable = rows - 6
+    status.movable = rows - NODE
     orthogonalize(basis, rows, p, basis, 0)
     rank = 0
     status.margin = math.inf
@@ -264,23 +272,23 @@ def image_basis(work, coupled):
     p = status.unknowns
     for u in range(p):
         copy(coupled.C[u], coupled.B[u])
-        node_forward(work.S, coupled.B[u])
+        forward(work.S, NODE, coupled.B[u])
     for r in range(status.rank):
-        for k in range(6):
+        for k in range(NODE):
             images[r, k] = 0.0
-            for u in range(p):
-                images[r, k] += basis[r, u] * coupled.B[u, k]
-        column = 6
+        for u in range(p):
+            add_multiple(basis[r, u], coupled.B[u], images[r])
+        column = NODE
         for u in range(p):
             sigma = sigma_of(u, work, coupled)
             if sigma > 0.0:
                 images[r, column] = basis[r, u] * sigma
                 column += 1
-    orthogonalize(images, status.rank, 6 + status.movable, basis, p)
+    orthogonalize(images, status.rank, NODE + status.movable, basis, p)
 
 
 @inlined
-def couple(work, coupled, Wo, object_inertia, decompose_all=False):
+def couple(work, coupled, W_o, object_inertia, decompose_all=False):
     """Factor a system with deficient arms, after
     :func:`multiarm.dynamics.solver.node.eliminate_arms`.
 
@@ -288,50 +296,44 @@ def couple(work, coupled, Wo, object_inertia, decompose_all=False):
     smallest relative pivot of the object's inertia or of the node matrix; the factors are usable
     only when that is positive (and not NaN).
     """
-    for k in range(6):
-        for l in range(k + 1):
-            coupled.inertia[k, l] = object_inertia[k, l]
-    pivot = factor_cholesky(coupled.inertia, 6)
+    copy_lower(object_inertia, NODE, coupled.inertia)
+    pivot = factor_cholesky(coupled.inertia, NODE)
     if not pivot > 0.0:
         return pivot
-    arms = work.dofs.size - 1
-    for every in range(1 if decompose_all else 0, 2):
-        pivot = build_node(work, coupled, Wo, object_inertia, every == 1)
-        if pivot > COUPLED_BELOW or coupled.status.arms == arms:
-            break
+    pivot = build_node(work, coupled, W_o, object_inertia, decompose_all)
+    if not pivot > COUPLED_BELOW and coupled.status.arms < work.first_joint.size - 1:
+        pivot = build_node(work, coupled, W_o, object_inertia, True)
     if pivot > 0.0:
-        find_rank(work, coupled, lever_length(Wo))
+        find_rank(work, coupled, lever_length(W_o))
         image_basis(work, coupled)
     return pivot
 
 
 @kernel
-def build_node(work, coupled, Wo, object_inertia, every):
+def build_node(work, coupled, W_o, object_inertia, decompose_all):
     """Factor the node matrix of all eliminated directions; returns its smallest relative pivot.
 
-    Deficient arms are decomposed, or with ``every`` all arms.
+    Deficient arms are decomposed, or with ``decompose_all`` all arms.
     """
-    status, S = coupled.status, work.S
+    status = coupled.status
     status.arms = status.unknowns = 0
-    for k in range(6):
-        for l in range(k + 1):
-            S[k, l] = object_inertia[k, l]
-    for i in range(work.dofs.size - 1):
-        coupled.deficient[i] = 1 if every or not work.pivot[i] > COUPLED_BELOW else 0
+    copy_lower(object_inertia, NODE, work.S)
+    for i in range(work.first_joint.size - 1):
+        coupled.deficient[i] = 1 if decompose_all or not work.pivot[i] > COUPLED_BELOW else 0
         if coupled.deficient[i] != 0:
             status.arms += 1
-            if not split_arm(i, work, coupled, Wo):
+            if not split_arm(i, work, coupled, W_o):
                 return math.nan
         else:
             add_to_node(i, work)
-    return factor_cholesky(S, 6)
+    return factor_cholesky(work.S, NODE)
 
 
 @kernel
 def reduce_deficient_constraints(i, work, coupled, c, a_o):
     """``V (c - Y^T y)`` into ``coupled.z``; adds the eliminated directions to ``a_o``."""
-    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    d0, d = work.first_joint[i], joint_count(i, work)
+    r0, m = work.first_contact[i], contact_count(i, work)
     V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, coupled.z
     for a in range(m):
         s = 0.0
@@ -341,8 +343,7 @@ def reduce_deficient_constraints(i, work, coupled, c, a_o):
             s -= A[a, j] * y[d0 + j]
         if coupled.sigma[r0 + a] > coupled.split[i]:
             s /= coupled.sigma[r0 + a]
-            for k in range(6):
-                a_o[k] += Z[a, k] * s
+            add_multiple(s, Z[a], a_o)
         z[r0 + a] = s
 
 
@@ -350,12 +351,10 @@ def reduce_deficient_constraints(i, work, coupled, c, a_o):
 def solve_coupled_forces(work, coupled, a_o):
     """Forces of the coupled system; adds ``B`` times these to ``a_o``, given as ``L_S^-1 a_o``."""
     status = coupled.status
-    p, width = status.unknowns, 6 + status.movable
+    p, width = status.unknowns, NODE + status.movable
     for u in range(p):
-        s = coupled.z[work.rows[coupled.arm[u]] + coupled.row[u]]
-        for k in range(6):
-            s -= coupled.B[u, k] * a_o[k]
-        coupled.right[u], coupled.unknown[u] = s, 0.0
+        z = coupled.z[work.first_contact[coupled.arm[u]] + coupled.direction[u]]
+        coupled.right[u], coupled.unknown[u] = less_product(z, coupled.B[u], a_o), 0.0
     for r in range(status.rank):
         size = norm(coupled.images[r], width)
         s = 0.0
@@ -365,25 +364,22 @@ def solve_coupled_forces(work, coupled, a_o):
         for u in range(p):
             coupled.unknown[u] += s * coupled.basis[r, u]
     for u in range(p):
-        for k in range(6):
-            a_o[k] += coupled.B[u, k] * coupled.unknown[u]
+        add_multiple(coupled.unknown[u], coupled.B[u], a_o)
 
 
 @kernel
 def recover_deficient_forces(i, work, coupled, a_o, force):
     """Contact forces of a deficient arm along its eliminated directions."""
-    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    r0, m = work.first_contact[i], contact_count(i, work)
     V, Z, z = coupled.V[i], work.Z[i], coupled.z
     for b in range(m):
         force[r0 + b] = 0.0
     for a in range(m):
         sigma = coupled.sigma[r0 + a]
         if sigma > coupled.split[i]:
-            s = z[r0 + a]
-            for k in range(6):
-                s -= Z[a, k] * a_o[k]
+            s = less_product(z[r0 + a], Z[a], a_o) / sigma
             for b in range(m):
-                force[r0 + b] += V[a, b] * (s / sigma)
+                force[r0 + b] += V[a, b] * s
 
 
 @inlined
@@ -392,12 +388,12 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
 
     Parameters
     ----------
-    f_o : (6,), f_j : (sum of joints,), c : (sum of rows,)
+    f_o : (6,), f_j : (sum of joints,), c : (sum of contacts,)
         Right-hand sides, arms stacked.
-    a_o : (6,), a_j : (sum of joints,), force : (sum of rows,), written
+    a_o : (6,), a_j : (sum of joints,), force : (sum of contacts,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
-    n = work.dofs.size - 1
+    n = work.first_joint.size - 1
     copy(f_o, a_o)
     for i in range(n):
         unconstrained_motion(i, work, f_j)
@@ -405,9 +401,9 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
             reduce_constraints(i, work, c, a_o)
         else:
             reduce_deficient_constraints(i, work, coupled, c, a_o)
-    node_forward(work.S, a_o)
+    forward(work.S, NODE, a_o)
     solve_coupled_forces(work, coupled, a_o)
-    node_backward(work.S, a_o)
+    backward(work.S, NODE, a_o)
     for i in range(n):
         if coupled.deficient[i] == 0:
             recover_forces(i, work, a_o, force)
@@ -415,8 +411,8 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
             recover_deficient_forces(i, work, coupled, a_o, force)
     for u in range(coupled.status.unknowns):
         i = coupled.arm[u]
-        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+        r0, m = work.first_contact[i], contact_count(i, work)
         for b in range(m):
-            force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.row[u], b]
+            force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.direction[u], b]
     for i in range(n):
         recover_joints(i, work, work.Y[i], force, a_j)
