@@ -211,7 +211,11 @@ def _contact_forces(
 def _nearest(
     M: np.ndarray, A: np.ndarray, a: np.ndarray, preferred: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Joint accelerations with ``A q'' = a`` nearest to ``preferred``, and the residual."""
+    """Joint accelerations with ``A q'' = a`` nearest to ``preferred``, and the residual.
+
+    By singular values, which show a loss of rank: the normal equations that control laws solve
+    (:func:`multiarm.control.null_space.nearest_accelerations`) leave half the digits.
+    """
     L = np.linalg.cholesky(M)
     B = np.linalg.solve(L, A.T).T
     size = np.linalg.norm(B, axis=1)

@@ -28,6 +28,8 @@ from multiarm.dynamics.solver.bounds import (
     RESIDUAL_BOUND,
     ROUNDED_RESIDUAL,
 )
+from multiarm.dynamics.solver.factors import copy_block, factor_lu
+from multiarm.dynamics.solver.node import contact_count, joint_count
 from multiarm.dynamics.solver.solution import DENSE, SPLIT, WHOLE
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, cfunc, copy, kernel
@@ -111,10 +113,7 @@ def compare_solution(address, size, _a, _b):
             lost = count_lost(i, before.lost_directions[i], work, coupled)
         elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
             lost = before.lost_directions[i]
-        elif (
-            work.first_joint[i + 1] - work.first_joint[i]
-            == work.first_contact[i + 1] - work.first_contact[i]
-        ):
+        elif joint_count(i, work) == contact_count(i, work):
             sign = determinant_sign(i, work, coupled)
             if sign * before.determinant_signs[i] < 0.0:
                 step.sign_changes[i] = 1
@@ -154,27 +153,16 @@ def count_lost(i, before, work, coupled):
 
 @kernel
 def determinant_sign(i, work, coupled):
-    """Sign of ``det(W)`` of an arm with as many contacts as joints (elimination by rows)."""
-    n = work.first_joint[i + 1] - work.first_joint[i]
-    A, W, sign = coupled.A[i], work.W[i], 1.0
-    for r in range(n):
-        for k in range(n):
-            A[r, k] = W[r, k]
+    """Sign of ``det(W)`` of a regular arm with as many contacts as joints, from its LU factors.
+
+    0 where it is not known.
+    """
+    n, A, pivots = joint_count(i, work), coupled.A[i], coupled.pivots
+    copy_block(work.W[i], n, n, A)
+    if not factor_lu(A, n, pivots) > 0.0:
+        return 0.0
+    sign = 1.0
     for k in range(n):
-        best = k
-        for r in range(k + 1, n):
-            if abs(A[r, k]) > abs(A[best, k]):
-                best = r
-        if best != k:
+        if (A[k, k] < 0.0) != (pivots[k] != k):
             sign = -sign
-            for j in range(k, n):
-                A[k, j], A[best, j] = A[best, j], A[k, j]
-        if A[k, k] == 0.0:
-            return 0.0
-        if A[k, k] < 0.0:
-            sign = -sign
-        for r in range(k + 1, n):
-            factor = A[r, k] / A[k, k]
-            for j in range(k + 1, n):
-                A[r, j] -= factor * A[k, j]
     return sign

@@ -43,7 +43,6 @@ class ArmBlocks(NamedTuple):
     works: Int  # powers: of the effects that do work, last of control and effects
     frames: Int  # velocities of the object, o
     shared: Int  # unknowns that all arms share: accelerations of the object, six more of s
-    used: Ints1  # (1,) whether the derivatives of the last step are here
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
     powers: Ints1  # (effects that are called,) the place of each one's power, -1 without
@@ -143,7 +142,6 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         works=works,
         frames=frames,
         shared=u,
-        used=np.zeros(1, dtype=np.int64),
         counts=np.array([len(own) for own in owned], dtype=np.int64),
         states=states,
         powers=effects.powers,

@@ -62,6 +62,7 @@ class Derived(Numbers):
     """The derivatives in the arrays: what they are for, besides the state."""
 
     valid: Flag
+    arm_by_arm: Flag  # they are in ``ArmBlocks``; else in ``FullMatrix``
     alpha: Float
     beta: Float
     projects: Flag  # as in ``Stage``
@@ -113,7 +114,7 @@ def rosenbrock_step(address, size, t, h):
     places = chart_places(open_data(step.system))
     velocity, gamma, right = step.z[places.velocity : places.states], method.gamma, work.right
     projects = step.stage.projects != 0
-    if blocks.used[0] != 0:
+    if work.derived.arm_by_arm:
         usable = factor_stages(gamma, blocks, step.system, velocity, h)
     else:
         usable = factor_full(gamma, full, step.system, projects, velocity, h)
@@ -132,7 +133,7 @@ def rosenbrock_step(address, size, t, h):
                 right[l] += weight * step.k[j, l]
         for l in range(right.size):
             right[l] += h * method.d[i] * work.time_slope[l]
-        if blocks.used[0] != 0:
+        if work.derived.arm_by_arm:
             solve_arm_stage(gamma, blocks, step.system, velocity, h, right, step.k[i])
         else:
             solve_full_stage(gamma, full, step.system, projects, velocity, h, right, step.k[i])
@@ -161,14 +162,14 @@ def differentiate_step(step, work, blocks, full, t, h):
 @kernel
 def differentiate_anew(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
-    blocks.used[0] = 0
+    work.derived.arm_by_arm = False
     status = slope_at(step, t, step.z, work.right)
     if status != OK:
         return status
     if not step.stage.projects and acts_locally(step) and is_regular(step.system):
         status = differentiate_arms(step, blocks, t, h)
         if status != SINGULAR:
-            blocks.used[0] = 1
+            work.derived.arm_by_arm = True
             write_time_slope(blocks, step.system, work.time_slope)
             return status
     return differentiate_full(step, full, work.slope, work.time_slope, t, h)

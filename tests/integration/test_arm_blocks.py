@@ -105,7 +105,7 @@ SCENES = {
 
 def used(stepping) -> bool:
     """Whether the step has differentiated arm by arm."""
-    return bool(stepping.work[1].used[0])
+    return bool(stepping.work[0].derived.arm_by_arm)
 
 
 # --- the derivatives, and runs with them ---------------------------------------------------------

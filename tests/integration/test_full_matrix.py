@@ -141,7 +141,7 @@ def test_derivatives_in_the_full_matrix_are_those_of_whole_evaluations(name, tmp
     exact = Slope(system, state, alpha, beta)
     assert exact.data.arrays.solution.motion_unique == (not name.startswith("spinning"))
     stepping = step_of_the_package(system, state, 1e-3, alpha, beta)
-    assert not stepping.work[1].used[0]
+    assert not stepping.work[0].derived.arm_by_arm
     n = 6 + system.model.layout.joints
     J = exact.jacobian(stepping.step.tolerance.size)[n:]
     by_time = first_difference(lambda s: exact(s, exact.z), 1e-3)

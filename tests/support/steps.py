@@ -113,8 +113,8 @@ def assert_derivatives(found, J, bound):
 
 def derivatives_of(system, stepping):
     """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
-    _, blocks, full = stepping.work
-    if not blocks.used[0]:
+    work, blocks, full = stepping.work
+    if not work.derived.arm_by_arm:
         return full.by_position, full.by_velocity
     layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
     n, size = 6 + layout.joints, stepping.step.tolerance.size

@@ -87,7 +87,9 @@ class InternalForces:
 
 @dataclass(frozen=True, eq=False)
 class Decomposition:
-    """Contact forces as what moves the object and what squeezes it.
+    """Contact forces as what moves the object and what squeezes it, of all contacts in one vector.
+
+    :class:`multiarm.dynamics.evaluation.ForceDecomposition` has them arm by arm.
 
     Attributes
     ----------

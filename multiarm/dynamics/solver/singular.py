@@ -115,12 +115,13 @@ class CoupledWork(NamedTuple):
     # (N,): right-hand side and forces of the coupled system
     right: Floats1
     unknown: Floats1
+    pivots: Ints1  # (m,) scratch: order of rows of an arm
     status: CoupledStatus
 
 
 def make_coupled(joints: list[int], contacts: list[int]) -> CoupledWork:
     """Allocate for arms with ``joints[i]`` joints and ``contacts[i]`` contacts."""
-    n, whole = len(joints), {"arm", "direction"}
+    n, whole = len(joints), {"arm", "direction", "pivots"}
     shapes = coupled_shapes(joints, contacts)
     return CoupledWork(
         deficient=np.zeros(n, dtype=np.int64),
@@ -139,7 +140,7 @@ def coupled_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[in
     return {
         "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "direction": (N,),
         "C": (N, NODE), "B": (N, NODE), "basis": (NODE + N, N), "images": (NODE + N, NODE + N),
-        "z": (N,), "right": (N,), "unknown": (N,),
+        "z": (N,), "right": (N,), "unknown": (N,), "pivots": (m,),
     }  # fmt: skip
 
 
