@@ -149,8 +149,9 @@ def browser():
 @pytest.fixture
 def view(browser):
     """A page without a network."""
-    from page_reader import View
+    from page_reader import FEW_FRAMES, View
 
     page = browser.new_page(viewport={"width": 640, "height": 400}, offline=True)
+    page.add_init_script(FEW_FRAMES)
     yield View(page)
     page.close()

@@ -369,7 +369,7 @@ def test_joints_below_an_arm_move_it_as_its_base_does(components, rng):
     np.testing.assert_allclose(pose, there.tip_pose(q), atol=1e-13)
 
 
-@pytest.mark.parametrize("solve", [["x"], ["yaw"], ["x", "y"]])
+@pytest.mark.parametrize("solve", [["yaw"], ["x", "y"]])
 def test_a_base_is_found_from_which_only_few_postures_reach(solve, rng):
     """Of an arm with five joints: bases that are drawn never suffice."""
     place = {"x": 0.3, "y": 0.2, "z": 0.1, "roll": 0.0, "pitch": 0.0, "yaw": 0.7}

@@ -224,20 +224,22 @@ def test_bead_moves_as_lagrange_says(sledge, name):
     compare(bead_scene(sledge, BEADS[name]), BEADS[name])
 
 
+TIP, ELLIPSOID = {"sphere": {"radius": 0.05}}, {"ellipsoid": {"semi_axes": [0.05, 0.05, 0.05]}}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "thinner"),
+    ("name", "thinner", "ball"),
     [
-        ("sphere", {"sphere": {"radius": 0.75}}),
-        ("bore", {"cylinder": {"radius": 0.55, "inside": True}}),
-        ("torus", {"torus": {"circle_radius": 0.6, "tube_radius": 0.2}}),
-        ("inside_of_a_tube", {"torus": {"circle_radius": 0.6, "tube_radius": 0.3, "inside": True}}),
+        ("sphere", {"sphere": {"radius": 0.75}}, TIP),
+        ("bore", {"cylinder": {"radius": 0.55, "inside": True}}, ELLIPSOID),
+        ("torus", {"torus": {"circle_radius": 0.6, "tube_radius": 0.2}}, ELLIPSOID),
+        (
+            "inside_of_a_tube",
+            {"torus": {"circle_radius": 0.6, "tube_radius": 0.3, "inside": True}},
+            TIP,
+        ),
     ],
-)
-@pytest.mark.parametrize(
-    "ball",
-    [{"sphere": {"radius": 0.05}}, {"ellipsoid": {"semi_axes": [0.05, 0.05, 0.05]}}],
-    ids=["as a tip", "as a surface"],
 )
 def test_round_bead_slides_a_radius_away_from_its_surface(sledge, name, thinner, ball):
     """Radius 5 cm on a body 5 cm thinner: the centre has the same path, and nothing turns it."""

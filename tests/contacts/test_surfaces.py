@@ -112,8 +112,6 @@ USER_SURFACES = {
 # radius of the tip and gap
 TIPS = {
     "point_touching": (0.0, 0.0),
-    "point_apart": (0.0, 0.07),
-    "ball_apart": (0.15, 0.07),
     "ball_overlapping": (0.15, -0.04),
 }
 GUIDES = {name: (Side.of(surface), at) for name, (surface, at) in SURFACES.items()} | USER_SURFACES

@@ -388,7 +388,7 @@ def test_a_stored_run_is_looked_at_and_replayed_without_the_class(tmp_path):
     CONTROLS.registered.clear()
     run = ma.load_trajectory(tmp_path / "run.h5")
     assert dump_scene(run.scene) == run.scene_text and run.scene.control.kind == "pull"
-    ma.replay(run, tmp_path / "run.html", open_browser=False)
+    ma.replay(run, tmp_path / "run.html", open_browser=False, meshes=False)
     ma.report(run, tmp_path / "report.html")
     for code in (None, True):
         with refused(ma.MultiarmError, "$.control.kind"):

@@ -141,7 +141,7 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
         assert eliminate_arms(work, W_o) == (ARM_NOT_FINITE, 1) and work.pivot[1] == 0.0
     else:
         assert eliminate_arms(work, W_o) == (OK, 0)
-        assert not couple(work, coupled, W_o, system.M_o) > 0.0
+        assert not couple(work, coupled, W_o, system.M_o, False) > 0.0
 
 
 @pytest.mark.parametrize("lever", [1.0, 3.0, -0.2])

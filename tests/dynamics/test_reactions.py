@@ -342,7 +342,7 @@ def eliminated(system):
         work.M[i, : dofs[i], : dofs[i]] = M
         work.W[i, : dofs[i], : rows[i]] = work.Wr[i, : dofs[i], : rows[i]] = W
     W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
-    return *eliminate_with_reactions(work, W_o, W_o, system.M_o), work
+    return *eliminate_with_reactions(work, W_o, W_o, system.M_o, False), work
 
 
 # --- friction ------------------------------------------------------------------------------------

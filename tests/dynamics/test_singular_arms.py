@@ -101,7 +101,7 @@ def solved(system, force_coupling=()):
         eliminate_arms(work, object_rows(system))
         work.pivot[list(force_coupling)] = 0.0
     if status == DEFICIENT or force_coupling:
-        solvable = couple(work, coupled, object_rows(system), system.M_o) > 0.0
+        solvable = couple(work, coupled, object_rows(system), system.M_o, False) > 0.0
         rank += int(coupled.status.rank - coupled.status.unknowns)
         if solvable:
             solve_coupled(work, coupled, system.f_o, f_j, c, a_o, q, force)

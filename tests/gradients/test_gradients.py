@@ -375,25 +375,28 @@ def slope_of(function, state):
     )
 
 
-@pytest.mark.parametrize("beginning", ["the scene's start", "another state"])
 @pytest.mark.parametrize(
-    ("name", "path"),
+    ("name", "path", "beginning"),
     [
-        ("open loop", "object.mass"),
-        ("open loop", "object.pose.xyz[0]"),
-        ("open loop", "arms.left.base.xyz[1]"),
-        ("open loop", "arms.right.posture[1]"),
-        ("closed loop", "control.stiffness.left[1]"),
-        ("closed loop", "object.pose.xyz[0]"),
-        ("hinge and ball", "effects.joint_friction.torque"),
-        ("drag and load", "effects.external_wrenches[0].force[1]"),
-        ("drag and load", "object.pose.xyz[2]"),
-        ("dependent constraints", "gravity[1]"),
-        ("dependent constraints", "arms.left.base.xyz[0]"),
+        ("open loop", "object.mass", "another state"),
+        ("open loop", "object.pose.xyz[0]", "another state"),
+        ("open loop", "arms.left.base.xyz[1]", "another state"),
+        ("open loop", "arms.right.posture[1]", "another state"),
+        ("closed loop", "control.stiffness.left[1]", "another state"),
+        ("closed loop", "object.pose.xyz[0]", "the scene's start"),
+        ("hinge and ball", "effects.joint_friction.torque", "another state"),
+        ("drag and load", "effects.external_wrenches[0].force[1]", "another state"),
+        ("drag and load", "object.pose.xyz[2]", "another state"),
+        ("dependent constraints", "gravity[1]", "another state"),
+        ("dependent constraints", "arms.left.base.xyz[0]", "the scene's start"),
+        ("dependent constraints", "arms.left.base.xyz[0]", "another state"),
     ],
 )
 def test_derivatives_from_a_given_state_are_differences_of_runs_from_it(name, path, beginning):
-    """Also by numbers that move the joints: the state is put on them, as that of any run."""
+    """Also by numbers that move the joints: the state is put on them, as that of any run.
+
+    From the scene's start also by numbers that move no joint: the test above.
+    """
     scene, T, begin, state = CHAINS[name], 0.3, 0.0, None
     system = ma.compile_system(scene)
     state = system.initial_state()
@@ -499,17 +502,16 @@ def test_forward_and_backward_agree_at_a_later_start():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
-def test_no_digit_of_a_chaotic_runs_derivatives_is_claimed(accuracy):
+def test_no_digit_of_a_chaotic_runs_derivatives_is_claimed():
     """Errors grow as large as the motion within six seconds, and hardly within the first."""
     system = ma.compile_system(ma.load_scene(SCENES / "ring_weld.yaml"))
-    asked = {"parameters": ["object.mass"], "accuracy": accuracy}
+    asked = {"parameters": ["object.mass"], "accuracy": 1e-6}
     g = ma.gradient(system, 6.0, final=lambda t, state: state.object_position[2], **asked)
     assert g.error > 0.1 and g.digits == 0
     assert g.message.startswith("no digit is right: motions separate so fast until t = 6 s")
     assert g.message in repr(g) and g.message in g._repr_html_()
     early = ma.gradient(system, 1.0, final=lambda t, state: state.object_position[2], **asked)
-    assert early.error <= accuracy and early.digits >= 4 and not early.message
+    assert early.error <= 1e-6 and early.digits >= 4 and not early.message
 
 
 @pytest.mark.slow
@@ -588,7 +590,7 @@ def test_a_scalar_may_bring_its_own_derivatives():
     close(given.start.matrix, plain.start.matrix, 1e-8)
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-6])
 @pytest.mark.parametrize("name", ["open loop", "hinge and ball"])
 def test_estimated_errors_are_as_large_as_the_errors(name, tolerance):
     """Along one run of high accuracy, against the derivatives of high accuracy along it."""

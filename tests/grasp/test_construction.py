@@ -514,7 +514,7 @@ def test_the_deepest_point_of_three_faces_grows_with_the_body():
 
 
 @pytest.mark.parametrize("name", [*WIDE, "box", "oblique", "tetrahedron"])
-@pytest.mark.parametrize("factor", [1e-5, 0.01, 300.0])
+@pytest.mark.parametrize("factor", [1e-5, 300.0])
 def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
     """design(s R x + p) = s R design(x) + p, of microns and of hundreds of metres, far away."""
     more = {"box": BOX, "oblique": oblique(3), "tetrahedron": Polyhedron.hull(np.eye(4, 3))}
@@ -529,7 +529,7 @@ def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
 
 
 @pytest.mark.parametrize("name", ["cut wedge", "hexagon", "L", "octahedron", "box", "oblique"])
-@pytest.mark.parametrize(("factor", "reach"), [(0.01, 1.0), (300.0, 1.0), (1.0, 50.0)])
+@pytest.mark.parametrize(("factor", "reach"), [(300.0, 1.0), (1.0, 50.0)])
 def test_the_design_of_a_body_from_a_file_is_that_of_the_body(tmp_path, name, factor, reach):
     body = {**WIDE, "box": BOX, "oblique": oblique(3)}[name]
     body.scaled(factor).placed(pose_of(4, reach * factor)).save(tmp_path / "body.stl")

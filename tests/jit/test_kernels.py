@@ -268,14 +268,14 @@ def test_kernels_of_other_packages_compile_again_with_any_kernel_of_this_one(mon
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path, ending):
+def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path):
     run_own(tmp_path, 3.0)
-    files = list((tmp_path / "cache").rglob(f"*.{ending}"))
-    assert files
-    for file in files:
-        file.write_bytes(file.read_bytes()[:100])
-    assert run_own(tmp_path, 3.0).endswith("6.0")
+    for ending in ("nbi", "nbc"):
+        files = list((tmp_path / "cache").rglob(f"*.{ending}"))
+        assert files
+        for file in files:
+            file.write_bytes(file.read_bytes()[:100])
+        assert run_own(tmp_path, 3.0).endswith("6.0")
 
 
 def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():

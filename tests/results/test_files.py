@@ -54,7 +54,7 @@ def test_a_run_takes_the_place_of_a_link_and_does_not_follow_it(block_system, sh
 WRITERS = {
     "json": lambda trajectory, path: _write_text(path),
     "save": lambda trajectory, path: trajectory.save(path),
-    "replay": lambda trajectory, path: ma.replay(trajectory, path),
+    "replay": lambda trajectory, path: ma.replay(trajectory, path, meshes=False),
     "report": lambda trajectory, path: ma.report(trajectory, path),
     "check": lambda trajectory, path: check_targets({"--out": path}),
 }

@@ -143,7 +143,7 @@ def test_a_stored_run_names_the_class_and_loads_nothing(folder):
     (folder / "parts.py").write_text("raise RuntimeError('loaded')")
     run = ma.load_trajectory(folder / "run.h5")
     assert run.scene.effects.named == {f"{folder}/parts.py:Magnet": {"strength": 3.0}}
-    ma.replay(run, folder / "run.html")
+    ma.replay(run, folder / "run.html", meshes=False)
     with refused(SceneError, "parts.py:Magnet"):
         ma.compile_system(run.scene, code=True)
 

@@ -43,7 +43,7 @@ def solve_by_node(system):
     if failed == DEFICIENT:
         coupled = make_coupled(dofs, rows)
         assert eliminate_arms(work, W_o) == (OK, 0)
-        assert couple(work, coupled, W_o, system.M_o) > 0.0
+        assert couple(work, coupled, W_o, system.M_o, False) > 0.0
         solve_coupled(work, coupled, system.f_o, f_j, c, a_o, q, force)
     return SimpleNamespace(failed=failed, pivot=work.pivot, x=np.concatenate([a_o, q]), force=force)
 

@@ -60,6 +60,13 @@ FLAGS = [
     "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
 
+# Five pictures a second in place of sixty: the processor draws them, there is no graphics card.
+FEW_FRAMES = """
+const draw = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (frame) => setTimeout(() => draw(frame), 190);
+window.cancelAnimationFrame = (number) => clearTimeout(number);
+"""
+
 
 def chromium():
     wanted = os.environ.get("MULTIARM_CHROMIUM")

@@ -228,9 +228,9 @@ def test_memory_does_not_grow_with_the_runs(welded_ur5_system, tmp_path, what):
         gc.collect()
         return resident()
 
-    runs(40)
-    before = runs(40)
-    assert runs(120) - before < 12.0
+    runs(20)
+    before = runs(20)
+    assert runs(100) - before < 12.0
 
 
 # --- the bar ------------------------------------------------------------------------------------

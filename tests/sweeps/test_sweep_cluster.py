@@ -75,7 +75,7 @@ def test_a_cluster_gives_the_same_rows_whichever_workers_die(scene, tmp_path):
         scene, {MASS: [5.0, 10.0, 20.0]}, keep=[f"{tmp_path}/own.py:always"], run=RUN
     )
     once = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
-    with cluster_of(tmp_path, 4, **once) as (address, workers), executors.connected(address) as c:
+    with cluster_of(tmp_path, 3, **once) as (address, workers), executors.connected(address) as c:
         coming = executors.run_on_cluster(Context.of(plan), jobs_of(plan), c)
         rows = [next(coming), next(coming)]
         workers[0].kill()

@@ -144,7 +144,7 @@ def test_a_sweep_that_is_not_complete_says_which_runs_it_has(tmp_path):
 
 @pytest.mark.slow
 def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path, write_on):
-    path, count, rng = tmp_path / "s.sweep", 400, random.Random(11)
+    path, count, rng = tmp_path / "s.sweep", 200, random.Random(11)
     safe = 0  # a block has 7 runs and 3 steps: far from all after so few
     for order in range(5):
         # while the folder begins, or among new rows
