@@ -10,8 +10,8 @@ Data                rows of W                           made by, and for
 ==================  ==================================  ============================================
 ``full``            all                                 ``Model.data()``: evaluations and runs; with
                                                         unilateral contacts: gaps and guards
-``closed``          those of the joints, all closed     ``Data.with_contacts_closed``: what control
-                                                        laws evaluate; inverse dynamics
+``closed``          those of the joints, all closed     ``Data.closed``: what control laws
+                                                        evaluate; inverse dynamics
 ``modes.data``      those that hold in a mode           ``events.modes.Modes``, a ``RowSelection``:
                                                         the run and its steps
 ``modes.data        tangents of the contacts that       the same: directions of slip

@@ -75,7 +75,7 @@ class Modes:
         unilateral = full.model.unilateral
         assert unilateral is not None, "a system with unilateral contacts"
         self.full, self.unilateral, self.slow = full, unilateral, slow
-        self.closed = full.with_contacts_closed()
+        self.closed = full.closed
         self.bilateral = self._always(unilateral.bilateral)
         self._structs = ModeStructs(active=True)
         self._structs.refer(closed=self.closed.reference, full=full.reference)
