@@ -28,8 +28,8 @@ All but the first are views of it.  Inverse dynamics, paths of joints and compar
 with other constants.  A :class:`~multiarm.simulation.Stepper` has a Data of its own, whose control
 is held.
 
-Kernels open the struct of another Data at its address, which is in numbers of the first:
-:class:`References` keep alive what is there.
+Kernels open the struct of another Data at its address, which is in numbers of the first
+(:func:`multiarm.jit.structs.referenced`): :class:`References` keep alive what is there.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Reference:
 
     @property
     def address(self) -> int:
-        """For kernels, see :func:`multiarm.jit.structs.struct_at`."""
+        """For kernels, see :func:`multiarm.jit.structs.referenced`."""
         return self.struct.ctypes.data
 
 
