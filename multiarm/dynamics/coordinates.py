@@ -31,7 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.layout import TWIST, Layout, columns_of_state, places_in_chart
+from multiarm.dynamics import layout as parts
+from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.spatial import difference as rotation_difference
 from multiarm.spatial import retract_into as retract_quaternion
@@ -87,7 +88,9 @@ def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray
 
 # --- columns of derivatives -----------------------------------------------------------------------
 
-_columns_of_state, _places_in_chart = plain(columns_of_state), plain(places_in_chart)
+columns_of_state, places_in_chart = plain(parts.columns_of_state), plain(parts.places_in_chart)
+column_of_displacement = plain(parts.column_of_displacement)
+column_of_velocity = plain(parts.column_of_velocity)
 
 
 class EquationColumns(NamedTuple):
@@ -105,7 +108,7 @@ class EquationColumns(NamedTuple):
 def equation_columns(data):
     """The columns for the sizes of these data."""
     velocities, joints = data.state.velocity.size, data.state.joint_positions.size
-    twists, positions, rates, torques = _columns_of_state(velocities, joints)
+    twists, positions, rates, torques = columns_of_state(velocities, joints)
     wrench = torques + joints
     return EquationColumns(twists, positions, rates, torques, wrench, wrench + twists)
 
@@ -133,7 +136,7 @@ def force_columns(data):
 @plain
 def columns_of_forces(velocities, joints, states):
     """The columns for numbers of velocities, joints among them, and states of effects."""
-    twists, positions, rates, first_state = _columns_of_state(velocities, joints)
+    twists, positions, rates, first_state = columns_of_state(velocities, joints)
     time = first_state + states
     return ForceColumns(twists, positions, rates, first_state, time, time + 1, time + 7)
 
@@ -154,7 +157,7 @@ class ArmColumns(NamedTuple):
 @plain
 def arm_columns(joints, placed):
     """The columns of an arm with this number of joints; ``placed``: with those of placements."""
-    twists, positions, rates, placement = _columns_of_state(TWIST + joints, joints)
+    twists, positions, rates, placement = columns_of_state(TWIST + joints, joints)
     end = placement + (TWIST if placed else 0)
     return ArmColumns(twists, positions, rates, placement, end)
 
@@ -180,7 +183,7 @@ def column_of_state(at, columns, d0, c):
 @plain
 def chart_places(data):
     """The places for the sizes of these data."""
-    return _places_in_chart(
+    return places_in_chart(
         data.state.velocity.size, data.state.joint_positions.size, data.effects.states.size
     )
 

@@ -35,7 +35,13 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.contact_derivatives import STEP
-from multiarm.dynamics.coordinates import chart_places, force_columns, place_in_chart, retract_into
+from multiarm.dynamics.coordinates import (
+    chart_places,
+    column_of_velocity,
+    force_columns,
+    place_in_chart,
+    retract_into,
+)
 from multiarm.dynamics.equations import (
     command_torques,
     control_torques,
@@ -207,8 +213,8 @@ def add_slopes(applied, data, _work, power, of_drives):
             l = begin + i
             for c in range(row.size):
                 row[c] += slopes[i, c] * data.state.velocity[l]
-            rate = columns.twists + l if l < first else columns.rates + l - first
-            row[rate] += data.control.torque[i] if of_drives else data.forces.f[i]
+            force = data.control.torque[i] if of_drives else data.forces.f[i]
+            row[column_of_velocity(columns, l)] += force
 
 
 @kernel

@@ -20,7 +20,6 @@ parts begin, in Python as in kernels; the frames are first in both.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -69,6 +68,16 @@ def columns_of_state(velocities, joints):
     """The columns for numbers of velocities, and of joints among them."""
     frames = velocities - joints
     return StateColumns(frames, 2 * frames, 2 * frames + joints, 2 * velocities)
+
+
+def column_of_displacement(columns, l):
+    """The column of entry ``l`` of a displacement."""
+    return l if l < columns.twists else columns.positions + l - columns.twists
+
+
+def column_of_velocity(columns, l):
+    """The column of entry ``l`` of a velocity."""
+    return columns.twists + l if l < columns.twists else columns.rates + l - columns.twists
 
 
 @dataclass(frozen=True)
@@ -211,18 +220,11 @@ class Layout:
     @property
     def displacement_columns(self) -> np.ndarray:
         """The columns of a displacement, in the order of a velocity, shape (6 F + n,)."""
-        return np.r_[self.columns["object_pose"], self.columns["joint_positions"]]
+        columns = columns_of_state(self.nv, self.joints)
+        return np.array([column_of_displacement(columns, l) for l in range(self.nv)])
 
     @property
     def velocity_columns(self) -> np.ndarray:
         """The columns of a velocity, shape (6 F + n,)."""
-        return np.r_[self.columns["object_twist"], self.columns["joint_velocities"]]
-
-
-def in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Slices of these sizes, one after the other."""
-    slices, end = {}, 0
-    for name, size in sizes.items():
-        slices[name] = slice(end, end + size)
-        end += size
-    return slices
+        columns = columns_of_state(self.nv, self.joints)
+        return np.array([column_of_velocity(columns, l) for l in range(self.nv)])

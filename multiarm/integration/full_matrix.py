@@ -50,7 +50,9 @@ from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import (
     arm_columns,
     chart_places,
+    column_of_displacement,
     column_of_state,
+    column_of_velocity,
     equation_columns,
     force_columns,
 )
@@ -276,7 +278,7 @@ def add_friction_power(struct, full):
 @inlined
 def write_responses(data, full, time_slope):
     """Write what the derivatives of the equations and of the forces amount to."""
-    at, columns, places = equation_columns(data), force_columns(data), chart_places(data)
+    columns, places = force_columns(data), chart_places(data)
     nv, row = data.state.velocity.size, full.row
     clear(time_slope)
     for i in range(full.applied.shape[0]):
@@ -285,10 +287,8 @@ def write_responses(data, full, time_slope):
         else:
             copy(full.applied[i], row)
         for l in range(nv):
-            joint = l - places.joints
-            of_frame = l < places.joints
-            full.by_position[i, l] = row[l if of_frame else at.positions + joint]
-            full.by_velocity[i, l] = row[at.twists + l if of_frame else at.rates + joint]
+            full.by_position[i, l] = row[column_of_displacement(columns, l)]
+            full.by_velocity[i, l] = row[column_of_velocity(columns, l)]
         for k in range(data.effects.states.size):
             full.by_velocity[i, nv + k] = row[columns.states + k]
         time_slope[places.velocity + i] = row[columns.time]
