@@ -312,7 +312,7 @@ class SharedData:
     Attributes
     ----------
     variables : Variables
-        With rows of the first Data, and the addresses of all functions that views share.
+        Those of the first Data; views replace rows and functions.
     effects : list of EffectData
         What every effect kernel reads and writes.
     surfaces : list of SmoothShape
@@ -322,7 +322,7 @@ class SharedData:
     callbacks : dict of str to GuardedCall
         Those of Pinocchio and of surfaces, and functions that are compiled when first called.
     calls : set of GuardedCall
-        All callbacks of the Data that live.
+        All callbacks of all views, as long as a view has them.
     """
 
     def __init__(self, model: Model) -> None:
@@ -407,15 +407,24 @@ class HasRowData(Protocol):
     """A :class:`RowData`, or what makes its parts when they are asked for."""
 
     @property
-    def model(self) -> Model: ...  # noqa: D102
+    def model(self) -> Model:
+        """The model with these rows."""
+
     @property
-    def arrays(self) -> Variables: ...  # noqa: D102
+    def arrays(self) -> Variables:
+        """The variables."""
+
     @property
-    def work(self) -> NodeWork: ...  # noqa: D102
+    def work(self) -> NodeWork:
+        """Workspace of the node algorithm."""
+
     @property
-    def coupled(self) -> CoupledWork: ...  # noqa: D102
+    def coupled(self) -> CoupledWork:
+        """Workspace of the coupled system."""
+
     @property
-    def cache(self) -> dict[object, Any]: ...  # noqa: D102
+    def cache(self) -> dict[object, Any]:
+        """Objects of other packages."""
 
 
 class Data:

@@ -2,8 +2,10 @@
 
 A *view* of a Data (:meth:`multiarm.dynamics.model.Data.view`) has its state, the motion of its
 bodies, its effects, and **its forces and accelerations**: whatever assembles ``forces.f`` or solves
-in one of them replaces what the others have.  Rows, their sample, the workspace of the solver and
-that of the control laws are a view's own where it has other rows.
+in one of them replaces what the others have (:class:`multiarm.dynamics.model.SharedData`).  The
+addresses of functions and the work of control laws are a view's own; so are rows, their sample and
+the workspace of the solver where it has other rows (:class:`multiarm.dynamics.model.RowData`), and
+the samples of a control that is sampled otherwise.
 
 ==================  ==================================  ============================================
 Data                rows of W                           made by, and for
