@@ -154,7 +154,7 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
 
 def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:
     """The scene's control, for which all contacts of the joints are closed."""
-    closed = data.with_contacts_closed()
+    closed = data.closed
 
     def path(waypoints: tuple[Waypoint, ...]) -> JointPath:
         return joint_path(scene, closed, start, waypoints, compile_system)

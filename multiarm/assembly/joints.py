@@ -67,7 +67,7 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
 
 def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame]:
     """The frame of every joint, with its free motions, by arm."""
-    closed, frames = data.with_contacts_closed(), {}
+    closed, frames = data.closed, {}
     for joint in scene.joints:
         frame = closed.model.frames[joint.arm]
         if joint.free is None:

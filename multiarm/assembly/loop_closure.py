@@ -43,7 +43,7 @@ import numpy as np
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics.contact_geometry import force_directions
-from multiarm.dynamics.coordinates import difference, retracted
+from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
@@ -309,7 +309,7 @@ class Linkage:
         if u is not None:
             displacement = np.zeros(self._layout.nv)
             displacement[self._moving] = self.unit * u
-            b.state.configuration[:] = retracted(self._layout, posture.configuration, displacement)
+            b.state.configuration[:] = retract(self._layout, posture.configuration, displacement)
             self._snap(b.state.joint_positions)
         require_ok(self._data, update_kinematics(self._data.struct))
 

@@ -17,6 +17,9 @@ null space of ``A``, from its singular value decomposition:
     \tfrac12 |w|^2 - \tfrac12 |w^+|^2 = \tfrac12 |V_r^T w|^2 .
 
 Nothing is divided by a singular value: dependent rows and singular arms need no special treatment.
+Rates close also along directions that an arm has almost lost, which the projection of a run
+(:mod:`multiarm.integration.projection`), linear in the arms, leaves with those that depend on
+others.
 """
 
 from __future__ import annotations

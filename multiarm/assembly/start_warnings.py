@@ -38,7 +38,7 @@ def _weight_not_carried(system: System) -> list[str]:
     if scene.gravity is None or not scene.control.carries:
         return []
     with system.borrow() as data:
-        closed = data.with_contacts_closed()
+        closed = data.closed
         left, size = uncarried_weight(closed, system.initial_state()), scene_size(closed)
     weight = scene.object.mass * float(np.linalg.norm(scene.gravity))
     if np.linalg.norm([*left[:3], *left[3:] / size]) <= UNCARRIED * weight:

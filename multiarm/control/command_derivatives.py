@@ -37,8 +37,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
-from multiarm.dynamics.coordinates import force_columns
+from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
 from multiarm.dynamics.model import Data
@@ -53,7 +52,7 @@ from multiarm.jit.structs import Floats1, Floats2, Int, Ints1, struct_at, struct
 class CommandDerivatives(NamedTuple):
     """Results and scratch for d joints and m contacts of the largest arm, S columns of the state.
 
-    An arm has C columns of its own (:class:`multiarm.dynamics.contact_derivatives.ArmColumns`).
+    An arm has C columns of its own (:class:`multiarm.dynamics.coordinates.ArmColumns`).
     """
 
     # structs of multiarm.dynamics.equation_derivatives
@@ -162,8 +161,8 @@ def differentiate_shares(data, work, motion, rest, by):
         own = arm_columns(n, False)
         for k in range(work.first_contact[i], work.first_contact[i + 1]):
             clear(by.forces[k])
-            for c in range(own.velocities):
-                if own.twist <= c < own.positions:
+            for c in range(own.rates):
+                if own.twists <= c < own.positions:
                     continue  # y is no velocity of the state
                 rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
                 by.forces[k, column] = rate = rate + by.desired[k, column]

@@ -40,10 +40,9 @@ from multiarm.control.command_derivatives import (
 )
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
-from multiarm.dynamics.coordinates import force_columns
+from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -156,8 +155,8 @@ def write_share_derivatives(address, size, at, _t):
         d0, r0 = work.first_joint[i], work.first_contact[i]
         own = arm_columns(work.first_joint[i + 1] - d0, False)
         for k in range(r0, work.first_contact[i + 1]):
-            for c in range(own.velocities):
-                if c < own.twist or c >= own.positions:  # y is no velocity of the state
+            for c in range(own.rates):
+                if c < own.twists or c >= own.positions:  # y is no velocity of the state
                     column = column_of_state(columns, own, d0, c)
                     add_share(data, work, i, k, motion.rates[k, c], column)
             for l in range(share.shape[0]):

@@ -37,10 +37,10 @@ from multiarm.contacts.motion import motion_relative_to, open_body
 from multiarm.dynamics.contact_derivatives import (
     OF_SEEN,
     SEEN,
-    arm_columns,
     write_column_displacement,
     write_seen_motion,
 )
+from multiarm.dynamics.coordinates import arm_columns
 from multiarm.dynamics.equation_derivatives import AT_REST, open_equations, open_links, write_body
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
@@ -78,7 +78,7 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, by):
         arm.v[d0 + j], arm.a_j[d0 + j] = 0.0, held[d0 + j] - damped
         for k in range(n):
             K[j, k] = M[j, k]
-            X[j, own.velocities + k] = -law.free_rate * M[j, k]
+            X[j, own.rates + k] = -law.free_rate * M[j, k]
     write_body(data, AT_REST, AT_REST, arm)
     write_arm(i, data, by)
     subtract_torque_slopes(i, own, frame, command.held[i], by, X)
@@ -123,7 +123,7 @@ def subtract_torque_slopes(i, own, frame, multipliers, by, X):
     ``multipliers`` (6,) in world axes.
     """
     links, arm = open_links(by.excess), open_equations(by.excess)
-    n = own.velocities - own.positions
+    n = own.rates - own.positions
     relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
     R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
@@ -132,7 +132,7 @@ def subtract_torque_slopes(i, own, frame, multipliers, by, X):
     for j in range(n):
         for k in range(n):
             X[j, own.positions + k] -= arm.by_q[j, k]
-    for c in range(own.velocities):
+    for c in range(own.rates):
         write_column_displacement(own, c, relative, arm)
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))

@@ -30,8 +30,7 @@ from multiarm.control.null_space_derivatives import differentiate_hold
 from multiarm.control.object_law import open_command, open_object_law
 from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
-from multiarm.dynamics.coordinates import force_columns
+from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
 from multiarm.dynamics.equation_derivatives import (
     AT_REST,
     add_object_equation,
@@ -123,7 +122,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
     add_inverse_dynamics(data, work, motion)
     for i in range(work.first_joint.size - 1):
         n = work.first_joint[i + 1] - work.first_joint[i]
-        rates = arm_columns(n, False).velocities
+        rates = arm_columns(n, False).rates
         for j in range(n):
             clear(by.preferred[j])
             by.preferred[j, rates + j] = -law.free_rate
@@ -202,13 +201,13 @@ def differentiate_press(i, law, struct, data, work, by):
             return SINGULAR
     status = write_derivatives_at_rest(struct, by.excess, y)
     own, columns = arm_columns(work.first_joint[i + 1] - d0, False), force_columns(data)
-    for c in range(own.velocities):
-        if own.twist <= c < own.positions:
+    for c in range(own.rates):
+        if own.twists <= c < own.positions:
             continue
         column = column_of_state(columns, own, d0, c)
         for l in range(left.size):
             left[l] = excess.dF_o[l, column]
-        if 3 <= c < own.twist:
+        if 3 <= c < own.twists:
             put(left, 0, add_cross(vec(left, 0), AXES[c - 3], vec(world, 0)))
             put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
         for k in range(r1 - r0):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.table import JointRows
-from multiarm.dynamics.guards import Guards
+from multiarm.dynamics.guards import Guards, open_guards
 from multiarm.dynamics.solver.node import ArmGroups, NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
 from multiarm.dynamics.status import CALLBACK_FAILED, KERNEL_FAILED, OK, SINGULAR
@@ -30,6 +30,7 @@ from multiarm.jit.structs import (
     Ints2,
     count_entries,
     place_of,
+    referenced,
     size_places,
     struct_of,
     view,
@@ -182,6 +183,15 @@ def open_system(struct):
 def open_data(struct):
     """The view ``data`` alone."""
     return _open_variables(struct)
+
+
+@inlined
+def guards_of_mode(data):
+    """The guards of the mode, where there are unilateral contacts."""
+    return open_guards(referenced(data.modes.mode))
+
+
+# --- functions that are called by address ---------------------------------------------------------
 
 
 @inlined

@@ -33,7 +33,6 @@ A displacement of the pose is a twist :math:`u = (\delta, \theta)`: the origin m
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
 from multiarm.contacts.kernel import open_contact, write_row
@@ -42,7 +41,7 @@ from multiarm.contacts.table import JOINT, open_code, open_geometry
 from multiarm.dynamics.layout import TWIST
 from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
-from multiarm.jit.kernels import clear, inlined, kernel, plain
+from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.rows import offset_of
 from multiarm.jit.vectors import (
     AXES,
@@ -73,50 +72,12 @@ VALUE = TWIST
 OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
 
 
-class ArmColumns(NamedTuple):
-    """First columns of the coordinates by which an arm's equations are differentiated.
-
-    They are pose and twist of the object (6 each, world axes), positions and velocities of the
-    arm's joints, and, where they are wanted, a displacement of the contacts against the link (6),
-    in its axes.
-    """
-
-    twist: int
-    positions: int
-    velocities: int
-    placement: int
-    end: int  # number of coordinates, C
-
-
-@plain
-def arm_columns(joints, placed):
-    """The columns of an arm with this number of joints; ``placed``: with those of placements."""
-    positions, placement = 2 * TWIST, 2 * TWIST + 2 * joints
-    end = placement + (TWIST if placed else 0)
-    return ArmColumns(TWIST, positions, positions + joints, placement, end)
-
-
-@inlined
-def column_of_state(at, columns, d0, c):
-    """Place among all columns ``at`` of one of an arm, whose joints begin at ``d0``.
-
-    The object is the first frame; columns of placements are no columns of the state.
-    """
-    if c < columns.twist:
-        return c
-    if c < columns.positions:
-        return at.twists + c - columns.twist
-    if c < columns.velocities:
-        return at.positions + d0 + c - columns.positions
-    return at.rates + d0 + c - columns.velocities
-
-
 @kernel
 def differentiate_joint(model, data, first, last, columns, gaps, work):
     """Write what the equations of an arm take from its joint, rows ``first`` to ``last``.
 
-    By the C coordinates of :class:`ArmColumns`.  Written: ``gaps`` (N_i, C), the derivatives of the
-    second derivatives of the joint's gaps by time, and in ``work``
+    By the C coordinates of :class:`multiarm.dynamics.coordinates.ArmColumns`.  Written: ``gaps``
+    (N_i, C), the derivatives of the second derivatives of the joint's gaps by time, and in ``work``
     (:class:`multiarm.dynamics.equation_derivatives.EquationWork`) ``rates``, those of the first
     ones, ``on_object`` and ``on_link``.
     """

@@ -31,16 +31,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.layout import Layout
+from multiarm.dynamics import layout as parts
+from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.spatial import difference as rotation_difference
-from multiarm.spatial import retract_into, rotation_between, write_chart_rate
+from multiarm.spatial import retract_into as retract_quaternion
+from multiarm.spatial import rotation_between, write_chart_rate
 
 # --- configurations ------------------------------------------------------------------------------
 
 
 @plain
-def retract(frames, start, step, displacement, configuration):
+def retract_into(frames, start, step, displacement, configuration):
     """Write ``start (+) step * displacement`` into ``configuration``, which may be ``start``.
 
     Parameters
@@ -60,16 +62,16 @@ def retract(frames, start, step, displacement, configuration):
         )
         for k in range(3):
             configuration[at + k] = start[at + k] + step * displacement[by + k]
-        retract_into(start[at + 3 : at + 7], turn, configuration[at + 3 : at + 7])
+        retract_quaternion(start[at + 3 : at + 7], turn, configuration[at + 3 : at + 7])
     for j in range(configuration.size - 7 * frames):
         moved = step * displacement[6 * frames + j]
         configuration[7 * frames + j] = start[7 * frames + j] + moved
 
 
-def retracted(layout: Layout, start: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def retract(layout: Layout, start: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """``start (+) displacement``, a new configuration."""
     configuration = np.empty_like(start)
-    retract(layout.frames, start, 1.0, displacement, configuration)
+    retract_into(layout.frames, start, 1.0, displacement, configuration)
     return configuration
 
 
@@ -84,11 +86,15 @@ def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray
     return displacement
 
 
-class StateColumns(NamedTuple):
-    """First columns of derivatives by state and forces; by poses of the frames they begin at zero.
+# --- columns of derivatives -----------------------------------------------------------------------
 
-    Forces are torques of the joints, and wrenches on the frames.
-    """
+columns_of_state, places_in_chart = plain(parts.columns_of_state), plain(parts.places_in_chart)
+column_of_displacement = plain(parts.column_of_displacement)
+column_of_velocity = plain(parts.column_of_velocity)
+
+
+class EquationColumns(NamedTuple):
+    """First columns of derivatives by the state, and by forces: torques, wrenches on the frames."""
 
     twists: int
     positions: int  # of joints
@@ -99,21 +105,16 @@ class StateColumns(NamedTuple):
 
 
 @plain
-def state_columns(data):
-    """The columns for the sizes of these data, see ``Layout.columns``."""
-    return columns_of_state(data.state.velocity.size, data.state.joint_positions.size)
-
-
-@plain
-def columns_of_state(velocities, joints):
-    """The columns for numbers of velocities, and of joints among them."""
-    frames, torques = velocities - joints, 2 * velocities
+def equation_columns(data):
+    """The columns for the sizes of these data."""
+    velocities, joints = data.state.velocity.size, data.state.joint_positions.size
+    twists, positions, rates, torques = columns_of_state(velocities, joints)
     wrench = torques + joints
-    return StateColumns(frames, 2 * frames, 2 * frames + joints, torques, wrench, wrench + frames)
+    return EquationColumns(twists, positions, rates, torques, wrench, wrench + twists)
 
 
 class ForceColumns(NamedTuple):
-    """First columns of derivatives of forces; by poses of the frames they begin at zero."""
+    """First columns of derivatives of forces: by the state, and what else they depend on."""
 
     twists: int
     positions: int  # of joints
@@ -126,7 +127,7 @@ class ForceColumns(NamedTuple):
 
 @plain
 def force_columns(data):
-    """The columns for the sizes of these data: those of the state, and what follows them."""
+    """The columns for the sizes of these data."""
     return columns_of_forces(
         data.state.velocity.size, data.state.joint_positions.size, data.effects.states.size
     )
@@ -135,25 +136,48 @@ def force_columns(data):
 @plain
 def columns_of_forces(velocities, joints, states):
     """The columns for numbers of velocities, joints among them, and states of effects."""
-    at = columns_of_state(velocities, joints)
-    time = at.torques + states
-    return ForceColumns(at.twists, at.positions, at.rates, at.torques, time, time + 1, time + 7)
+    twists, positions, rates, first_state = columns_of_state(velocities, joints)
+    time = first_state + states
+    return ForceColumns(twists, positions, rates, first_state, time, time + 1, time + 7)
+
+
+class ArmColumns(NamedTuple):
+    """First columns of what an arm's equations depend on: the object's state and the arm's own.
+
+    Where they are wanted, also a displacement of the contacts against the link (6), in its axes.
+    """
+
+    twists: int  # of the object
+    positions: int  # of the arm's joints
+    rates: int
+    placement: int
+    end: int  # number of coordinates, C
+
+
+@plain
+def arm_columns(joints, placed):
+    """The columns of an arm with this number of joints; ``placed``: with those of placements."""
+    twists, positions, rates, placement = columns_of_state(TWIST + joints, joints)
+    end = placement + (TWIST if placed else 0)
+    return ArmColumns(twists, positions, rates, placement, end)
+
+
+@inlined
+def column_of_state(at, columns, d0, c):
+    """Place among all columns ``at`` of one of an arm, whose joints begin at ``d0``.
+
+    The object is the first frame; columns of placements are no columns of the state.
+    """
+    if c < columns.twists:
+        return c
+    if c < columns.positions:
+        return at.twists + c - columns.twists
+    if c < columns.rates:
+        return at.positions + d0 + c - columns.positions
+    return at.rates + d0 + c - columns.rates
 
 
 # --- the integrator's chart ----------------------------------------------------------------------
-
-
-class Places(NamedTuple):
-    """Where the parts of a chart's vector begin, and the joints of a vector like a velocity.
-
-    A chart's positions are laid out like a velocity; the frames are first in both.
-    """
-
-    joints: int  # joint positions, or what a vector like a velocity has of the joints
-    velocity: int  # numbers of a velocity
-    rates: int  # joint velocities
-    states: int  # of effects
-    works: int
 
 
 @plain
@@ -165,15 +189,8 @@ def chart_places(data):
 
 
 @plain
-def places_in_chart(velocities, joints, states):
-    """The places for numbers of velocities, joints among them, and states of effects."""
-    end = 2 * velocities  # of the velocity
-    return Places(velocities - joints, velocities, end - joints, end, end + states)
-
-
-@plain
 def place_in_chart(columns, places, column):
-    """Place in a chart's vector of a column of the state, of :class:`StateColumns` or the like."""
+    """Place in a chart's vector of a column of the state."""
     if column < columns.twists:
         return column
     if column < columns.positions:
@@ -186,7 +203,7 @@ def place_in_chart(columns, places, column):
 @plain
 def read_chart(frames, z, base, configuration):
     """Write the configuration of a chart's vector."""
-    retract(frames, base, 1.0, z, configuration)
+    retract_into(frames, base, 1.0, z, configuration)
 
 
 @plain
@@ -201,31 +218,33 @@ def load_chart(z, base, data):
 
 
 @inlined
-def write_in_chart(data, base, z):
-    """Write the state in the data as a vector of the chart with this base; the works stay."""
-    places, poses = chart_places(data), data.state.poses
-    for f in range(poses.shape[0]):
-        turn = rotation_between(base[7 * f + 3 : 7 * f + 7], poses[f, 3:7])
+def write_new_chart(data, base, z):
+    """Begin a chart at the state in the data: ``theta = 0``; the works in ``z`` stay."""
+    for f in range(data.state.poses.shape[0]):
         for k in range(3):
-            z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], turn[k]
-    copy_numbers(data, places, z)
+            z[6 * f + 3 + k] = 0.0
+        for k in range(3, 7):
+            base[7 * f + k] = data.state.poses[f, k]
+    write_all_but_turns(data, z)
 
 
 @inlined
-def store_chart(data, base, z):
-    """Begin a chart at the state in the data: ``theta = 0``; the works in ``z`` stay."""
-    places, poses = chart_places(data), data.state.poses
-    for f in range(poses.shape[0]):
+def write_chart(data, base, z):
+    """Write the state in the data as a vector of the chart with this base; the works stay."""
+    for f in range(data.state.poses.shape[0]):
+        turn = rotation_between(base[7 * f + 3 : 7 * f + 7], data.state.poses[f, 3:7])
         for k in range(3):
-            z[6 * f + k], z[6 * f + 3 + k] = poses[f, k], 0.0
-        for k in range(3, 7):
-            base[7 * f + k] = poses[f, k]
-    copy_numbers(data, places, z)
+            z[6 * f + 3 + k] = turn[k]
+    write_all_but_turns(data, z)
 
 
 @plain
-def copy_numbers(data, places, z):
-    """Copy what the state and a chart's vector share: all numbers but the poses of the frames."""
+def write_all_but_turns(data, z):
+    """Copy what the state and a chart's vector share: all but how the frames are turned."""
+    places = chart_places(data)
+    for f in range(data.state.poses.shape[0]):
+        for k in range(3):
+            z[6 * f + k] = data.state.poses[f, k]
     for j in range(data.state.joint_positions.size):
         z[places.joints + j] = data.state.joint_positions[j]
     for k in range(data.state.velocity.size):

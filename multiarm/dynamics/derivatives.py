@@ -43,8 +43,7 @@ import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import TANGENT, Code
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
-from multiarm.dynamics.coordinates import state_columns
+from multiarm.dynamics.coordinates import arm_columns, column_of_state, equation_columns
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
     solve_by_arms,
@@ -127,7 +126,7 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     turns = np.zeros((len(slides.row), matrix.shape[1]))
     for turn, angle, i in zip(turns, equations.friction.angle, slides.arm, strict=True):
         d0, own = layout.first_joint[i], arm_columns(layout.joint_counts[i], False)
-        at = state_columns(data.arrays)
+        at = equation_columns(data.arrays)
         turn[[column_of_state(at, own, d0, c) for c in range(own.end)]] = angle[: own.end]
         if "placements" in columns and i < len(layout.names):
             first = columns["placements"].start + 6 * i

@@ -40,11 +40,14 @@ from multiarm.dynamics.contact_derivatives import (
     SLOPES_WIDTH,
     STILL,
     VALUE,
-    arm_columns,
-    column_of_state,
     differentiate_joint,
 )
-from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.coordinates import (
+    arm_columns,
+    chart_places,
+    column_of_state,
+    equation_columns,
+)
 from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
@@ -67,7 +70,7 @@ class EquationWork(NamedTuple):
     """Results and scratch for ``n`` arms; ``d`` joints and ``m`` contacts of the largest.
 
     An arm's own columns are C coordinates, see
-    :class:`multiarm.dynamics.contact_derivatives.ArmColumns`, the torques of its joints and the
+    :class:`multiarm.dynamics.coordinates.ArmColumns`, the torques of its joints and the
     object's acceleration.
     """
 
@@ -272,7 +275,7 @@ def differentiate_arm(i, model, data, system, links, work):
     first, last = system.first_contact[i], system.first_contact[i + 1]
     is_arm, dF, link = i < links.first.size - 1, work.dF[i], work.link
     columns = columns_of_arm(i, n, links, work)
-    C, columns_of_state = columns.end, state_columns(data)
+    C, of_all = columns.end, equation_columns(data)
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
@@ -288,17 +291,17 @@ def differentiate_arm(i, model, data, system, links, work):
     for j in range(n):
         for k in range(n):
             dF[j, columns.positions + k] = work.by_q[j, k]
-            dF[j, columns.velocities + k] = work.by_v[j, k]
+            dF[j, columns.rates + k] = work.by_v[j, k]
         dF[j, C + j] = -1.0
     for k in range(first, last):
         for l in range(work.dF_o.shape[0]):
             dF[n + k - first, C + n + l] = data.rows.W_o[k, l]
     for c in range(C):
-        if columns.twist <= c < columns.positions or columns.velocities <= c < columns.placement:
+        if columns.twists <= c < columns.positions or columns.rates <= c < columns.placement:
             continue  # wrenches of contacts do not depend on velocities
         if is_arm:
             subtract_torques(n, work.on_link[c], work.links, dF, c)
-        at = column_of_state(columns_of_state, columns, d0, c)
+        at = column_of_state(of_all, columns, d0, c)
         if c >= columns.placement:
             at = work.placements + 6 * i + c - columns.placement
         for l in range(work.dF_o.shape[0]):
@@ -339,14 +342,14 @@ def add_drift_feedback(struct, own, alpha, beta):
         columns, W = columns_of_arm(i, n, links, work), system.W[i]
         for k in range(first, system.first_contact[i + 1]):
             dF, by_gap = work.dF[i, n + k - first], beta * beta * gap_weight(model, k)
-            for c in range(columns.twist):
+            for c in range(columns.twists):
                 rate = data.rows.W_o[k, c]
                 dF[c] += by_gap * rate + 2.0 * alpha * work.rates[k, c]
-                dF[columns.twist + c] += 2.0 * alpha * rate
+                dF[columns.twists + c] += 2.0 * alpha * rate
             for j in range(n):
                 rate, position = W[j, k - first], columns.positions + j
                 dF[position] += by_gap * rate + 2.0 * alpha * work.rates[k, position]
-                dF[columns.velocities + j] += 2.0 * alpha * rate
+                dF[columns.rates + j] += 2.0 * alpha * rate
 
 
 @inlined
@@ -369,7 +372,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
     """
     _, data, system = open_system(struct)
     links, work = open_links(own), open_equations(own)
-    places, columns_of_state = chart_places(data), state_columns(data)
+    places, of_all = chart_places(data), equation_columns(data)
     for l in range(places.joints):
         for c in range(dF.shape[1]):
             dF[l, c] += work.dF_o[l, c]
@@ -382,7 +385,7 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
         joints, contacts = places.joints + d0, places.velocity + first - n
         for a in range(n + last - first):
             row = a + (joints if a < n else contacts)
-            subtract_own(-1.0, work.dF[i, a], i, d0, n, columns, columns_of_state, work, dF[row])
+            subtract_own(-1.0, work.dF[i, a], i, d0, n, columns, of_all, work, dF[row])
             for b in range(n + last - first):
                 K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
         for k in range(first, last):
@@ -449,7 +452,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
     """
     _, data, system = open_system(struct)
     links, work = open_links(own), open_equations(own)
-    S, places, columns_of_state = work.S, chart_places(data), state_columns(data)
+    S, places, of_all = work.S, chart_places(data), equation_columns(data)
     of_frames = S.shape[0]
     for l in range(of_frames):
         copy(data.bodies.object_inertia[l], S[l])
@@ -467,9 +470,7 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
         for k in range(first, last):
             forces = X[n + k - first]
             for l in range(of_frames):
-                subtract_own(
-                    work.Wr_o[k, l], forces, i, d0, n, columns, columns_of_state, work, matrix[l]
-                )
+                subtract_own(work.Wr_o[k, l], forces, i, d0, n, columns, of_all, work, matrix[l])
                 for c in range(of_frames):
                     S[l, c] += work.Wr_o[k, l] * forces[C + n + c]
     if not factor_lu(S, of_frames, work.pivots) > 0.0:
@@ -491,20 +492,20 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
                 weight, of_object = X[C + n + l], matrix[l]
                 for c in range(row.size):
                     row[c] -= weight * of_object[c]
-            subtract_own(1.0, X, i, d0, n, columns, columns_of_state, work, row)
+            subtract_own(1.0, X, i, d0, n, columns, of_all, work, row)
     return OK
 
 
 @inlined
-def subtract_own(weight, values, i, d0, n, columns, columns_of_state, work, row):
+def subtract_own(weight, values, i, d0, n, columns, of_all, work, row):
     """Subtract an arm's own columns, times a weight, from a row of all columns."""
-    at = columns_of_state
-    for c in range(columns.twist):
+    at = of_all
+    for c in range(columns.twists):
         row[c] -= weight * values[c]
-        row[at.twists + c] -= weight * values[columns.twist + c]
+        row[at.twists + c] -= weight * values[columns.twists + c]
     for k in range(n):
         row[at.positions + d0 + k] -= weight * values[columns.positions + k]
-        row[at.rates + d0 + k] -= weight * values[columns.velocities + k]
+        row[at.rates + d0 + k] -= weight * values[columns.rates + k]
         row[at.torques + d0 + k] -= weight * values[columns.end + k]
     for k in range(columns.end - columns.placement):
         row[work.placements + 6 * i + k] -= weight * values[columns.placement + k]

@@ -47,7 +47,7 @@ from multiarm.dynamics.solver.solution import SPLIT, WHOLE, write_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
-from multiarm.jit.structs import floats_at, struct_at
+from multiarm.jit.structs import floats_at, referenced, struct_at
 
 
 @kernel
@@ -172,7 +172,7 @@ def control_of_closed(address, size, _a, _b):
     Returns a status.
     """
     data = open_data(struct_at(address, size))
-    closed = struct_at(data.modes.closed, 0)
+    closed = referenced(data.modes.closed)
     model, of_closed, work = open_system(closed)
     for i in range(of_closed.bodies.pointers.shape[0]):
         arm_rows(i, closed, model, of_closed, work)

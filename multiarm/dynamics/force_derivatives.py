@@ -35,7 +35,13 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.contact_derivatives import STEP
-from multiarm.dynamics.coordinates import chart_places, force_columns, place_in_chart, retract
+from multiarm.dynamics.coordinates import (
+    chart_places,
+    column_of_velocity,
+    force_columns,
+    place_in_chart,
+    retract_into,
+)
 from multiarm.dynamics.equations import (
     command_torques,
     control_torques,
@@ -52,7 +58,7 @@ from multiarm.dynamics.variables import HELD
 from multiarm.geometry.differences import CENTRAL_4, FORWARD_1, FORWARD_2
 from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import Flag, Float, Int, Numbers, struct_at
+from multiarm.jit.structs import Flag, Float, Int, Numbers, referenced
 
 # Displacement of a difference of order one [m, rad], of velocities and of states of effects
 # relative to the largest one or to 1: roundings are 1e-9 of the forces.
@@ -207,8 +213,8 @@ def add_slopes(applied, data, _work, power, of_drives):
             l = begin + i
             for c in range(row.size):
                 row[c] += slopes[i, c] * data.state.velocity[l]
-            rate = columns.twists + l if l < first else columns.rates + l - first
-            row[rate] += data.control.torque[i] if of_drives else data.forces.f[i]
+            force = data.control.torque[i] if of_drives else data.forces.f[i]
+            row[column_of_velocity(columns, l)] += force
 
 
 @kernel
@@ -251,7 +257,7 @@ def differentiate_control(struct, differences):
 def differentiate_laws(struct, differences, model, data):
     """Let the laws add their derivatives; returns a status, ``SINGULAR`` where one has none."""
     status = OK
-    of_laws = struct_at(data.modes.closed, 0) if data.modes.active else struct
+    of_laws = referenced(data.modes.closed) if data.modes.active else struct
     for k in range(differences.laws):
         if status == OK:
             status = call_derivative(model.control, k, DERIVATIVE, of_laws, data)
@@ -460,7 +466,7 @@ def displace(struct, differences, column, offset, direction, moves, start, data)
     if column >= at.states:
         return status
     frames = data.state.poses.shape[0]
-    retract(frames, start.configuration, offset, direction, data.state.configuration)
+    retract_into(frames, start.configuration, offset, direction, data.state.configuration)
     for l in range(start.velocity.size):
         data.state.velocity[l] = start.velocity[l] + offset * direction[places.velocity + l]
     if moves and differences.local and column < at.positions:

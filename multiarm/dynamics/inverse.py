@@ -191,7 +191,7 @@ def _uncontrolled(data: Data) -> Data:
 
     The dense solver also answers where an arm is singular.
     """
-    closed = data.with_contacts_closed()
+    closed = data.closed
     return closed.view(closed.model.with_constants(control=NO_CONTROL, dense=True))
 
 

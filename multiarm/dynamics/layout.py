@@ -7,18 +7,21 @@ With F floating frames, of which the object is one, and n joints:
     configuration (7 F + n)    poses (F, 7): position, quaternion xyzw; joint positions (n,)
     velocity (6 F + n)         twists (F, 6), world axes; joint velocities (n,)
     contact forces (N)         of each arm, and last of the surroundings
+    chart (12 F + 2 n + e + w) of the integrator: displacement, velocity, states of effects, works
     columns (12 F + 2 n)       of derivatives by the state: by displacements of the frames, their
-                               twists, joint positions, joint velocities
+                               twists, joint positions, joint velocities; others may follow
 
 Displacements, accelerations and generalised forces have the order of a velocity: of a frame six
-numbers, linear (3) and angular (3).  :mod:`multiarm.dynamics.coordinates` moves on configurations.
+numbers, linear (3) and angular (3).  :class:`ChartPlaces` and :class:`StateColumns` say where the
+parts begin, in Python as in kernels; the frames are first in both.
+:mod:`multiarm.dynamics.coordinates` moves on configurations.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +34,50 @@ NAMED_ARMS = 4
 
 STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
 """Names of the columns of derivatives by the state, in their order."""
+
+
+class ChartPlaces(NamedTuple):
+    """Where the parts of a chart's vector begin; the displacements of the frames begin at zero."""
+
+    joints: int  # joint positions, or what a vector like a velocity has of the joints
+    velocity: int  # numbers of a velocity
+    rates: int  # joint velocities
+    states: int  # of effects
+    works: int
+
+
+def places_in_chart(velocities, joints, states):
+    """The places for numbers of velocities, of joints among them, and of states of effects."""
+    end = 2 * velocities  # of the velocity
+    return ChartPlaces(velocities - joints, velocities, end - joints, end, end + states)
+
+
+class StateColumns(NamedTuple):
+    """First columns of derivatives by a state; by displacements of the frames they begin at zero.
+
+    Whatever has columns beside these has the same first three fields.
+    """
+
+    twists: int
+    positions: int  # of joints
+    rates: int
+    end: int
+
+
+def columns_of_state(velocities, joints):
+    """The columns for numbers of velocities, and of joints among them."""
+    frames = velocities - joints
+    return StateColumns(frames, 2 * frames, 2 * frames + joints, 2 * velocities)
+
+
+def column_of_displacement(columns, l):
+    """The column of entry ``l`` of a displacement."""
+    return l if l < columns.twists else columns.positions + l - columns.twists
+
+
+def column_of_velocity(columns, l):
+    """The column of entry ``l`` of a velocity."""
+    return columns.twists + l if l < columns.twists else columns.rates + l - columns.twists
 
 
 @dataclass(frozen=True)
@@ -166,24 +213,18 @@ class Layout:
     @property
     def columns(self) -> dict[str, slice]:
         """Where the columns of derivatives by the state are."""
-        sizes = (TWIST * self.frames, TWIST * self.frames, self.joints, self.joints)
-        return in_sequence(dict(zip(STATE, sizes, strict=True)))
+        first = (0, *columns_of_state(self.nv, self.joints))
+        pairs = zip(STATE, first[:-1], first[1:], strict=True)
+        return {name: slice(begin, end) for name, begin, end in pairs}
 
     @property
     def displacement_columns(self) -> np.ndarray:
         """The columns of a displacement, in the order of a velocity, shape (6 F + n,)."""
-        return np.r_[self.columns["object_pose"], self.columns["joint_positions"]]
+        columns = columns_of_state(self.nv, self.joints)
+        return np.array([column_of_displacement(columns, l) for l in range(self.nv)])
 
     @property
     def velocity_columns(self) -> np.ndarray:
         """The columns of a velocity, shape (6 F + n,)."""
-        return np.r_[self.columns["object_twist"], self.columns["joint_velocities"]]
-
-
-def in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Slices of these sizes, one after the other."""
-    slices, end = {}, 0
-    for name, size in sizes.items():
-        slices[name] = slice(end, end + size)
-        end += size
-    return slices
+        columns = columns_of_state(self.nv, self.joints)
+        return np.array([column_of_velocity(columns, l) for l in range(self.nv)])

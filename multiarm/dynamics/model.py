@@ -16,7 +16,8 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
+from weakref import WeakSet
 
 import numpy as np
 
@@ -40,8 +41,8 @@ from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import COUPLED, FUNCTIONS, STATUS, Constants, system_struct
 from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
 from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
-from multiarm.dynamics.effect_kernels import EffectProgram
-from multiarm.dynamics.guards import Guard, make_guards, reset_guards
+from multiarm.dynamics.effect_kernels import EffectData, EffectProgram
+from multiarm.dynamics.guards import Guard, Guards, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.references import Reference
@@ -54,6 +55,7 @@ from multiarm.dynamics.variables import (
     HELD,
     ONCE,
     Functions,
+    SamplingStatus,
     Sizes,
     Status,
     Variables,
@@ -291,30 +293,105 @@ class Evaluated(Protocol):
     ``arrays`` has these of the ``Variables``, ``work`` of the ``NodeWork``.
     """
 
-    model: Model
-    arrays: Any
-    work: Any
+    @property
+    def model(self) -> Model:
+        """Of these results."""
+
+    @property
+    def arrays(self) -> Any:
+        """Its variables."""
+
+    @property
+    def work(self) -> Any:
+        """The workspace of its solver."""
 
 
-class Data:
-    """Variables of the evaluations of a model, for one thread.
+class SharedData:
+    """What a Data has in common with its views: the state, motion of the bodies, effects, forces.
+
+    Attributes
+    ----------
+    variables : Variables
+        Those of the first Data; views replace rows and functions.
+    effects : list of EffectData
+        What every effect kernel reads and writes.
+    surfaces : list of SmoothShape
+        User-defined surfaces.
+    guards : Guards
+        The table of those that only report.
+    callbacks : dict of str to GuardedCall
+        Those of Pinocchio and of surfaces, and functions that are compiled when first called.
+    calls : set of GuardedCall
+        All callbacks of all views, as long as a view has them.
+    """
+
+    def __init__(self, model: Model) -> None:
+        constants, layout = model.constants, model.layout
+        self._backends, self._ground = model.backends.copy(), Ground(constants.gravity)
+        self.effects = model.effects.make_data()
+        self.surfaces = [copy(surface) for surface in model.surfaces]
+        self.guards = make_guards(model.guards, range(layout.contacts))
+        states = model.contacts_with_states or {}
+        sizes = Sizes(
+            layout=layout,
+            parts=len(constants.codes) - layout.contacts,
+            pairs=len(constants.shapes),
+            tips=len(constants.tip_frames),
+            pinocchio_configuration=self._backends.configuration,
+            works=len(model.effects.works),
+            states=model.effects.states,
+            passive=constants.passive_end > 0,
+            contact_states=[len(states.get(owner, ())) for owner in model.owners],
+        )
+        link_poses = [self._backends.pose_address(*link) for link in model.links]
+        self.variables = v = make_variables(sizes, self._pointers(layout), link_poses)
+        v.control.sampling.mode = mode_of_samples(model)
+        arms = self._backends.connect(
+            v.state.joint_positions,
+            v.state.joint_rates,
+            v.bodies.pinocchio_configuration,
+            v.bodies.links,
+            v.status,
+        )
+        self.callbacks: dict[str, GuardedCall] = {**arms.callbacks}
+        self.calls: WeakSet[GuardedCall] = WeakSet(self.callbacks.values())
+        compiled = {name: address_of(function) for name, function in model.functions.items()}
+        for name, address in (arms.addresses | compiled).items():
+            setattr(v.functions, name, address)
+        for name, function in model.lazy_functions.items():
+            place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
+            self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
+        if self.surfaces:
+            answer = user_surface_callback(self.surfaces, v.pairs.query)
+            self._add_callback("surface", PythonCallback(answer, v.status))
+
+    def _pointers(self, layout: Layout) -> np.ndarray:
+        """``Variables.bodies.pointers``; the surroundings are an arm without joints."""
+        pointers = self._backends.pointers
+        if layout.owner_count == len(pointers):
+            return pointers
+        return np.vstack([pointers, self._ground.pointers])
+
+    def _add_callback(self, name: str, callback: GuardedCall) -> None:
+        self.callbacks[name] = callback
+        self.calls.add(callback)
+        setattr(self.variables.functions, name, callback.address)
+
+    def coriolis(self) -> tuple[Coriolis, GuardedCall | None]:
+        """See :meth:`multiarm.arms.backends.ArmBackends.coriolis`."""
+        return self._backends.coriolis(self.variables.status)
+
+
+class RowData(NamedTuple):
+    """What belongs to the rows of a model: the model itself, variables, workspaces.
 
     Attributes
     ----------
     model : Model
     arrays : Variables
+        Rows and functions are those of one Data, all others are shared.
     work, coupled : NodeWork, CoupledWork
         Workspace of the node algorithm, and of its coupled system.
-    guards : Guards
-        The table of those of the model, which only report.
-    effects : list of EffectData
-        What every effect kernel reads and writes.
-    law_works : list of tuple
-        What every control law writes; empty for one without work.
-    callbacks : dict of str to GuardedCall
-        Python functions that compiled code calls.
-    surfaces : list of SmoothShape
-        User-defined surfaces.
     cache : dict
         Objects of other packages that live as long as these arrays.
     """
@@ -323,104 +400,151 @@ class Data:
     arrays: Variables
     work: NodeWork
     coupled: CoupledWork
+    cache: dict[object, Any]
+
+
+class HasRowData(Protocol):
+    """A :class:`RowData`, or what makes its parts when they are asked for."""
+
+    @property
+    def model(self) -> Model:
+        """The model with these rows."""
+
+    @property
+    def arrays(self) -> Variables:
+        """The variables."""
+
+    @property
+    def work(self) -> NodeWork:
+        """Workspace of the node algorithm."""
+
+    @property
+    def coupled(self) -> CoupledWork:
+        """Workspace of the coupled system."""
+
+    @property
+    def cache(self) -> dict[object, Any]:
+        """Objects of other packages."""
+
+
+class Data:
+    """Variables of the evaluations of a model, for one thread.
+
+    Parameters
+    ----------
+    model : Model
+    viewed : Data, optional
+        Of the same bodies and effects: these data are a view of it, see :meth:`view`.
+
+    Attributes
+    ----------
+    shared : SharedData
+        What views have in common.
+    model : Model
+    arrays : Variables
+    work, coupled : NodeWork, CoupledWork
+        Workspace of the node algorithm, and of its coupled system.
+    cache : dict
+        See :class:`RowData`, which has these five.
+    law_works : list of tuple
+        What every control law writes; empty for one without work.
+    callbacks : dict of str to GuardedCall
+        Python functions that compiled code calls.
+    """
 
     __dir__ = public_names
 
     def __repr__(self) -> str:
         return f"Data({self.model.layout})"
 
-    def __init__(self, model: Model) -> None:
-        self.model, self._backends = model, model.backends.copy()
-        self._base: Data | None = None
+    def __init__(self, model: Model, viewed: Data | None = None) -> None:
         self._of_laws: Data | None = None
-        self.effects = model.effects.make_data()
-        self.surfaces = [copy(surface) for surface in model.surfaces]
-        self._ground = Ground(model.constants.gravity)
-        self.guards = make_guards(model.guards, range(model.layout.contacts))
-        constants = model.constants
-        sizes = Sizes(
-            layout=model.layout,
-            parts=len(constants.codes) - model.layout.contacts,
-            pairs=len(constants.shapes),
-            tips=len(constants.tip_frames),
-            pinocchio_configuration=self._backends.configuration,
-            works=len(model.effects.works),
-            states=model.effects.states,
-            passive=constants.passive_end > 0,
-            contact_states=[
-                len((model.contacts_with_states or {}).get(owner, ())) for owner in model.owners
-            ],
-        )
-        link_poses = [self._backends.pose_address(*link) for link in model.links]
-        self.arrays = b = make_variables(sizes, self._pointers(), link_poses)
-        arms = self._backends.connect(
-            b.state.joint_positions,
-            b.state.joint_rates,
-            b.bodies.pinocchio_configuration,
-            b.bodies.links,
-            b.status,
-        )
-        self.callbacks: dict[str, GuardedCall] = {**arms.callbacks}
-        self.cache: dict[object, Any] = {}
-        self._set_addresses(arms.addresses)
-        self._set_addresses({name: address_of(f) for name, f in model.functions.items()})
-        for name, function in model.lazy_functions.items():
-            place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
-            self.add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
-        if self.surfaces:
-            answer = user_surface_callback(self.surfaces, self.arrays.pairs.query)
-            self.add_callback("surface", PythonCallback(answer, self.arrays.status))
-        self._connect_rows()
-        self._connect_control()
-        for kernel, effect in zip(model.effects.kernels, self.effects, strict=True):
-            if kernel.connect is not None:
-                self.callbacks.update(kernel.connect(self, effect.arrays))
-        self.hold(None)
+        if viewed is None:
+            self.shared = SharedData(model)
+            self.callbacks = dict(self.shared.callbacks)
+            self._rows: HasRowData = with_rows(model, self.shared.variables)
+        else:
+            self.shared = viewed.shared
+            self.callbacks = dict(viewed.callbacks)
+            self._rows = rows_of_view(model, viewed)
+        self.add_callback("dense", PythonCallback(DenseSolver(self), self.arrays.status))
+        if viewed is None or model.python_control is not viewed.model.python_control:
+            self._connect_control()
+        self.law_works: list[Any] = [
+            () if law.work is None else law.work.of(self) for law in model.laws
+        ]
+        self._struct = self._make_struct()
+        if viewed is None:
+            self._connect_effects()
+
+    # --- what belongs to the rows -----------------------------------------------------------------
+
+    @property
+    def model(self) -> Model:
+        """Its constants."""
+        return self._rows.model
+
+    @property
+    def arrays(self) -> Variables:
+        """The variables."""
+        return self._rows.arrays
+
+    @property
+    def work(self) -> NodeWork:
+        """Workspace of the node algorithm."""
+        return self._rows.work
+
+    @property
+    def coupled(self) -> CoupledWork:
+        """Workspace of the coupled system."""
+        return self._rows.coupled
+
+    @property
+    def cache(self) -> dict[object, Any]:
+        """Objects of other packages that live as long as the arrays."""
+        return self._rows.cache
 
     @property
     def contact_rows(self) -> ContactRow:
         """Kinematics of all rows: views, an entry of each field for every row."""
         return fields_of(ContactRow, self.arrays.rows.kinematics)
 
+    # --- what is shared ---------------------------------------------------------------------------
+
+    @property
+    def effects(self) -> list[EffectData]:
+        """What every effect kernel reads and writes."""
+        return self.shared.effects
+
+    @property
+    def surfaces(self) -> list[SmoothShape]:
+        """User-defined surfaces."""
+        return self.shared.surfaces
+
+    @property
+    def guards(self) -> Guards:
+        """The table of those of the model, which only report."""
+        return self.shared.guards
+
+    # --- views ------------------------------------------------------------------------------------
+
     def view(self, model: Model) -> Data:
         """Data of a model with the same bodies and effects, which shares state and bodies' motion.
 
-        Where the model has other rows, it has its own arrays with an entry for every row.  Contacts
-        of two surfaces are found from the same places.
+        Where the model has other rows, it has its own arrays with an entry for every row; where
+        its control is sampled otherwise, its own samples.  Contacts of two surfaces are found from
+        the same places.
         """
-        view = copy(self)
-        view._share(self, model)
-        return view
+        return Data(model, self)
 
-    def _share(self, base: Data, model: Model) -> None:
-        """Become the view of a model on ``base``, of which this is a copy."""
-        self._of_laws = None
-        self._base = base  # keeps alive the arrays whose addresses are in the struct
-        self.model, self.cache, self.callbacks = model, {}, dict(base.callbacks)
-        arrays = base.arrays._replace(functions=base.arrays.functions.copy())
-        if model.constants.codes is base.model.constants.codes:
-            self.arrays = arrays
-            if model.laws is not base.model.laws:
-                self._connect_laws()
-            self._struct = self._make_struct()
-        else:
-            count = model.layout.contacts
-            rows = make_rows(count, len(model.constants.codes) - count)
-            sample = arrays.sample._replace(forces=rows.force)
-            self.arrays = arrays._replace(rows=rows, sample=sample)
-            self._connect_rows()
-        if model.python_control is not base.model.python_control:
-            self._connect_control()
-        if model.sampling != base.model.sampling:
-            self.hold(None)
+    @property
+    def closed(self) -> Data:
+        """The view of :meth:`Model.with_contacts_closed`."""
+        return self if self.model.unilateral is None else self._closed
 
-    def with_contacts_closed(self) -> Data:
-        """Data of :meth:`Model.with_contacts_closed`."""
-        if self.model.unilateral is None:
-            return self
-        if "closed" not in self.cache:
-            self.cache["closed"] = self.view(self.model.with_contacts_closed())
-        return self.cache["closed"]
+    @cached_property
+    def _closed(self) -> Data:
+        return self.view(self.model.with_contacts_closed())
 
     @property
     def of_laws(self) -> Data:
@@ -431,26 +555,7 @@ class Data:
     def of_laws(self, closed: Data) -> None:
         self._of_laws = closed
 
-    def _connect_rows(self) -> None:
-        """Make workspace and dense solver for the rows of the model, and the work of the laws."""
-        model, b = self.model, self.arrays
-        sizes = model.layout.joint_counts, model.layout.contact_counts
-        self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
-        self.add_callback("dense", PythonCallback(DenseSolver(self), b.status))
-        self._connect_laws()
-        self._struct = self._make_struct()
-
-    def _connect_laws(self) -> None:
-        """Make the work of the control laws."""
-        laws = self.model.laws
-        self.law_works = [() if law.work is None else law.work.of(self) for law in laws]
-
-    def _pointers(self) -> np.ndarray:
-        """``Variables.bodies.pointers``; the surroundings are an arm without joints."""
-        pointers = self._backends.pointers
-        if self.model.layout.owner_count == len(pointers):
-            return pointers
-        return np.vstack([pointers, self._ground.pointers])
+    # --- compiled code ----------------------------------------------------------------------------
 
     def _make_struct(self, constants: Constants | None = None) -> np.ndarray:
         further = [effect.struct for effect in self.effects]
@@ -464,21 +569,30 @@ class Data:
             control = self.model.python_control.connect(self.model.layout, self.arrays)
             self.add_callback("control", control)
 
+    def _connect_effects(self) -> None:
+        for kernel, effect in zip(self.model.effects.kernels, self.effects, strict=True):
+            if kernel.connect is not None:
+                callbacks = kernel.connect(self, effect.arrays)
+                self.callbacks.update(callbacks)
+                self.shared.calls.update(callbacks.values())
+
     def add_callback(self, name: str, callback: GuardedCall) -> None:
         """Let compiled code call a function, by its address among the ``Functions``."""
         self.callbacks[name] = callback
-        self._set_addresses({name: callback.address})
-
-    def _set_addresses(self, addresses: dict[str, int]) -> None:
-        for name, address in addresses.items():
-            setattr(self.arrays.functions, name, address)
+        self.shared.calls.add(callback)
+        setattr(self.arrays.functions, name, callback.address)
 
     def replace_arrays(
         self, constants: Constants | None = None, work: NodeWork | None = None, **changes: Any
     ) -> None:
         """Replace some of the arrays, for compiled code those of the model too."""
-        self.arrays = self.arrays._replace(**changes)
-        self.work = self.work if work is None else work
+        self._rows = RowData(
+            model=self.model,
+            arrays=self.arrays._replace(**changes),
+            work=self.work if work is None else work,
+            coupled=self.coupled,
+            cache={},
+        )
         self._struct = self._make_struct(constants)
 
     @property
@@ -547,7 +661,7 @@ class Data:
             sampling.mode = sampling.due = HELD
             self.arrays.control.held_torques[:] = torques
         else:
-            sampling.mode = ALWAYS if self.model.sampling is None else ONCE
+            sampling.mode = mode_of_samples(self.model)
             sampling.samples = 0
 
     def get_state(self) -> State:
@@ -569,25 +683,58 @@ class Data:
 
     def coriolis(self) -> Coriolis:
         """The arms' Coriolis matrices, and the functions that update them."""
-        coriolis, callback = self._backends.coriolis(self.arrays.status)
+        coriolis, callback = self.shared.coriolis()
         if callback is not None:
             self.callbacks["coriolis"] = callback
+            self.shared.calls.add(callback)
         return coriolis
 
     # --- exceptions in callbacks ----------------------------------------------------------------
 
     def reraise(self) -> None:
-        """Raise the exception of a callback, and clear the flag."""
+        """Raise the exception of a callback, of these data or another view, and clear the flag."""
         self.arrays.status.failed = False
-        for call in self.callbacks.values():
+        for call in (*self.callbacks.values(), *self.shared.calls):
             call.reraise()
-        if self._base is not None:  # whose rows the time loop evaluates, too
-            self._base.reraise()
 
     def forgive(self) -> None:
-        """Ignore the exception of a callback, and clear the flag."""
+        """Ignore the exceptions of callbacks, and clear the flag."""
         self.arrays.status.failed = False
-        for call in self.callbacks.values():
+        for call in self.shared.calls:
             call.error = None
-        if self._base is not None:
-            self._base.forgive()
+
+
+def with_rows(model: Model, variables: Variables) -> RowData:
+    """Variables with the rows of a model, and workspaces for them."""
+    joints, contacts = model.layout.joint_counts, model.layout.contact_counts
+    return RowData(
+        model=model,
+        arrays=variables,
+        work=make_work(joints, contacts, model.levers),
+        coupled=make_coupled(joints, contacts),
+        cache={},
+    )
+
+
+def rows_of_view(model: Model, viewed: Data) -> RowData:
+    """Those of a view: where the model has the rows of the Data, arrays and workspaces are shared.
+
+    Functions are the view's own, and so are samples of a control that is sampled otherwise.
+    """
+    arrays = viewed.arrays._replace(functions=viewed.arrays.functions.copy())
+    if model.sampling != viewed.model.sampling:
+        sampling = SamplingStatus(mode=mode_of_samples(model))
+        held = np.zeros_like(arrays.control.held_torques)
+        control = arrays.control._replace(sampling=sampling, held_torques=held)
+        arrays = arrays._replace(control=control)
+    if model.constants.codes is viewed.model.constants.codes:
+        return RowData(model, arrays, viewed.work, viewed.coupled, {})
+    count = model.layout.contacts
+    rows = make_rows(count, len(model.constants.codes) - count)
+    sample = arrays.sample._replace(forces=rows.force)
+    return with_rows(model, arrays._replace(rows=rows, sample=sample))
+
+
+def mode_of_samples(model: Model) -> int:
+    """What becomes of ``SamplingStatus.due`` at a start, and at a sample."""
+    return ALWAYS if model.sampling is None else ONCE

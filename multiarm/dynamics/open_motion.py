@@ -31,7 +31,7 @@ import math
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data
-from multiarm.dynamics.coordinates import state_columns
+from multiarm.dynamics.coordinates import equation_columns
 from multiarm.dynamics.equation_derivatives import stack_equations, write_derivatives
 from multiarm.dynamics.sliding_derivatives import add_friction
 from multiarm.dynamics.solver.bounds import OPEN_MOTION_PIVOT
@@ -85,7 +85,7 @@ def solve_open_motion(struct, equations, of_friction, matrix):
 def differentiate_null_vector(struct, equations, of_friction, N, by_null):
     """Write ``dK N`` for one null vector; returns a status."""
     data = open_data(struct)
-    nv, torques, status = data.state.velocity.size, state_columns(data).torques, OK
+    nv, torques, status = data.state.velocity.size, equation_columns(data).torques, OK
     a, force = data.accelerations.a.copy(), data.rows.force.copy()
     unused = np.zeros((N.size, N.size))
     for i in range(N.size):

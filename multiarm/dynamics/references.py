@@ -2,16 +2,18 @@
 
 A *view* of a Data (:meth:`multiarm.dynamics.model.Data.view`) has its state, the motion of its
 bodies, its effects, and **its forces and accelerations**: whatever assembles ``forces.f`` or solves
-in one of them replaces what the others have.  Rows, their sample, the workspace of the solver and
-that of the control laws are a view's own where it has other rows.
+in one of them replaces what the others have (:class:`multiarm.dynamics.model.SharedData`).  The
+addresses of functions and the work of control laws are a view's own; so are rows, their sample and
+the workspace of the solver where it has other rows (:class:`multiarm.dynamics.model.RowData`), and
+the samples of a control that is sampled otherwise.
 
 ==================  ==================================  ============================================
 Data                rows of W                           made by, and for
 ==================  ==================================  ============================================
 ``full``            all                                 ``Model.data()``: evaluations and runs; with
                                                         unilateral contacts: gaps and guards
-``closed``          those of the joints, all closed     ``Data.with_contacts_closed``: what control
-                                                        laws evaluate; inverse dynamics
+``closed``          those of the joints, all closed     ``Data.closed``: what control laws
+                                                        evaluate; inverse dynamics
 ``modes.data``      those that hold in a mode           ``events.modes.Modes``, a ``RowSelection``:
                                                         the run and its steps
 ``modes.data        tangents of the contacts that       the same: directions of slip
@@ -28,8 +30,8 @@ All but the first are views of it.  Inverse dynamics, paths of joints and compar
 with other constants.  A :class:`~multiarm.simulation.Stepper` has a Data of its own, whose control
 is held.
 
-Kernels open the struct of another Data at its address, which is in numbers of the first:
-:class:`References` keep alive what is there.
+Kernels open the struct of another Data at its address, which is in numbers of the first
+(:func:`multiarm.jit.structs.referenced`): :class:`References` keep alive what is there.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ class Reference:
 
     @property
     def address(self) -> int:
-        """For kernels, see :func:`multiarm.jit.structs.struct_at`."""
+        """For kernels, see :func:`multiarm.jit.structs.referenced`."""
         return self.struct.ctypes.data
 
 

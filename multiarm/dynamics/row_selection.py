@@ -25,7 +25,7 @@ from multiarm.contacts.table import (
     select_joint_rows,
     select_rows,
 )
-from multiarm.dynamics.arrays import Shapes, open_system, row_places
+from multiarm.dynamics.arrays import Constants, Shapes, open_system, row_places
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.node import (
     NodeWork,
@@ -42,13 +42,14 @@ from multiarm.jit.rows import fields_of, width
 
 # Selections whose tables and caches are kept.
 MOST_RECENT = 32
+# Of each row of a system.
+SELECTED, TANGENT_SELECTED = 1, 2
 
 
 class RowSelection(Data):
     """Data of those rows of another one that were selected last, at first of none.
 
-    Its attributes ``model, arrays, work, coupled`` are made for the selected rows where Python asks
-    for them.
+    Its ``model, arrays, work, coupled`` are made for the selected rows where Python asks for them.
 
     Parameters
     ----------
@@ -68,21 +69,29 @@ class RowSelection(Data):
         selected before the rows.
     """
 
-    tangents: RowSelection | None = None
-
     def __init__(self, full: Data, **variables: Any) -> None:
-        vars(self).update(vars(full))
         model, layout = full.model, full.model.layout
-        self._full, self._bounds = full, np.array(layout.first_contact)
-        self._joints, counts = layout.joint_counts, layout.contact_counts
-        self._of_joints = fields_of(Code, model.constants.codes[: layout.contacts]).kind == JOINT
-        self._share(full, replace(model.select(range(layout.contacts)), unilateral=None))
-        parts = count_parts(model.constants.codes, layout.contacts)
+        super().__init__(replace(model.select(range(layout.contacts)), unilateral=None), full)
+        self.tangents: RowSelection | None = None
+        self._full, self._room = full, self._make_room(variables)
+        joints, first_contact = layout.joint_counts, np.array(layout.first_contact)
+        self._places = row_places(*_shapes(joints, layout.contact_counts, 0))
+        of_joints = fields_of(Code, model.constants.codes[: layout.contacts]).kind == JOINT
+        tables = partial(_tables, joints, first_contact, of_joints)
+        self._tables = lru_cache(MOST_RECENT)(tables)
+        # what is made for some rows stays right for them: their arrays are where they were
+        self._selections = lru_cache(MOST_RECENT)(partial(SelectedRows, model, self._room))
+        self.select(np.zeros(0, dtype=np.int64))
+
+    def _make_room(self, variables: dict[str, Any]) -> Room:
+        """Replace the arrays by some with room for any rows; the struct has their addresses."""
+        layout, constants = self.model.layout, self.model.constants
+        parts = count_parts(constants.codes, layout.contacts)
         size = layout.contacts + parts
         # arms with more contacts than joints are in no group
-        fewer = np.minimum(self._joints, counts).tolist()
-        groups = make_work(self._joints, fewer).groups
-        constants = self.model.constants._replace(
+        joints, contacts = layout.joint_counts, layout.contact_counts
+        groups = make_work(joints, np.minimum(joints, contacts).tolist()).groups
+        constants = constants._replace(
             codes=np.zeros((size, width(Code)), dtype=np.int64),
             geometry=np.zeros((size, GEOMETRY_WIDTH)),
         )
@@ -92,56 +101,76 @@ class RowSelection(Data):
             rows=self.arrays.rows._replace(parts=np.zeros((parts, CONTACT_WIDTH))),
             **variables,
         )
-        # with room for all rows; the struct has their addresses
-        self._constants = constants
-        self._arrays, self._work, self._coupled = self.arrays, self.work, self.coupled
-        self._places = row_places(*_shapes(self._joints, counts, 0))
-        tables = partial(_tables, self._joints, self._bounds, self._of_joints)
-        self._tables = lru_cache(MOST_RECENT)(tables)
-        # what is made for some rows stays right for them: their arrays are where they were
-        self._cache_of = lru_cache(MOST_RECENT)(_cache_of)
-        self.select(np.zeros(0, dtype=np.int64))
+        return Room(constants, self.arrays, self.work, self.coupled)
 
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
-        selected = np.zeros(self._bounds[-1], dtype=np.uint8)
-        selected[rows] = 1
+        selected = np.zeros(self._full.model.layout.contacts, dtype=np.uint8)
+        selected[rows] = SELECTED
         tables = self._tables(selected.tobytes())
         self.struct[self._places] = tables.sizes
         write_selection(self.struct, self._full.struct, rows, tables.bounds, tables.order)
         self.rows, self.counts = rows, tables.counts
         if self.tangents is not None:
-            selected[self.tangents.rows] = 2
-        self.cache = self._cache_of(selected.tobytes())
-        for name in ("model", "arrays", "work", "coupled"):
-            vars(self).pop(name, None)
+            selected[self.tangents.rows] = TANGENT_SELECTED
+        self._rows = self._selections(selected.tobytes())
+
+
+class Room(NamedTuple):
+    """Arrays with room for any rows of a system, as the struct has them."""
+
+    constants: Constants
+    arrays: Variables
+    work: NodeWork
+    coupled: CoupledWork
+
+
+class SelectedRows:
+    """A :class:`~multiarm.dynamics.model.RowData` of selected rows, made as it is asked for.
+
+    Parameters
+    ----------
+    full : Model
+        With all rows.
+    room : Room
+        The beginnings of these arrays are those of the selected rows.
+    selected : bytes
+        Of each row, whether it is ``SELECTED``, or ``TANGENT_SELECTED``.
+    """
+
+    def __init__(self, full: Model, room: Room, selected: bytes) -> None:
+        self._full, self._room, self._selected = full, room, selected
+        self.cache: dict[object, Any] = {}
 
     @cached_property
-    def model(self) -> Model:  # type: ignore[override]
+    def model(self) -> Model:
         """The model with the selected rows."""
-        return replace(self._full.model.select(self.rows), unilateral=None)
+        rows = np.flatnonzero(np.frombuffer(self._selected, dtype=np.uint8) == SELECTED)
+        return replace(self._full.select(rows), unilateral=None)
 
     @cached_property
-    def arrays(self) -> Variables:  # type: ignore[override]
+    def arrays(self) -> Variables:
         """The variables of the selected rows."""
-        rows = beginnings(self._arrays.rows, row_shapes(self.rows.size))
-        return self._arrays._replace(rows=rows)
+        rows = beginnings(self._room.arrays.rows, row_shapes(self._selected.count(SELECTED)))
+        return self._room.arrays._replace(rows=rows)
 
     @cached_property
-    def work(self) -> NodeWork:  # type: ignore[override]
+    def work(self) -> NodeWork:
         """The workspace for the selected rows."""
-        sizes = self._joints, self.counts
-        work = beginnings(self._work, work_shapes(*sizes))
-        return work._replace(groups=beginnings(work.groups, group_shapes(*sizes)))
+        work = beginnings(self._room.work, work_shapes(*self._sizes))
+        return work._replace(groups=beginnings(work.groups, group_shapes(*self._sizes)))
 
     @cached_property
-    def coupled(self) -> CoupledWork:  # type: ignore[override]
+    def coupled(self) -> CoupledWork:
         """The workspace of the coupled system for the selected rows."""
-        return beginnings(self._coupled, coupled_shapes(self._joints, self.counts))
+        return beginnings(self._room.coupled, coupled_shapes(*self._sizes))
 
-
-def _cache_of(selected: bytes) -> dict[object, Any]:
-    return {}
+    @cached_property
+    def _sizes(self) -> tuple[list[int], list[int]]:
+        layout = self._full.layout
+        owners = range(layout.owner_count)
+        counts = [self._selected[layout.contacts_of(i)].count(SELECTED) for i in owners]
+        return layout.joint_counts, counts
 
 
 class _Tables(NamedTuple):

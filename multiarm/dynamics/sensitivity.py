@@ -14,7 +14,7 @@ from typing import NamedTuple, NoReturn, TypeVar
 import numpy as np
 
 from multiarm.dynamics.evaluation import Evaluation
-from multiarm.dynamics.layout import STATE, Layout, in_sequence
+from multiarm.dynamics.layout import STATE, Layout
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ModelError
@@ -46,6 +46,15 @@ def rows_of(layout: Layout, states: int) -> dict[str, slice]:
             "effect_state_rates": states,
         }
     )
+
+
+def in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Slices of these sizes, one after the other."""
+    slices, end = {}, 0
+    for name, size in sizes.items():
+        slices[name] = slice(end, end + size)
+        end += size
+    return slices
 
 
 Derivative = TypeVar("Derivative", float, np.ndarray)

@@ -40,7 +40,7 @@ from multiarm.jit.structs import (
     Ints1,
     Numbers,
     count_entries,
-    struct_at,
+    referenced,
     view,
 )
 
@@ -75,7 +75,7 @@ open_slides = view(Slides, count_entries(Guards))
 @inlined
 def slides_of(data):
     """The sliding contacts of the mode of these data."""
-    return open_slides(struct_at(data.modes.mode, 0))
+    return open_slides(referenced(data.modes.mode))
 
 
 @kernel
@@ -104,7 +104,7 @@ def write_reactions(data, work, Wr_o, slides, reactions):
 
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
-    struct = struct_at(data.modes.tangents, 0)
+    struct = referenced(data.modes.tangents)
     status = update_rows(struct)
     _, sideways, tangents = open_system(struct)
     for k in range(data.rows.W_o.shape[0]):

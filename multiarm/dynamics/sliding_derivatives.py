@@ -23,8 +23,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.contact_derivatives import column_of_state
-from multiarm.dynamics.coordinates import state_columns
+from multiarm.dynamics.coordinates import column_of_state, equation_columns
 from multiarm.dynamics.equation_derivatives import (
     columns_of_arm,
     equation_work,
@@ -37,7 +36,7 @@ from multiarm.dynamics.row_selection import RowSelection
 from multiarm.dynamics.sliding import friction_of_unit_force, slides_of
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, kernel
-from multiarm.jit.structs import Floats2, Ints1, struct_at, struct_of, view
+from multiarm.jit.structs import Floats2, Ints1, referenced, struct_of, view
 
 
 class FrictionDerivatives(NamedTuple):
@@ -84,7 +83,7 @@ def add_friction(struct: INTS, own: INTS, of_friction: INTS):
         open_friction(of_friction),
         slides_of(open_data(struct)),
     )
-    tangents = struct_at(data.modes.tangents, 0)
+    tangents = referenced(data.modes.tangents)
     sideways = open_data(tangents)
     for s in range(slides.row.size):
         normal, t = data.rows.force[slides.row[s]], slides.tangent[s]
@@ -120,8 +119,8 @@ def differentiate_slip(s, struct, own, friction):
     """Write the derivatives of the slip of a contact, and add what its turning does."""
     _, data, system = open_system(struct)
     links, work, sideways = open_links(own), open_equations(own), open_equations(friction.equations)
-    _, sliding, tangents = open_system(struct_at(data.modes.tangents, 0))
-    slides, at = slides_of(data), state_columns(data)
+    _, sliding, tangents = open_system(referenced(data.modes.tangents))
+    slides, at = slides_of(data), equation_columns(data)
     i, t, slow = slides.arm[s], slides.tangent[s], slides.numbers.slow
     d0, n, column = (
         system.first_joint[i],
@@ -162,7 +161,7 @@ def add_reactions(s, struct, own):
     """Add the friction of a unit normal force to the columns of the normal force."""
     _, data, system = open_system(struct)
     work, slides = open_equations(own), slides_of(data)
-    _, sliding, tangents = open_system(struct_at(data.modes.tangents, 0))
+    _, sliding, tangents = open_system(referenced(data.modes.tangents))
     i, t, row = slides.arm[s], slides.tangent[s], slides.row[s]
     n, column = system.first_joint[i + 1] - system.first_joint[i], t - tangents.first_contact[i]
     first, second = friction_of_unit_force(slides, s)

@@ -80,9 +80,9 @@ class State:
 
         World axes; the velocities stay as they are.
         """
-        from multiarm.dynamics.coordinates import retracted  # with Numba, which takes long
+        from multiarm.dynamics.coordinates import retract  # with Numba, which takes long
 
-        position = retracted(self.layout, self.position, displacement)
+        position = retract(self.layout, self.position, displacement)
         return State(position, self.velocity.copy(), self.layout)
 
     def displacement_to(self, other: State) -> np.ndarray:

@@ -24,9 +24,14 @@ import numpy as np
 from multiarm.contacts.kernel import open_contact
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
 from multiarm.dynamics.contact_forces import add_contact_forces
-from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
+from multiarm.dynamics.coordinates import (
+    arm_columns,
+    chart_places,
+    column_of_state,
+    equation_columns,
+    force_columns,
+)
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
@@ -37,7 +42,7 @@ from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.references import Reference, References
 from multiarm.jit.kernels import cfunc, copy, inlined, kernel
-from multiarm.jit.structs import Floats1, Int, Ints1, struct_at
+from multiarm.jit.structs import Floats1, Int, Ints1, referenced, struct_at
 
 
 class SpringStructs(References):
@@ -77,7 +82,7 @@ def add_contact_compliance(address, size, at, _t):
 @inlined
 def update_springs(springs):
     """Update rows and forces of all springs; the views of the system with these rows."""
-    struct = struct_at(springs.structs.rows, 0)
+    struct = referenced(springs.structs.rows)
     system = open_system(struct)
     update_rows(struct)
     write_spring_forces(springs, system[1].rows.kinematics)
@@ -100,10 +105,10 @@ def differentiate_contact_compliance(address, size, at, _t):
     """Add the derivatives of the forces: of their directions, and of their sizes."""
     struct = struct_at(address, size)
     data, springs = open_data(struct), open_springs(struct, at)
-    derivatives = struct_at(springs.structs.derivatives, 0)
+    derivatives = referenced(springs.structs.derivatives)
     _, of_springs, work = update_springs(springs)
     copy(springs.force, of_springs.rows.static_force)
-    status = write_load_derivatives(struct_at(springs.structs.rows, 0), derivatives)
+    status = write_load_derivatives(referenced(springs.structs.rows), derivatives)
     equations, by = open_equations(derivatives), force_columns(data)
     first = chart_places(data).joints
     for l in range(first):
@@ -129,7 +134,7 @@ def add_change_of_force(s, i, d0, n, springs, of_springs, work, equations, first
     """Add what the change of a spring's force, along its contact, does to object and arm."""
     columns, W = arm_columns(n, False), work.W[i, :, s - work.first_contact[i]]
     for c in range(columns.end):
-        of_rate = columns.twist <= c < columns.positions or c >= columns.velocities
+        of_rate = columns.twists <= c < columns.positions or c >= columns.rates
         if c < columns.positions:
             rate = of_springs.rows.W_o[s, c % first]
         else:
@@ -150,7 +155,7 @@ def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
 
     def connect(data: Data, arrays: Springs) -> dict:
         rows = data.view(data.model.select(springs.rows))
-        _, derivatives = equation_work(rows, state_columns(data.arrays).torques, masses=False)
+        _, derivatives = equation_work(rows, equation_columns(data.arrays).torques, masses=False)
         arrays.structs.refer(rows=rows.reference, derivatives=Reference(derivatives, rows))
         # surfaces of the user may fail in these rows
         return {"contact_compliance": rows.callbacks["surface"]} if rows.surfaces else {}

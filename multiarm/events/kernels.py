@@ -13,7 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_data, open_system
+from multiarm.dynamics.arrays import (
+    guards_of_mode,
+    open_data,
+    open_system,
+)
 from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.guards import (
@@ -55,6 +59,7 @@ from multiarm.jit.structs import (
     Ints1,
     Numbers,
     count_entries,
+    referenced,
     size_places,
     struct_at,
     struct_of,
@@ -84,7 +89,7 @@ class ModeArrays(NamedTuple):
     spring_force: Floats1
 
 
-def mode_struct(
+def make_mode_struct(
     guards: Guards, slides: Slides, arrays: ModeArrays, reactions: ReactionWork | None = None
 ) -> np.ndarray:
     """Struct of a mode, which begins with its guards; the functions below open its parts."""
@@ -148,7 +153,7 @@ def solve_held(address, size, _a, _b):
     """Solve a mode without sliding contacts."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    mode = open_mode(struct_at(data.modes.mode, 0))
+    mode = open_mode(referenced(data.modes.mode))
     if mode.numbers.stressed:
         add_prestress(mode, data.rows.W_o, work.W, data, work)
     status = call_cfunc(data.functions.solve_frictionless, struct, 0.0, 0.0)
@@ -177,7 +182,7 @@ def solve_sliding(address, size, _a, _b):
     """Solve a mode with sliding contacts."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    of_mode = struct_at(data.modes.mode, 0)
+    of_mode = referenced(data.modes.mode)
     mode, slides, reactions = open_mode(of_mode), open_slides(of_mode), open_reactions(of_mode)
     if write_reactions(data, work, mode.Wr_o, slides, reactions) != OK:
         return CALLBACK_FAILED
@@ -243,7 +248,7 @@ def write_reaction_solution(data, reactions):
 def record_forces(address, size, _t, _b):
     """Write the forces of all rows, the states of contacts and the wrenches to ``data.sample``."""
     data = open_data(struct_at(address, size))
-    of_mode = struct_at(data.modes.mode, 0)
+    of_mode = referenced(data.modes.mode)
     mode, slides, shown = open_mode(of_mode), slides_of(data), data.sample.forces
     shown[:] = 0.0
     for k in range(mode.held.size):
@@ -257,7 +262,7 @@ def record_forces(address, size, _t, _b):
     first = shown.size - mode.states.size
     for k in range(mode.states.size):
         shown[first + k] = mode.states[k]
-    struct = struct_at(data.modes.full, 0)
+    struct = referenced(data.modes.full)
     status = update_rows(struct)
     _, full, work = open_system(struct)
     write_wrenches(full.rows.W_o, work.first_contact, shown, data.sample.wrenches)
@@ -271,10 +276,10 @@ def write_mode_guards(struct: INTS):
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     data = open_data(struct)
-    rows = struct_at(data.modes.full, 0)
+    rows = referenced(data.modes.full)
     status = update_rows(rows)
     model, full, _ = open_system(rows)
-    write_values(open_guards(struct_at(data.modes.mode, 0)), struct, data, model, full)
+    write_values(guards_of_mode(data), struct, data, model, full)
     return status
 
 
@@ -286,19 +291,19 @@ def check_guards(address, size, begin, end):
     if status != OK:
         return status
     data = open_data(struct)
-    of_mode = struct_at(data.modes.mode, 0)
+    of_mode = referenced(data.modes.mode)
     numbers = open_mode(of_mode).numbers
     numbers.begin, numbers.end = begin, end
     judge_guards(open_guards(of_mode), end - begin)
     data.modes.event = count_events(open_guards(of_mode)) > 0 and not numbers.muted
-    follow_slip(open_slides(of_mode), open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    follow_slip(open_slides(of_mode), open_data(referenced(data.modes.full)).rows.kinematics)
     return OK
 
 
 @cfunc
 def accept_mode_step(address, size, _a, _b):
     """Make the end of a step that has been checked the beginning of the next one."""
-    of_mode = struct_at(open_data(struct_at(address, size)).modes.mode, 0)
+    of_mode = referenced(open_data(struct_at(address, size)).modes.mode)
     open_mode(of_mode).numbers.muted = False
     begin_mode_step(of_mode)
     return OK
@@ -315,13 +320,13 @@ def begin_mode_step(of_mode):
 def start_guards(struct: INTS):
     """Begin guards and solver monitor at the state evaluated last; returns a status."""
     data = open_data(struct)
-    of_mode = struct_at(data.modes.mode, 0)
+    of_mode = referenced(data.modes.mode)
     status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
     if status != OK:
         return status
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
     accept_solution(data)
     status = write_mode_guards(struct)
-    follow_slip(open_slides(of_mode), open_data(struct_at(data.modes.full, 0)).rows.kinematics)
+    follow_slip(open_slides(of_mode), open_data(referenced(data.modes.full)).rows.kinematics)
     begin_mode_step(of_mode)
     return status

@@ -27,8 +27,8 @@ from multiarm.events.kernels import (
     ModeNumbers,
     accept_mode_step,
     check_guards,
+    make_mode_struct,
     mode_sizes,
-    mode_struct,
     record_forces,
     solve_held,
     solve_sliding,
@@ -75,7 +75,7 @@ class Modes:
         unilateral = full.model.unilateral
         assert unilateral is not None, "a system with unilateral contacts"
         self.full, self.unilateral, self.slow = full, unilateral, slow
-        self.closed = full.with_contacts_closed()
+        self.closed = full.closed
         self.bilateral = self._always(unilateral.bilateral)
         self._structs = ModeStructs(active=True)
         self._structs.refer(closed=self.closed.reference, full=full.reference)
@@ -101,7 +101,9 @@ class Modes:
         self._contacts = np.array([kind == CONTACT for kind in kinds], dtype=bool)
         self._slides, self._of_slides = self._room_for_slides()
         self._guards = ModeGuards(full.model, slow, self._slides.direction)
-        self._struct = mode_struct(self._guards.table, self._slides, self.arrays, self._reactions)
+        self._struct = make_mode_struct(
+            self._guards.table, self._slides, self.arrays, self._reactions
+        )
         owners = self._guards, self._slides, self.arrays, self._reactions
         self._structs.refer(mode=Reference(self._struct, owners))
         self._joints = full.model.layout.joint_counts

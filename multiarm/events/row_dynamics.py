@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.contact_geometry import force_directions
-from multiarm.dynamics.coordinates import retracted
+from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import (
     evaluate_state,
     solve_frictionless,
@@ -93,7 +93,7 @@ class RowDynamics:
         now, here = b.time.now, b.state.configuration.copy()
         if ahead > 0.0:
             b.time.now += ahead
-            b.state.configuration[:] = retracted(data.model.layout, here, ahead * b.state.velocity)
+            b.state.configuration[:] = retract(data.model.layout, here, ahead * b.state.velocity)
         try:
             require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
             require_ok(self.full, update_rows(self.full.struct))

@@ -41,8 +41,7 @@ has its own share of them; their derivatives follow by the product rule.
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.contact_derivatives import arm_columns
-from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
+from multiarm.dynamics.coordinates import arm_columns, chart_places, equation_columns, force_columns
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
     open_equations,
@@ -93,7 +92,7 @@ def add_equations(step, blocks):
     """Add the derivatives of the arms and their contacts."""
     _, data, work = open_system(step.system)
     equations, at = open_equations(blocks.equations), block_columns(blocks)
-    of_state = state_columns(data)
+    of_state = equation_columns(data)
     for l in range(blocks.frames):
         for c in range(of_state.positions):
             blocks.by_object[l, c] += equations.dF_o[l, c]
@@ -122,7 +121,7 @@ def column_of_block(at, columns, c):
     """Place in an arm's block of a column of its equations."""
     if c < columns.positions:
         return at.pose + c
-    return c - columns.positions if c < columns.velocities else at.rates + c - columns.velocities
+    return c - columns.positions if c < columns.rates else at.rates + c - columns.rates
 
 
 # --- forces --------------------------------------------------------------------------------------

@@ -47,8 +47,15 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.contact_derivatives import arm_columns, column_of_state
-from multiarm.dynamics.coordinates import chart_places, force_columns, state_columns
+from multiarm.dynamics.coordinates import (
+    arm_columns,
+    chart_places,
+    column_of_displacement,
+    column_of_state,
+    column_of_velocity,
+    equation_columns,
+    force_columns,
+)
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
     columns_of_arm,
@@ -142,8 +149,8 @@ def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatri
         matrix=np.zeros((m, m)),
         pivots=np.zeros(m, dtype=np.int64),
         equations=equations,
-        friction=friction_derivatives(data, state_columns(data.arrays).end)[1],
-        solution=np.zeros((n + layout.contacts, state_columns(data.arrays).end)),
+        friction=friction_derivatives(data, equation_columns(data.arrays).end)[1],
+        solution=np.zeros((n + layout.contacts, equation_columns(data.arrays).end)),
         applied=np.zeros((size - n, columns)),
         powers=data.model.effects.powers,
         differences=Differences(laws=len(data.model.constants.control), order=1),
@@ -213,7 +220,7 @@ def differentiate_equations_and_forces(step, full, time_slope, h):
 def solve_equations(struct, full):
     """Solve for the derivatives at fixed forces and those by forces; returns a status."""
     data = open_data(struct)
-    wrench = state_columns(data).wrench
+    wrench = equation_columns(data).wrench
     dF_o = open_equations(full.equations).dF_o
     for l in range(chart_places(data).joints):
         dF_o[l, wrench + l] = -1.0
@@ -227,7 +234,12 @@ def solve_equations(struct, full):
 @kernel
 def respond_to_forces(data, full, i):
     """Write the derivatives of unknown i of the equations, the forces' too, into ``full.row``."""
-    at, places, row, solution = state_columns(data), chart_places(data), full.row, full.solution[i]
+    at, places, row, solution = (
+        equation_columns(data),
+        chart_places(data),
+        full.row,
+        full.solution[i],
+    )
     clear(row)
     for c in range(at.torques):
         row[c] = solution[c]
@@ -266,7 +278,7 @@ def add_friction_power(struct, full):
 @inlined
 def write_responses(data, full, time_slope):
     """Write what the derivatives of the equations and of the forces amount to."""
-    at, columns, places = state_columns(data), force_columns(data), chart_places(data)
+    columns, places = force_columns(data), chart_places(data)
     nv, row = data.state.velocity.size, full.row
     clear(time_slope)
     for i in range(full.applied.shape[0]):
@@ -275,10 +287,8 @@ def write_responses(data, full, time_slope):
         else:
             copy(full.applied[i], row)
         for l in range(nv):
-            joint = l - places.joints
-            of_frame = l < places.joints
-            full.by_position[i, l] = row[l if of_frame else at.positions + joint]
-            full.by_velocity[i, l] = row[at.twists + l if of_frame else at.rates + joint]
+            full.by_position[i, l] = row[column_of_displacement(columns, l)]
+            full.by_velocity[i, l] = row[column_of_velocity(columns, l)]
         for k in range(data.effects.states.size):
             full.by_velocity[i, nv + k] = row[columns.states + k]
         time_slope[places.velocity + i] = row[columns.time]
@@ -302,7 +312,7 @@ def differentiate_projection(struct, full):
             row, by_gap = Y[nv + k], gap_weight(model, k)
             for l in range(nv):
                 row[l], row[nv + l] = by_gap * K[nv + k, l], K[nv + k, l]
-            for c in range(columns.twist):
+            for c in range(columns.twists):
                 row[2 * nv + c] = equations.rates[k, c]
             for j in range(n):
                 row[2 * nv + joints + d0 + j] = equations.rates[k, columns.positions + j]

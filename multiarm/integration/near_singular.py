@@ -21,7 +21,7 @@ toggle.  User callbacks are called for the state itself only: systems with any a
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.coordinates import retract
+from multiarm.dynamics.coordinates import retract_into
 from multiarm.dynamics.equations import evaluate_projected, evaluate_state
 from multiarm.dynamics.residuals import constraint_residual
 from multiarm.dynamics.solver_monitor import believable
@@ -105,7 +105,7 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         k = 1 + side // 2
         restore_state(data)
         ahead, start = (k if side % 2 == 0 else -k) * delay, data.interpolation.configuration
-        retract(state.poses.shape[0], start, ahead, state.velocity, state.configuration)
+        retract_into(state.poses.shape[0], start, ahead, state.velocity, state.configuration)
         if (
             project(struct, data.interpolation.settings.gap) != OK
             or evaluate_projected(struct, alpha, beta) != OK

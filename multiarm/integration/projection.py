@@ -25,7 +25,7 @@ import math
 
 from multiarm.contacts.kernel import greatest_gaps, open_contact
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.coordinates import retract
+from multiarm.dynamics.coordinates import retract_into
 from multiarm.dynamics.equations import keeps_factors, solve_frictionless, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
@@ -134,7 +134,7 @@ def project_positions(
                 data.state.joint_positions[j] += scale * data.accelerations.a_j[j]
         else:
             start, frames = data.state.configuration, data.state.poses.shape[0]
-            retract(frames, start, scale, data.accelerations.a, data.state.configuration)
+            retract_into(frames, start, scale, data.accelerations.a, data.state.configuration)
     return PROJECTION_FAILED
 
 

@@ -28,7 +28,7 @@ from multiarm.dynamics.status import OK
 from multiarm.geometry.records import Contact
 from multiarm.jit.kernels import INTS, cfunc, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import struct_at
+from multiarm.jit.structs import referenced, struct_at
 
 # Excesses below this are roundings [m, rad]; and pulls below this part of the largest force.
 ROUNDING, SMALL_PULL = 1e-9, 1e-6
@@ -84,7 +84,7 @@ def write_reports(struct: INTS):
     """
     model, data, _ = open_system(struct)
     if data.modes.active:
-        rows = struct_at(data.modes.full, 0)
+        rows = referenced(data.modes.full)
         update_rows(rows)
         model_of_all, full, _ = open_system(rows)
         write_values(open_reports(struct), struct, data, model_of_all, full)

@@ -38,7 +38,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import open_data
-from multiarm.dynamics.coordinates import chart_places, state_columns
+from multiarm.dynamics.coordinates import chart_places, equation_columns
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.force_derivatives import prepare_derivatives
 from multiarm.dynamics.model import Data
@@ -87,7 +87,7 @@ def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks, 
     slope, right, time_slope = np.zeros((3, step.z.size))
     work = RosenbrockWork(slope, right, time_slope, Derived())
     prepare_derivatives(data)
-    _, equations = equation_work(data, state_columns(data.arrays).end)
+    _, equations = equation_work(data, equation_columns(data.arrays).end)
     blocks = make_arm_blocks(data, step, equations)
     return work, blocks, make_full_matrix(data, step, equations)
 

@@ -17,16 +17,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_data, open_reports
+from multiarm.dynamics.arrays import guards_of_mode, open_data, open_reports
 from multiarm.dynamics.coordinates import (
     load_chart,
-    places_in_chart,
-    store_chart,
     write_chart_slope,
+    write_new_chart,
 )
 from multiarm.dynamics.equations import evaluate_state, finite
-from multiarm.dynamics.guards import follow_stage, open_guards
-from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.guards import follow_stage
+from multiarm.dynamics.layout import Layout, places_in_chart
 from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import cost_of_projection, project
@@ -195,8 +194,8 @@ def open_step(struct):
 
 @kernel
 def begin_chart(struct: INTS, base: NUMBERS, z: NUMBERS):
-    """Begin a chart at the state of the system with this struct, see :func:`store_chart`."""
-    store_chart(open_data(struct), base, z)
+    """Begin a chart at the state of the system with this struct, see :func:`write_new_chart`."""
+    write_new_chart(open_data(struct), base, z)
 
 
 @kernel
@@ -251,7 +250,7 @@ def watch_stage(address, size, _a, _b):
     data = open_data(struct)
     follow_stage(open_reports(struct), struct, data.rows.force)
     if data.functions.guards != 0:
-        follow_stage(open_guards(struct_at(data.modes.mode, 0)), struct, data.rows.force)
+        follow_stage(guards_of_mode(data), struct, data.rows.force)
     return OK
 
 

@@ -17,16 +17,16 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import greatest_gaps
-from multiarm.dynamics.arrays import open_data, open_reports, open_system
+from multiarm.dynamics.arrays import guards_of_mode, open_data, open_reports, open_system
 from multiarm.dynamics.coordinates import (
     chart_places,
     load_chart,
-    store_chart,
+    write_chart,
     write_chart_slope,
-    write_in_chart,
+    write_new_chart,
 )
 from multiarm.dynamics.equations import evaluate_state, finite
-from multiarm.dynamics.guards import accept_guards, begin_stages, open_guards
+from multiarm.dynamics.guards import accept_guards, begin_stages
 from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import (
     BLOCK_FULL,
@@ -73,7 +73,6 @@ from multiarm.integration.step_control import (
 )
 from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, inlined, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import struct_at
 
 # Near a loss of rank this many steps after a failed one are made with projected stages, which
 # allows long steps.
@@ -277,7 +276,7 @@ def try_step(arrays, clock, settings, h):
     t, stage, data = clock.t, step.stage, open_data(step.system)
     begin_stages(open_reports(step.system))
     if data.functions.guards != 0:
-        begin_stages(open_guards(struct_at(data.modes.mode, 0)))
+        begin_stages(guards_of_mode(data))
     stage.alpha, stage.beta = gains(settings, h)
     copy(step.slope, step.k[0])
     if settings.stabilization == FEEDBACK and settings.adaptive:
@@ -344,7 +343,7 @@ def complete_step(method, step, clock, settings, h, end):
         return CALLBACK_FAILED
     step.outcome.limited = False
     if settings.adaptive and math.isfinite(method.stability):
-        write_in_chart(data, step.base, step.z_next)
+        write_chart(data, step.base, step.z_next)
         step.outcome.limited = limited_by_stability(method, step, step.z_next, h)
     write_step_end(struct, model, data)
     if not math.isinf(latest):
@@ -355,7 +354,7 @@ def complete_step(method, step, clock, settings, h, end):
     clear(step.z_stage)
     write_chart_slope(step.z_stage, data, step.slope_next)
     due = sample_time(clock, settings, clock.sample) if clock.sample < clock.samples else math.inf
-    store_chart(data, step.base_next, step.z_next)
+    write_new_chart(data, step.base_next, step.z_next)
     works = chart_places(data).works
     copy(step.z_new[works:], step.z_next[works:])
     if due < end - CLOSE_IN_STEP * h or step.outcome.reports > 0:

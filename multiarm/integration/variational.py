@@ -47,7 +47,7 @@ from multiarm.contacts.kernel import open_contact
 from multiarm.contacts.table import TANGENT, open_code
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
-from multiarm.dynamics.coordinates import chart_places, load_chart, retract
+from multiarm.dynamics.coordinates import chart_places, load_chart, retract_into
 from multiarm.dynamics.equations import finite, solve_frictionless, update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
@@ -235,7 +235,7 @@ def correct_unknowns(work, data, iteration):
 @kernel
 def move_in_step(work, data, delay, t):
     """Write the state at the time ``delay`` after the beginning of the step into the data."""
-    retract(data.state.poses.shape[0], work.begin, delay, work.xi, data.state.configuration)
+    retract_into(data.state.poses.shape[0], work.begin, delay, work.xi, data.state.configuration)
     copy(work.xi, data.state.velocity)
     data.time.now = t
 

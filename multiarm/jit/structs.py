@@ -490,6 +490,21 @@ def struct_at(typing_context, address, size):
     return types.Array(types.int64, 1, "C")(types.int64, types.int64), generate
 
 
+def _referenced(address):
+    return _struct_at(address, 0)
+
+
+@generated(_referenced)
+def referenced(typing_context, address):
+    """Struct at an address that another struct has, whose size nobody reads."""
+
+    def generate(context, builder, signature, arguments):
+        size = context.get_constant(types.intp, 0)
+        return _array_at(context, builder, types.int64, arguments[0], [size])
+
+    return types.Array(types.int64, 1, "C")(types.int64), generate
+
+
 def _array_in_struct(context, builder, dtype, axes, numbers, first):
     """LLVM value of an array: its address is number ``first`` of a struct, its sizes follow."""
     numbers_at = []

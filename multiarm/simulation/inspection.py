@@ -182,7 +182,7 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
     unknown_joints = {code.arm for code in unloaded}.difference([None])  # of these arms
     evaluation = None if unknown_joints else evaluate(system)
     with system.borrow() as data:
-        closed = data.with_contacts_closed()
+        closed = data.closed
         _place_at_start(closed, system)
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
         coordinates = _joint_coordinates(closed)
@@ -223,7 +223,7 @@ def _not_looked_at(code: NamedCode) -> str:
 def count_freedom(data: Data) -> Freedom:
     """Degrees of freedom, constraints, their rank and the mobility at the kinematics in ``data``.
 
-    All rows are closed, see :meth:`multiarm.dynamics.model.Data.with_contacts_closed`.
+    All rows are closed, see :meth:`multiarm.dynamics.model.Data.closed`.
     """
     matrix = constraint_matrix(data)  # (6 + n, N)
     space = null_space(matrix)

@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from multiarm.dynamics.coordinates import (
     chart_places,
     difference,
+    equation_columns,
     load_chart,
     read_chart,
-    retracted,
-    state_columns,
-    store_chart,
+    retract,
     write_chart_slope,
+    write_new_chart,
 )
 from multiarm.dynamics.layout import STATE, Layout
 from multiarm.dynamics.variables import stacked_vectors
@@ -48,7 +48,7 @@ def random_data(layout, rng, states=2, works=3):
 def test_retraction_turns_each_frame_by_the_exponential_and_shifts_all_else(layout):
     rng = np.random.default_rng(1)
     start, u = random_configuration(layout, rng), rng.normal(size=layout.nv)
-    end = retracted(layout, start, u)
+    end = retract(layout, start, u)
     for before, after, twist in zip(
         layout.poses(start), layout.poses(end), layout.twists(u), strict=True
     ):
@@ -64,7 +64,7 @@ def test_retraction_turns_each_frame_by_the_exponential_and_shifts_all_else(layo
 def test_difference_is_the_inverse_of_retraction(layout):
     rng = np.random.default_rng(2)
     start, u = random_configuration(layout, rng), rng.uniform(-1.5, 1.5, size=layout.nv)
-    assert np.allclose(difference(layout, start, retracted(layout, start, u)), u, atol=ROUNDING)
+    assert np.allclose(difference(layout, start, retract(layout, start, u)), u, atol=ROUNDING)
 
 
 @layouts
@@ -85,7 +85,7 @@ def test_columns_of_the_state_have_every_displacement_and_velocity_once(layout):
     assert list(columns) == list(STATE)
     both = np.concatenate([layout.displacement_columns, layout.velocity_columns])
     assert np.array_equal(np.sort(both), np.arange(2 * layout.nv))
-    of_kernels = state_columns(random_data(layout, np.random.default_rng(3)))
+    of_kernels = equation_columns(random_data(layout, np.random.default_rng(3)))
     forces = [2 * layout.nv, 2 * layout.nv + layout.joints, 3 * layout.nv]
     assert list(of_kernels) == [*[columns[name].start for name in STATE[1:]], *forces]
 
@@ -96,7 +96,7 @@ def test_a_chart_begins_at_the_state_and_leads_back_to_it(layout):
     data, other = random_data(layout, rng), random_data(layout, rng)
     z = rng.normal(size=chart_places(data).works + data.effects.power.size)
     works, base = z[chart_places(data).works :].copy(), np.zeros(layout.nq)
-    store_chart.py_func(data, base, z)
+    write_new_chart.py_func(data, base, z)
     load_chart.py_func(z, base, other)
     assert np.allclose(other.state.configuration, data.state.configuration, atol=ROUNDING)
     assert np.array_equal(other.state.velocity, data.state.velocity)
@@ -118,7 +118,7 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     write_chart_slope.py_func(z, data, slope)
 
     def positions(t):
-        q = retracted(layout, data.state.configuration, t * data.state.velocity)
+        q = retract(layout, data.state.configuration, t * data.state.velocity)
         origin = np.zeros(layout.nq)
         read_chart(layout.frames, np.zeros_like(z), base, origin)
         return difference(layout, origin, q)
