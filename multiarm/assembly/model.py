@@ -20,7 +20,7 @@ from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.control.program import ControlProgram
 from multiarm.dynamics.arrays import COUPLED, Constants, FreeMotions, TipFrame
-from multiarm.dynamics.control_laws import NO_CONTROL, law_table
+from multiarm.dynamics.control_laws import NO_CONTROL, are_differentiable, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.equations import (
     control_of_closed,
@@ -124,7 +124,9 @@ def with_control(model: Model, control: ControlProgram) -> Model:
         control=law_table(control.laws, model.effects.end), control_reach=control.reach
     )
     if control.sampling is not None:
-        constants = with_held_control(constants, constants.control, control.sampling.delay)
+        constants = with_held_control(
+            constants, constants.control, are_differentiable(control.laws), control.sampling.delay
+        )
     controlled = replace(
         model,
         constants=constants,

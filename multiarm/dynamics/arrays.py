@@ -37,7 +37,11 @@ from multiarm.jit.structs import (
 
 
 class CalledFunction(NamedTuple):
-    """A row of ``Constants.control``, ``sampled`` or ``effects``; addresses are 0 for none."""
+    """A row of ``Constants.control``, ``sampled`` or ``effects``; addresses are 0 for none.
+
+    Those of derivatives are written where they are first taken, since most runs need none
+    (:func:`multiarm.dynamics.force_derivatives.prepare_derivatives`).
+    """
 
     address: int
     numbers_at: int = 0  # index of its first number or array in the system's struct

@@ -50,8 +50,18 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import HELD
 from multiarm.geometry.differences import CENTRAL_4, FORWARD_1, FORWARD_2
-from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, greatest, inlined, kernel
-from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.kernels import (
+    INTS,
+    TABLE,
+    Kernel,
+    allocating,
+    clear,
+    copy,
+    greatest,
+    inlined,
+    kernel,
+)
+from multiarm.jit.pointers import address_of, call_cfunc
 from multiarm.jit.structs import Flag, Float, Int, Numbers, struct_at
 
 # Displacement of a difference of order one [m, rad], of velocities and of states of effects
@@ -90,12 +100,27 @@ def torques_are_held(model, data):
     return model.sampled.shape[0] > 0 and data.control.sampling.due == HELD
 
 
-def prepare_derivatives(data: Data) -> None:
-    """Make what the derivatives of the laws need; to be called before they are taken."""
-    of_laws = data.of_laws
-    for law, work in zip(data.model.laws, of_laws.law_works, strict=True):
+def prepare_derivatives(data: Data, of_laws: bool = True) -> None:
+    """Compile the derivatives that effects and laws state, and make what those of the laws need.
+
+    To be called before they are taken; those of the laws only with ``of_laws``.
+    """
+    model, constants = data.model, data.model.constants
+    for row, effect in zip(constants.effects, model.effects.called, strict=True):
+        row[DERIVATIVE] = _address(effect.derivative)
+    if not of_laws:
+        return
+    laws = constants.sampled if len(constants.sampled) else constants.control
+    for row, law in zip(laws, model.laws, strict=False):  # a controller in Python is no law
+        row[DERIVATIVE] = _address(law.derivative)
+        row[SHARE_DERIVATIVE] = _address(law.share_derivative)
+    for law, work in zip(model.laws, data.of_laws.law_works, strict=True):
         if law.prepare is not None:
-            law.prepare(of_laws, work)
+            law.prepare(data.of_laws, work)
+
+
+def _address(derivative: Kernel | None) -> int:
+    return 0 if derivative is None else address_of(derivative)
 
 
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
@@ -112,8 +137,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     follows &= closed_loop
     if not (follows or model.effects.kernels):
         return None
-    if follows:
-        prepare_derivatives(data)
+    prepare_derivatives(data, follows)
     differences = Differences(laws=len(constants.control), follows=follows, order=4)
     applied = np.zeros((layout.nv + e + data.arrays.effects.power.size, columns))
     with without_samples(data.arrays.control):

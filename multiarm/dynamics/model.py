@@ -39,7 +39,7 @@ from multiarm.contacts.table import (
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import COUPLED, FUNCTIONS, STATUS, Constants, system_struct
 from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
-from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
+from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw, are_differentiable
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
@@ -209,14 +209,15 @@ class Model:
         if sampling is None:
             constants = constants._replace(control=control.laws, sampled=NO_CONTROL)
         else:
-            constants = with_held_control(constants, control.laws, sampling.delay)
+            constants = with_held_control(constants, control.laws, False, sampling.delay)
         return replace(model, constants=constants)
 
     def with_held_control(self) -> Model:
         """The same model with control that can be held, see :meth:`Data.hold`."""
         if self.sampling is not None:
             return self
-        constants = with_held_control(self.constants, self.constants.control)
+        differentiable = self.python_control is None and are_differentiable(self.laws)
+        constants = with_held_control(self.constants, self.constants.control, differentiable)
         return replace(self, constants=constants)
 
     def with_constants(self, **changes: Any) -> Model:

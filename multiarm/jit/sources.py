@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import os
 import re
 import sys
 import sysconfig
@@ -37,7 +38,7 @@ def stamp_of(function: Callable) -> str:
     """Digest of all sources that the cached code of a kernel depends on."""
     file = Path(function.__code__.co_filename)
     if _PACKAGE in file.parents:
-        return _stamp_of_file(file)
+        return _stamp_of_file(str(file))
     return _stamp_of_package() + _stamp_of_user_code(file, function.__globals__)
 
 
@@ -53,19 +54,19 @@ def _kernel_files() -> list[Path]:
 
 
 @functools.cache
-def _stamp_of_file(file: Path) -> str:
+def _stamp_of_file(file: str) -> str:
     return _stamp([file])
 
 
 @functools.cache
 def _stamp_of_package() -> str:
     """Digest of all files with kernels."""
-    return _stamp(_kernel_files())
+    return _stamp([str(path) for path in _kernel_files()])
 
 
-def _stamp(files: list[Path]) -> str:
+def _stamp(files: list[str]) -> str:
     """Digest of files of this package, and of all that they import from it."""
-    digests: dict[Path, bytes] = {}
+    digests: dict[str, bytes] = {}  # paths as texts are compared faster
     waiting = list(files)
     while waiting:
         path = waiting.pop()
@@ -77,16 +78,17 @@ def _stamp(files: list[Path]) -> str:
 
 # This package's files are read once, when they are imported: they may be edited while it runs.
 @functools.cache
-def _read_file(path: Path) -> tuple[bytes, list[Path]]:
+def _read_file(path: str) -> tuple[bytes, list[str]]:
     """Digest of a file, and the files of this package that it imports from.
 
     A syntax tree of each would take longer than all else that importing the package takes.
     """
-    text = path.read_bytes()
-    names = {name.decode().replace(".", "/") for name in _IMPORTED.findall(text)}
-    places = [(_PACKAGE / f"{name}.py", _PACKAGE / name / "__init__.py") for name in names]
+    text = Path(path).read_bytes()
+    names = {name.decode().replace(".", os.sep) for name in _IMPORTED.findall(text)}
+    stems = [os.path.join(_PACKAGE, name) for name in names]  # in a tenth of the time of Path
     return hashlib.sha256(text).digest(), [
-        module if module.is_file() else package for module, package in places
+        f"{stem}.py" if os.path.isfile(f"{stem}.py") else os.path.join(stem, "__init__.py")
+        for stem in stems
     ]
 
 

@@ -323,15 +323,15 @@ def reached_from(file: Path) -> set[Path]:
 )
 def test_exactly_the_kernels_that_import_an_edited_file_compile_again(edited, monkeypatch):
     files = [ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in kernel_modules()]
-    before = {file: sources._stamp([file]) for file in files}
+    before = {file: sources._stamp([str(file)]) for file in files}
     read_file = sources._read_file
 
     def read(path):
         digest, imported = read_file(path)
-        return (b"edited" if path == PACKAGE / edited else digest), imported
+        return (b"edited" if path == str(PACKAGE / edited) else digest), imported
 
     monkeypatch.setattr(sources, "_read_file", read)
-    changed = {file for file in files if sources._stamp([file]) != before[file]}
+    changed = {file for file in files if sources._stamp([str(file)]) != before[file]}
     assert changed == {file for file in files if PACKAGE / edited in reached_from(file)}
     assert changed
 
@@ -344,7 +344,7 @@ def test_kernels_of_other_packages_compile_again_with_any_kernel_of_this_one(mon
 
     def read(path):
         digest, imported = read_file(path)
-        return (b"edited" if path == PACKAGE / "dynamics" / "arrays.py" else digest), imported
+        return (b"edited" if path == str(PACKAGE / "dynamics" / "arrays.py") else digest), imported
 
     monkeypatch.setattr(sources, "_read_file", read)
     monkeypatch.setattr(sources, "_stamp_of_package", sources._stamp_of_package.__wrapped__)
