@@ -7,7 +7,7 @@ derivatives, ``data.slopes.torque``.  All other derivatives are those of one eff
 ``data.slopes.force``.  Columns are those of the state, then the effects' states, the time, and the
 numbers that arms share (:mod:`multiarm.dynamics.control_laws`).
 
-*Differences* (:mod:`multiarm.geometry.differences`) are of order four, or of order one where many
+*Differences* (:mod:`multiarm.geometry.stencils`) are of order four, or of order one where many
 evaluations cost more than an error is worth; those by the time look forward, with order two.  An
 actuator is displaced along the derivatives of the torques that come to it.  Where forces are
 *local*, those on an arm by its own state and those on the object by the object's, joint number j of
@@ -49,7 +49,7 @@ from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import HELD
-from multiarm.geometry.differences import CENTRAL_4, FORWARD_1, FORWARD_2
+from multiarm.geometry.stencils import CENTRAL_4, FORWARD_1, FORWARD_2
 from multiarm.jit.kernels import (
     INTS,
     TABLE,
@@ -73,7 +73,7 @@ TIME_CHANGE = 1e-5
 CONTROL = -1
 
 
-class Differences(Numbers):
+class ForceDifferences(Numbers):
     """How forces are differentiated, and those by differences that have no derivatives."""
 
     local: Flag  # each arm by its own state, the object by its own
@@ -138,7 +138,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     if not (follows or model.effects.kernels):
         return None
     prepare_derivatives(data, follows)
-    differences = Differences(laws=len(constants.control), follows=follows, order=4)
+    differences = ForceDifferences(laws=len(constants.control), follows=follows, order=4)
     applied = np.zeros((layout.nv + e + data.arrays.effects.power.size, columns))
     with without_samples(data.arrays.control):
         status = write_applied(data.struct, differences, model.effects.powers, applied)
@@ -147,7 +147,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
 
 
 @kernel
-def write_applied(struct: INTS, differences: Differences, powers: INTS, applied: TABLE):
+def write_applied(struct: INTS, differences: ForceDifferences, powers: INTS, applied: TABLE):
     """Write what :func:`applied_derivatives` describes; returns a status.
 
     At the end the data are as they were.
