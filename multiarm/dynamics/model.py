@@ -27,11 +27,12 @@ from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import (
-    GEOMETRY_WIDTH,
     JOINT,
     Code,
+    ContactTable,
     JointRow,
     count_parts,
+    empty_table,
     make_joint_rows,
     select_joint_rows,
     select_rows,
@@ -64,7 +65,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
-from multiarm.jit.rows import fields_of, width
+from multiarm.jit.rows import fields_of
 from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
 from multiarm.scene import ResolvedArm
@@ -248,29 +249,28 @@ class Model:
                 zip(layout.names, bounds[:-1], bounds[1:], strict=False)
             )
         }
-        codes, geometry = self.constants.codes, self.constants.geometry
-        size = len(chosen) + count_parts(codes, self.layout.contacts)
-        selected = (
-            np.zeros((size, width(Code)), dtype=np.int64), np.zeros((size, GEOMETRY_WIDTH))
-        )  # fmt: skip
-        size = len(chosen) + select_rows(codes, geometry, chosen, *selected)
-        codes, geometry = (table[:size].copy() for table in selected)
+        table = self.constants.contacts
+        parts = count_parts(table.codes, self.layout.contacts)
+        selected = empty_table(len(chosen) + parts, table.shapes)
+        size = len(chosen) + select_rows(table, chosen, selected)
+        codes, geometry = selected.codes[:size].copy(), selected.geometry[:size].copy()
+        table = ContactTable(codes, geometry, table.shapes)
         return replace(
             self,
             layout=layout,
             contacts=contacts,
             records=tuple(self.records[row] for row in chosen),
-            constants=self.constants._replace(**row_constants(codes, geometry, layout)),
+            constants=self.constants._replace(**row_constants(table, layout)),
         )
 
 
-def row_constants(codes: np.ndarray, geometry: np.ndarray, layout: Layout) -> dict[str, Any]:
-    """Constants of the rows of a contact table, but for the shapes of its surfaces."""
-    of_joints = fields_of(Code, codes[: layout.contacts]).kind == JOINT
+def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
+    """Constants of the rows of a contact table."""
+    of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT
     joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
     first_contact, first_joint = np.array(layout.first_contact), np.array(layout.first_joint)
-    select_joint_rows(codes, first_contact, first_joint, joint_rows)
-    return {"codes": codes, "geometry": geometry, "joint_rows": joint_rows}
+    select_joint_rows(table.codes, first_contact, first_joint, joint_rows)
+    return {"contacts": table, "joint_rows": joint_rows}
 
 
 def effect_constants(effects: EffectProgram) -> dict[str, Any]:
@@ -341,8 +341,8 @@ class Data:
         constants = model.constants
         sizes = Sizes(
             layout=model.layout,
-            parts=len(constants.codes) - model.layout.contacts,
-            pairs=len(constants.shapes),
+            parts=len(constants.contacts.codes) - model.layout.contacts,
+            pairs=len(constants.contacts.shapes),
             tips=len(constants.tip_frames),
             pinocchio_configuration=self._backends.configuration,
             works=len(model.effects.works),
@@ -369,8 +369,9 @@ class Data:
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self.add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         if self.surfaces:
-            answer = user_surface_callback(self.surfaces, self.arrays.pairs.query)
-            self.add_callback("surface", PythonCallback(answer, self.arrays.status))
+            answer = user_surface_callback(self.surfaces, b.search.query)
+            self.callbacks["surface"] = surface = PythonCallback(answer, b.status)
+            b.search.user.callback = surface.address
         self._connect_rows()
         self._connect_control()
         for kernel, effect in zip(model.effects.kernels, self.effects, strict=True):
@@ -399,14 +400,14 @@ class Data:
         self._base = base  # keeps alive the arrays whose addresses are in the struct
         self.model, self.cache, self.callbacks = model, {}, dict(base.callbacks)
         arrays = base.arrays._replace(functions=base.arrays.functions.copy())
-        if model.constants.codes is base.model.constants.codes:
+        if model.constants.contacts is base.model.constants.contacts:
             self.arrays = arrays
             if model.laws is not base.model.laws:
                 self._connect_laws()
             self._struct = self._make_struct()
         else:
             count = model.layout.contacts
-            rows = make_rows(count, len(model.constants.codes) - count)
+            rows = make_rows(count, len(model.constants.contacts.codes) - count)
             sample = arrays.sample._replace(forces=rows.force)
             self.arrays = arrays._replace(rows=rows, sample=sample)
             self._connect_rows()

@@ -17,11 +17,11 @@ import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.table import (
-    GEOMETRY_WIDTH,
     JOINT,
     Code,
     JointRows,
     count_parts,
+    empty_table,
     select_joint_rows,
     select_rows,
 )
@@ -38,7 +38,7 @@ from multiarm.dynamics.solver.node import (
 from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.dynamics.variables import Variables, row_shapes
 from multiarm.jit.kernels import INTS, clear, copy, kernel
-from multiarm.jit.rows import fields_of, width
+from multiarm.jit.rows import fields_of
 
 # Selections whose tables and caches are kept.
 MOST_RECENT = 32
@@ -75,16 +75,15 @@ class RowSelection(Data):
         model, layout = full.model, full.model.layout
         self._full, self._bounds = full, np.array(layout.first_contact)
         self._joints, counts = layout.joint_counts, layout.contact_counts
-        self._of_joints = fields_of(Code, model.constants.codes[: layout.contacts]).kind == JOINT
+        table = model.constants.contacts
+        self._of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT
         self._share(full, replace(model.select(range(layout.contacts)), unilateral=None))
-        parts = count_parts(model.constants.codes, layout.contacts)
-        size = layout.contacts + parts
+        parts = count_parts(table.codes, layout.contacts)
         # arms with more contacts than joints are in no group
         fewer = np.minimum(self._joints, counts).tolist()
         groups = make_work(self._joints, fewer).groups
         constants = self.model.constants._replace(
-            codes=np.zeros((size, width(Code)), dtype=np.int64),
-            geometry=np.zeros((size, GEOMETRY_WIDTH)),
+            contacts=empty_table(layout.contacts + parts, table.shapes)
         )
         self.replace_arrays(
             constants=constants,
@@ -194,8 +193,8 @@ def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: I
     model, data, work = open_system(struct)
     copy(bounds, work.first_contact)
     work.status.arm_by_arm = False
-    select_rows(constants.codes, constants.geometry, rows, model.codes, model.geometry)
-    select_joint_rows(model.codes, work.first_contact, work.first_joint, model.joint_rows)
+    select_rows(constants.contacts, rows, model.contacts)
+    select_joint_rows(model.contacts.codes, work.first_contact, work.first_joint, model.joint_rows)
     write_groups(order, work)
     # no result of other rows is left; columns of W beyond an arm's rows are zero
     for k in range(rows.size):

@@ -373,7 +373,7 @@ def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
     compiled = data_of(coupled).arrays.functions.coupled
     assert compiled not in (before, data_of(fresh).arrays.functions.coupled)
     assert data_of(regular).arrays.functions.coupled == before, "a regular scene does without"
-    assert data_of(regular).arrays.functions.row != 0
+    assert data_of(regular).arrays.functions.general_rows != 0
 
 
 @fused
