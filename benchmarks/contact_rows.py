@@ -2,9 +2,10 @@
 
     python benchmarks/contact_rows.py [--rounds N] [--json FILE]
 
-The timed function is the one that an evaluation calls for the contacts of an arm
-(:func:`multiarm.contacts.kernel.write_rows`), on tables of many rows of one kind between two moving
-bodies, in interleaved bursts of which the fastest counts.
+The timed functions are those that an evaluation calls for the contacts of an arm
+(:func:`multiarm.contacts.kernel.write_rows_in_closed_form`, and ``write_row`` for other rows), on
+tables of many rows of one kind between two moving bodies, in interleaved bursts of which the
+fastest counts.
 """
 
 from __future__ import annotations
@@ -19,12 +20,17 @@ import pandas
 from matplotlib.figure import Figure
 from timing import Burst, fastest, measure
 
-from multiarm.contacts.kernel import CONTACT_WIDTH, write_row, write_rows
-from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
-from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
-from multiarm.contacts.table import open_code, pack
+from multiarm.contacts.kernel import (
+    CONTACT_WIDTH,
+    ContactSearch,
+    make_search,
+    write_row,
+    write_rows_in_closed_form,
+)
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
+from multiarm.contacts.surfaces import user_surface_callback
+from multiarm.contacts.table import ContactTable, is_in_closed_form, open_code, pack
 from multiarm.geometry.records import (
-    CYLINDER,
     Contact,
     cone,
     cylinder,
@@ -39,6 +45,7 @@ from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 from multiarm.jit.rows import fields_of
+from multiarm.jit.structs import count_entries, struct_of, view
 from multiarm.plots.style import BLUE
 from multiarm.threads import one_thread
 
@@ -111,22 +118,18 @@ def measure_rows(rounds: int = 7) -> pandas.DataFrame:
 
 def _burst(contacts: list[Contact]) -> Burst:
     """Write a table of ``ROWS`` rows of one kind, again and again."""
-    table = pack(contacts * (ROWS // len(contacts)))
-    arm, body = _moving(0.01), _moving(-0.02)
+    table, surfaces = pack(contacts * (ROWS // len(contacts)))
+    link, body = _moving(0.01), _moving(-0.02)
     rows = np.zeros((ROWS, CONTACT_WIDTH))
     parts = np.zeros((len(table.codes) - ROWS, CONTACT_WIDTH))
-    query = np.zeros(QUERY_WIDTH)
-    places = np.tile([0.47, 0.01, 0.01], (len(table.shapes), 1))
-    located = np.zeros_like(places)
-    answer = user_surface_callback(table.functions, query)
+    search = make_search(np.tile([0.47, 0.01, 0.01], (len(table.shapes), 1)))
+    answer = user_surface_callback(surfaces, search.query)
     call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
+    search.user.callback = call.address
+    struct = struct_of(table, search)
 
     def burst(repeats: int) -> None:
-        _write_often(
-            repeats, ROWS, arm, body, np.zeros(RELATIVE_WIDTH), table.codes, table.geometry,
-            table.shapes, call.address, rows, parts, query, places, located,
-            np.zeros(1, dtype=np.int64),
-        )  # fmt: skip
+        _write_often(repeats, struct, link, body, rows, parts)
         call.reraise()
         assert np.all(np.isfinite(rows)), "the rows that are timed exist"
 
@@ -140,21 +143,19 @@ def _moving(speed: float) -> np.ndarray:
     return body
 
 
+_open_table, _open_search = view(ContactTable), view(ContactSearch, count_entries(ContactTable))
+
+
 @kernel
-def _write_often(
-    repeats, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, query,
-    places, located, no_struct,
-):  # fmt: skip
-    plain = open_code(codes[0]).kind <= CYLINDER
+def _write_often(repeats, struct, link, body, rows, parts):
+    table, search = _open_table(struct), _open_search(struct)
     for _ in range(repeats):
-        if plain:
-            write_rows(0, count, arm, body, relative, codes, geometry, rows, no_struct, 0, 0)
-            continue
-        for k in range(count):
-            write_row(
-                k, arm, body, codes, geometry, shapes, calls, rows, parts, relative, query, places,
-                located,
-            )  # fmt: skip
+        complete = write_rows_in_closed_form(
+            0, rows.shape[0], link, body, table, search.relative, rows
+        )
+        for k in range(0 if complete else rows.shape[0]):
+            if not is_in_closed_form(open_code(table.codes[k]).kind):
+                write_row(k, link, body, table, rows, parts, search)
 
 
 if __name__ == "__main__":

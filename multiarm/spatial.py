@@ -16,13 +16,13 @@ import math
 
 import numpy as np
 
-from multiarm.jit.kernels import kernel, plain
+from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.vectors import AXES, add_scaled, cross, put, scale, vec
 
-# Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
+# Below this angle [rad] the closed form of a quaternion loses digits, and its series is used.
 _SERIES_ANGLE = 1e-2
-# Of the factor gamma of :func:`write_chart_rate` in powers of the squared angle: with Bernoulli's
-# numbers, |B_2k| / (2 k)! from k = 1 on.
+# Of :func:`_gamma` in powers of the squared angle: with Bernoulli's numbers, |B_2k| / (2 k)! from
+# k = 1 on.
 _SERIES = (
     1.0 / 12.0, 1.0 / 720.0, 1.0 / 30240.0, 1.0 / 1209600.0, 1.0 / 47900160.0,
     691.0 / 1307674368000.0, 1.0 / 74724249600.0, 3617.0 / 10670622842880000.0,
@@ -135,6 +135,23 @@ def difference(base: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return np.array(rotation_between(base.tolist(), quaternion.tolist()))
 
 
+@inlined
+def _gamma(square):
+    r"""The factor :math:`\gamma = g(|\theta|^2)` of :func:`write_chart_rate`, and ``g'``."""
+    if square < 0.25:  # the closed form of g' loses digits with the fourth power of the angle
+        gamma = slope = 0.0
+        for k in range(len(_SERIES) - 1, -1, -1):
+            slope = slope * square + gamma
+            gamma = gamma * square + _SERIES[k]
+        return gamma, slope
+    angle = math.sqrt(square)
+    cotangent = 1.0 / math.tan(0.5 * angle)
+    gamma = (1.0 - 0.5 * angle * cotangent) / square
+    # by the angle, over twice the angle
+    by_angle = 0.25 * angle * (1.0 + cotangent * cotangent) - 0.5 * cotangent
+    return gamma, (0.5 * by_angle / angle - gamma) / square
+
+
 @kernel
 def write_chart_rate(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> None:
     r"""Write the rate of ``theta`` for a body that turns with ``omega`` into ``out[0:3]``.
@@ -148,12 +165,7 @@ def write_chart_rate(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> N
     (the inverse of the left differential of the exponential; E. Hairer, C. Lubich, G. Wanner,
     Geometric Numerical Integration, III.4).  Regular for ``|theta| < 2 pi``.
     """
-    square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
-    if square < _SERIES_ANGLE**2:
-        gamma = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
-    else:
-        angle = math.sqrt(square)
-        gamma = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / square
+    gamma, _ = _gamma(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2)
     turn, rate = vec(theta, 0), vec(omega, 0)
     c = cross(turn, rate)
     put(out, 0, add_scaled(add_scaled(rate, -0.5, c), gamma, cross(turn, c)))
@@ -169,19 +181,7 @@ def write_chart_rate_slopes(theta: np.ndarray, omega: np.ndarray, out: np.ndarra
               + \theta\times(\delta\times\omega)\big)
               + 2 g'\,(\theta\cdot\delta)\,\theta\times(\theta\times\omega) .
     """
-    square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
-    if square < 0.25:  # the closed form of g' loses digits with the fourth power of the angle
-        gamma = slope = 0.0
-        for k in range(len(_SERIES) - 1, -1, -1):
-            slope = slope * square + gamma
-            gamma = gamma * square + _SERIES[k]
-    else:
-        angle = math.sqrt(square)
-        cotangent = 1.0 / math.tan(0.5 * angle)
-        gamma = (1.0 - 0.5 * angle * cotangent) / square
-        # by the angle, over twice the angle
-        by_angle = 0.25 * angle * (1.0 + cotangent * cotangent) - 0.5 * cotangent
-        slope = (0.5 * by_angle / angle - gamma) / square
+    gamma, slope = _gamma(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2)
     turn, rate = vec(theta, 0), vec(omega, 0)
     c = cross(turn, rate)
     twice = cross(turn, c)

@@ -15,7 +15,7 @@ from multiarm.arms.arm import Arm
 from multiarm.assembly.contact_effects import unilateral_constraints
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
-from multiarm.contacts.table import ContactTable, pack
+from multiarm.contacts.table import PackedContacts, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.layout import Layout
@@ -37,7 +37,7 @@ class Rows:
     layout: Layout
     records: Mapping[str, list]  # of every arm, in its tip's frame, and of the surroundings
     on_links: dict[str, list]  # the same, in the frame of the link that carries the tip
-    table: ContactTable
+    packed: PackedContacts
     unilateral: UnilateralConstraints | None
 
 
@@ -97,8 +97,8 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
         on_links[name] = [record.moved_on_arm(*on_tip) for record in records[name]]
     if around:
         on_links[SURROUNDINGS] = around
-    table = pack([record for on_link in on_links.values() for record in on_link])
-    return Rows(layout, records, on_links, table, unilateral)
+    packed = pack([record for on_link in on_links.values() for record in on_link])
+    return Rows(layout, records, on_links, packed, unilateral)
 
 
 def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:

@@ -255,7 +255,8 @@ class Linkage:
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)
         if with_object:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
-        codes = fields_of(Code, data.model.constants.codes[: work.first_contact[-1]])
+        table = data.model.constants.contacts
+        codes = fields_of(Code, table.codes[: work.first_contact[-1]])
         holds = every_row | (codes.kind != TANGENT)
         self._held_rows = [
             np.flatnonzero(holds[slice(*work.first_contact[i : i + 2])]) for i in arms

@@ -19,8 +19,8 @@ from multiarm.assembly.joints import Rows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.control.program import ControlProgram
-from multiarm.dynamics.arrays import COUPLED, Constants, FreeMotions, TipFrame
-from multiarm.dynamics.control_laws import NO_CONTROL, law_table
+from multiarm.dynamics.arrays import COUPLED, Constants, FreeComponents, TipFrame
+from multiarm.dynamics.control_laws import NO_CONTROL, are_differentiable, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.equations import (
     control_of_closed,
@@ -30,7 +30,7 @@ from multiarm.dynamics.equations import (
     solve_again,
     solve_decomposed,
     solve_deficient,
-    write_general_row,
+    write_general_rows,
 )
 from multiarm.dynamics.held_control import with_held_control
 from multiarm.dynamics.model import Model, effect_constants, row_constants
@@ -61,7 +61,7 @@ LAZY_FUNCTIONS = {
     "coupled": solve_deficient,
     "decomposed": solve_decomposed,
     "solve_again": solve_again,
-    "row": write_general_row,
+    "general_rows": write_general_rows,
     "near_singular": evaluate_near_singular,
 }
 
@@ -97,7 +97,7 @@ def uncontrolled_model(
         layout=layout,
         contacts={name: rows.records[name] for name in arms},
         records=tuple(record for on_link in rows.on_links.values() for record in on_link),
-        surfaces=tuple(rows.table.functions),
+        surfaces=tuple(rows.packed.surfaces),
         frames=frames,
         constants=_constants(scene, arms, frames, rows, effects, backends),
         effects=effects,
@@ -106,7 +106,7 @@ def uncontrolled_model(
         functions=FUNCTIONS | REPORT_FUNCTIONS if guards else FUNCTIONS,
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
-        pair_places=np.zeros((len(rows.table.shapes), 3)),
+        pair_places=np.zeros((len(rows.packed.table.shapes), 3)),
         unilateral=unilateral,
         guards=guards,
     )
@@ -124,7 +124,9 @@ def with_control(model: Model, control: ControlProgram) -> Model:
         control=law_table(control.laws, model.effects.end), control_reach=control.reach
     )
     if control.sampling is not None:
-        constants = with_held_control(constants, constants.control, control.sampling.delay)
+        constants = with_held_control(
+            constants, constants.control, are_differentiable(control.laws), control.sampling.delay
+        )
     controlled = replace(
         model,
         constants=constants,
@@ -146,11 +148,9 @@ def _constants(
     effects: EffectProgram,
     backends: ArmBackends,
 ) -> Constants:
-    table = rows.table
     return Constants(
         q_slots=backends.q_slots,
         circular=np.concatenate([arm.circular for arm in arms.values()]).astype(np.int64),
-        shapes=table.shapes,
         tip_frames=np.array(
             [as_row(TipFrame(arm.tip_rotation, arm.tip_translation)) for arm in arms.values()]
         ),
@@ -162,9 +162,9 @@ def _constants(
         sample_delay=False,
         control_reach=COUPLED,
         dense=scene.run.solver == "dense",
-        calls_user=bool(table.functions) or effects.calls_user,
+        calls_user=bool(rows.packed.surfaces) or effects.calls_user,
         **_frame_constants(arms, frames),
-        **row_constants(table.codes, table.geometry, rows.layout),
+        **row_constants(rows.packed.table, rows.layout),
         **effect_constants(effects),
     )
 
@@ -181,5 +181,5 @@ def _frame_constants(arms: Mapping[str, Arm], frames: Mapping[str, JointFrame]) 
     bounds = np.cumsum([0, *(len(frame.free) for frame in in_order)])
     return {
         "joint_frames": np.array(packed),
-        "free": FreeMotions(bounds, component=components, coordinate=coordinates),
+        "free": FreeComponents(bounds, component=components, coordinate=coordinates),
     }

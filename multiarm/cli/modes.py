@@ -81,7 +81,7 @@ def modes(
     console.print(columns("Modes, the slowest first", heads, rows))
     if not replay and replay_html is None:
         return
-    from multiarm.linear.motion import modes_trajectory
+    from multiarm.linear.modes_trajectory import modes_trajectory
 
     motion = modes_trajectory(linear, amplitude=amplitude)
     if replay_html is not None:

@@ -58,22 +58,33 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from multiarm.contacts.motion import motion_at, open_body, open_relative, relative_motion
-from multiarm.contacts.surfaces import open_query, world_distance
+import numpy as np
+
+from multiarm.contacts.motion import (
+    RELATIVE_WIDTH,
+    motion_at,
+    open_body,
+    open_relative,
+    write_relative_motion,
+)
+from multiarm.contacts.surfaces import QUERY_WIDTH, open_query, world_distance
 from multiarm.contacts.table import (
     COMBINED,
-    CURVED,
     JOINT,
+    ON_CYLINDER,
+    ON_PLANE,
+    ON_SURFACE,
     PAIR,
     TANGENT,
+    is_in_closed_form,
     open_code,
     open_geometry,
     open_tangent,
 )
-from multiarm.geometry.records import CYLINDER, PLANE, SURFACE_ON_OBJECT
+from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.jit.kernels import inlined, kernel, larger, plain
-from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.rows import Number, Rotation, Vector, row_of, width
+from multiarm.jit.structs import Floats1, Floats2, Int, Numbers
 from multiarm.jit.vectors import (
     ZERO,
     across,
@@ -118,6 +129,35 @@ class PatchRow(NamedTuple):
     upper: Vector
 
 
+class UserSurfaces(Numbers):
+    """The surfaces of users."""
+
+    callback: Int  # address of the function that answers a query; 0: there are none
+
+
+class ContactSearch(NamedTuple):
+    """What rows need that are not in closed form; with S shapes of the table."""
+
+    relative: Floats1  # (15,) scratch: :class:`~multiarm.contacts.motion.RelativeRow`
+    query: Floats1  # (14,) scratch: :class:`~multiarm.contacts.surfaces.Query`
+    user: UserSurfaces
+    # (S, 3) contact points of two surfaces in the guiding body's frame, at the guide's shape: those
+    # from which Newton's method starts, and (written) those to which it leads
+    guesses: Floats2
+    points: Floats2
+
+
+def make_search(guesses: np.ndarray) -> ContactSearch:
+    """Allocate for contacts of two surfaces that are searched from these points."""
+    return ContactSearch(
+        relative=np.zeros(RELATIVE_WIDTH),
+        query=np.zeros(QUERY_WIDTH),
+        user=UserSurfaces(),
+        guesses=guesses,
+        points=np.zeros_like(guesses),
+    )
+
+
 CONTACT_WIDTH = width(ContactRow)
 open_contact, open_patch = row_of(ContactRow), row_of(PatchRow)
 
@@ -143,7 +183,7 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     Parameters
     ----------
     kind : int
-        ``PLANE``, ``SPHERE`` or ``CYLINDER``.
+        ``ON_PLANE``, ``ON_SPHERE`` or ``ON_CYLINDER``.
     into_object : float
         -1 when the surface is the object's (its outward normal then points out of the object).
     geometry : float64 (13,)
@@ -151,7 +191,7 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     a, b : float64 (24,)
         Kinematics of the body with the point and of the body with the surface.
     relative : float64 (15,)
-        From :func:`multiarm.contacts.motion.relative_motion` of the two.
+        From :func:`multiarm.contacts.motion.write_relative_motion` of the two.
     out : float64 (18,), written
         A :class:`ContactRow`.
     """
@@ -161,11 +201,11 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     # from a point of the surface's own geometry to P
     f = sub(add(open_relative(relative).shift, d), rotate(R_B, contact.origin))
     axis = rotate(R_B, contact.axis)
-    if kind == PLANE:
+    if kind == ON_PLANE:
         n, n_rate, gap = axis, ZERO, dot(axis, f)
     else:
         turning = V
-        if kind == CYLINDER:
+        if kind == ON_CYLINDER:
             f, turning = across(axis, f), across(axis, V)
         side, distance = contact.side, norm(f)
         # at the very centre there is no normal
@@ -179,119 +219,97 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
 
 
 @inlined
-def write_rows(first, count, arm, body, relative, codes, geometry, rows, struct, i, general):
-    """Write ``count`` rows of arm ``i`` from ``first`` on; for the arguments see ``write_row``.
+def write_rows_in_closed_form(first, end, link, body, table, relative, rows):
+    """Write those rows of an arm, from ``first`` to ``end``, that are in closed form.
 
-    Tips on planes, spheres and cylinders, which nearly all rows are, share the relative motion
-    (``relative``, 15).  The function at address ``general`` calls ``write_row`` for the rest.
+    Nearly all rows are; they share the relative motion ``relative`` (15,), written.  For the other
+    arguments see :func:`write_row`, which writes the rest.  Returns whether there is none.
     """
-    seen_from = -1
-    for k in range(first, first + count):
-        code = open_code(codes[k])
+    seen_from, complete = -1, True
+    for k in range(first, end):
+        code = open_code(table.codes[k])
         kind, surface_body = code.kind, code.surface_body
-        if kind > CYLINDER:
-            call_cfunc(general, struct, float(k), float(i))
+        if not is_in_closed_form(kind):
+            complete = False
         elif surface_body == SURFACE_ON_OBJECT:
             if seen_from != surface_body:
-                relative_motion(arm, body, relative)
+                write_relative_motion(link, body, relative)
                 seen_from = surface_body
-            contact_kinematics(kind, -1.0, geometry[k], arm, body, relative, rows[k])
+            contact_kinematics(kind, -1.0, table.geometry[k], link, body, relative, rows[k])
         else:
             if seen_from != surface_body:
-                relative_motion(body, arm, relative)
+                write_relative_motion(body, link, relative)
                 seen_from = surface_body
-            contact_kinematics(kind, 1.0, geometry[k], body, arm, relative, rows[k])
+            contact_kinematics(kind, 1.0, table.geometry[k], body, link, relative, rows[k])
+    return complete
 
 
 @kernel
-def write_row(
-    k, arm, body, codes, geometry, shapes, calls, rows, parts, relative, query, places, located
-):
+def write_row(k, link, body, table, rows, parts, search):
     """Write row ``k`` of an arm's contacts, of any kind, into ``rows[k]``.
+
+    Rows in closed form stand before those that follow from them.
 
     Parameters
     ----------
     k : int
-    arm, body : (24,)
+    link, body : (24,)
         Kinematics of the arm's link and of the object.
-    codes, geometry, shapes
-        The contact table, see :class:`multiarm.contacts.table.ContactTable`.
-    calls : int
-        Address of the callback for user surfaces.
+    table : view of a ContactTable
     rows, parts : (N, 18), (P, 18), written
         Contact kinematics of the rows, and of the parts of combined rows.
-    relative : (15,), query : (14,), written
-        A relative motion, and a query of a surface.
-    places, located : (S, 3)
-        Last contact points of two surfaces, in B's frame, and (written) those found now.
+    search : view of a ContactSearch
     """
-    code = open_code(codes[k])
-    kind = code.kind
-    if kind == TANGENT:
-        normal = k - code.tangent
-        base = rows[normal]
-        if code.normal_part > 0:  # it has its normal row among the parts
-            normal = code.normal_part
-            base = parts[normal - rows.shape[0]]
-            write_contact(
-                codes[normal], geometry[normal], arm, body, shapes, calls, base, relative, query,
-                places, located,
-            )  # fmt: skip
-        if code.surface_body == SURFACE_ON_OBJECT:
-            a, b, sign = arm, body, -1.0
-        else:
-            a, b, sign = body, arm, 1.0
-        relative_motion(a, b, relative)
-        _no_slip(k, normal, sign, a, b, codes, geometry, base, rows[k], relative)
-        return
-    if kind == JOINT:  # the row belongs to a joint of the arm and has no contact
+    code = open_code(table.codes[k])
+    if code.kind == TANGENT:
+        _write_tangent(k, link, body, table, rows, parts, search)
+    elif code.kind == JOINT:  # it belongs to a joint of the arm and has no contact
         for i in range(CONTACT_WIDTH):
             rows[k, i] = 0.0
-        return
-    if kind != COMBINED:
-        write_contact(
-            codes[k], geometry[k], arm, body, shapes, calls, rows[k], relative, query, places,
-            located,
-        )  # fmt: skip
-        return
-    first, count = code.first_part, code.parts
-    at = first - rows.shape[0]
-    for j in range(count):
-        write_contact(
-            codes[first + j], geometry[first + j], arm, body, shapes, calls, parts[at + j],
-            relative, query, places, located,
-        )  # fmt: skip
-    _combine(open_geometry(geometry[k]).weight, parts, at, count, rows[k])
+    elif code.kind == COMBINED:
+        first = code.first_part
+        at = first - rows.shape[0]
+        for j in range(code.parts):
+            write_contact(first + j, link, body, table, search, parts[at + j])
+        _combine(open_geometry(table.geometry[k]).weight, parts, at, code.parts, rows[k])
+    else:
+        write_contact(k, link, body, table, search, rows[k])
 
 
-@kernel
-def write_contact(codes, geometry, arm, body, shapes, calls, row, relative, query, places, located):
-    """Kinematics of one contact of two surfaces of any kinds."""
-    code = open_code(codes)
+@inlined
+def bodies_of(code, link, body):
+    """The body with the point, that with the guiding surface, and the sign of ``e`` along n."""
     if code.surface_body == SURFACE_ON_OBJECT:
-        a, b, sign = arm, body, -1.0
-    else:
-        a, b, sign = body, arm, 1.0
-    relative_motion(a, b, relative)
-    kind, first = code.kind, code.shape
-    if kind == CURVED:
-        _curved(sign, geometry, a, b, shapes[first], relative, query, calls, row)
-    elif kind == PAIR:
-        _pair(sign, a, b, shapes, first, relative, query, calls, places[first], located[first], row)
-    else:
-        contact_kinematics(kind, sign, geometry, a, b, relative, row)
+        return link, body, -1.0
+    return body, link, 1.0
 
 
 @kernel
-def _curved(sign, geometry, a, b, shape, relative, query, calls, row):
+def write_contact(k, link, body, table, search, out):
+    """Write the kinematics of the contact of two surfaces of any kinds, record ``k``."""
+    code = open_code(table.codes[k])
+    a, b, sign = bodies_of(code, link, body)
+    write_relative_motion(a, b, search.relative)
+    if code.kind == ON_SURFACE:
+        _write_tip_on_surface(k, sign, a, b, table, search, out)
+    elif code.kind == PAIR:
+        _write_pair(code.shape, sign, a, b, table, search, out)
+    else:
+        contact_kinematics(code.kind, sign, table.geometry[k], a, b, search.relative, out)
+
+
+@kernel
+def _write_tip_on_surface(k, sign, a, b, table, search, out):
     """A tip on a surface of any kind."""
-    contact, surface = open_geometry(geometry), open_query(query)
+    contact, surface = open_geometry(table.geometry[k]), open_query(search.query)
+    shape = table.shapes[open_code(table.codes[k]).shape]
     d = rotate(open_body(a).rotation, contact.tip)
-    V, A = motion_at(relative, d)
-    world_distance(shape, b, add(open_relative(relative).shift, d), query, calls)
+    V, A = motion_at(search.relative, d)
+    at = add(open_relative(search.relative).shift, d)
+    world_distance(shape, b, at, search.query, search.user.callback)
     n, n_rate = surface.gradient, times(surface.second, V)
     gap = surface.distance - contact.tip_radius
-    put_contact(row, sign, add(open_body(a).origin, d), V, n, n_rate, gap, V, A)
+    put_contact(out, sign, add(open_body(a).origin, d), V, n, n_rate, gap, V, A)
 
 
 @inlined
@@ -302,22 +320,21 @@ def _regular(H, n):
 
 
 @kernel
-def locate_pair(a, b, shapes, first, r, query, calls, place):
-    r"""Newton's method for the common normal of two surfaces; returns whether it was found.
+def locate_pair(shape, a, b, table, search, place):
+    r"""Newton's method for the common normal of two surfaces; returns whether there is one.
 
-    Solves :math:`P(n_A + n_B) = 0, s_B = 0` with ``P`` across :math:`n_B`.  ``place`` (3,), in B's
-    frame, holds the guess and then the point of B's surface on that normal; ``r`` is A's origin
-    seen from B's, a tuple in world axes.
+    Solves :math:`P(n_A + n_B) = 0, s_B = 0` with ``P`` across :math:`n_B`.  ``shape`` is the number
+    of B's surface, A's is the next one.  ``place`` (3,), in B's frame, holds the guess and then the
+    point of B's surface on that normal; ``search.relative`` is the motion of A seen from B.
     """
-    R, surface = open_body(b).rotation, open_query(query)
+    R, r = open_body(b).rotation, open_relative(search.relative).shift
     z, step = rotate(R, vec(place, 0)), ZERO
     before, share, last = math.inf, 1.0, False
     for _ in range(600):  # at most 50 steps of 12 halvings
         trial = add(z, step)
-        world_distance(shapes[first], b, trial, query, calls)
-        s, n, H = surface.distance, surface.gradient, surface.second
-        world_distance(shapes[first + 1], a, sub(trial, r), query, calls)
-        g = add(surface.gradient, n)
+        s, n, H = distance_of(shape, b, trial, table, search)
+        _, n_A, H_A = distance_of(shape + 1, a, sub(trial, r), table, search)
+        g = add(n_A, n)
         along = dot(g, n)
         g = add_scaled(g, -along, n)
         # opposite normals: along = 0; equal ones (along = 2) are no contact
@@ -334,53 +351,71 @@ def locate_pair(a, b, shapes, first, r, query, calls, place):
             step = scale(0.5, step)
             continue
         z, before, share = trial, angle, 1.0
-        H, k = _regular(add_symmetric(H, surface.second), n)
+        H, k = _regular(add_symmetric(H, H_A), n)
         step = scale(-1.0, solve(H, add_scaled(g, k * s, n)))
         # one more step, which is quadratic, from 1e-9 rad between the normals
         last = angle < 1e-9 and abs(s) * k < 1e-9
     return False
 
 
+@inlined
+def distance_of(shape, body, d, table, search):
+    """Signed distance of a point from a surface on a body, with gradient and second derivatives.
+
+    ``d`` is the point relative to the body's origin, world axes.
+    """
+    surface = open_query(search.query)
+    world_distance(table.shapes[shape], body, d, search.query, search.user.callback)
+    return surface.distance, surface.gradient, surface.second
+
+
 @kernel
-def _pair(sign, a, b, shapes, first, relative, query, calls, place, located, row):
-    """Two curved surfaces."""
-    put(located, 0, vec(place, 0))
-    r, Omega = open_relative(relative).shift, open_relative(relative).spin
-    surface = open_query(query)
-    if not locate_pair(a, b, shapes, first, r, query, calls, located):
+def _write_pair(shape, sign, a, b, table, search, out):
+    """Two curved surfaces, B's of this number."""
+    place = search.points[shape]
+    put(place, 0, vec(search.guesses[shape], 0))
+    r, Omega = open_relative(search.relative).shift, open_relative(search.relative).spin
+    if not locate_pair(shape, a, b, table, search, place):
         for i in range(CONTACT_WIDTH):
-            row[i] = math.nan
+            out[i] = math.nan
         return
-    z = rotate(open_body(b).rotation, vec(located, 0))
+    z = rotate(open_body(b).rotation, vec(place, 0))
     d = sub(z, r)
-    V, A = motion_at(relative, d)
-    world_distance(shapes[first + 1], a, d, query, calls)
-    gap, H_A = surface.distance, surface.second
-    world_distance(shapes[first], b, z, query, calls)
-    gap += surface.distance
-    n, H_B = surface.gradient, surface.second
+    V, A = motion_at(search.relative, d)
+    s_A, _, H_A = distance_of(shape + 1, a, d, table, search)
+    s_B, n, H_B = distance_of(shape, b, z, table, search)
     H_A_V = times(H_A, V)
     g = add_cross(H_A_V, Omega, n)
     H, _ = _regular(add_symmetric(H_A, H_B), n)
     u = solve(H, g)
-    put_contact(row, sign, add(open_body(b).origin, z), u, n, times(H_B, u), gap, V, A)
+    n_rate = times(H_B, u)
+    put_contact(out, sign, add(open_body(b).origin, z), u, n, n_rate, s_A + s_B, V, A)
     bias = dot(n, A) - 2.0 * dot(n, cross(Omega, V)) + dot(V, H_A_V) - dot(u, g)
-    open_contact(row).gap_bias = bias
+    open_contact(out).gap_bias = bias
 
 
-@inlined
-def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
-    """No slip along the tangent of row ``k`` at the contact whose normal row has this number."""
-    contact, directions = open_contact(base), open_tangent(geometry[k])
+@kernel
+def _write_tangent(k, link, body, table, rows, parts, search):
+    """No slip along a tangent of a contact, whose normal row is written, or is among the parts."""
+    code = open_code(table.codes[k])
+    normal = k - code.tangent
+    base = rows[normal]
+    if code.normal_part > 0:
+        normal = code.normal_part
+        base = parts[normal - rows.shape[0]]
+        write_contact(normal, link, body, table, search, base)
+    a, b, sign = bodies_of(code, link, body)
+    write_relative_motion(a, b, search.relative)
+    contact, directions = open_contact(base), open_tangent(table.geometry[k])
     n, n_rate = scale(sign, contact.normal), contact.normal_rate
     # the contact point on B and its rate; a tip's centre is a radius and a gap away
     away = rate = 0.0
-    if open_code(codes[normal]).kind != PAIR:
-        away = contact.gap + open_geometry(geometry[normal]).tip_radius
+    if open_code(table.codes[normal]).kind != PAIR:
+        away = contact.gap + open_geometry(table.geometry[normal]).tip_radius
         rate = contact.gap_rate
     c = add_scaled(contact.point, -away, n)
     c_rate = add_scaled(add_scaled(contact.point_rate, -rate, n), -away, n_rate)
-    V, A = motion_at(relative, sub(c, open_body(a).origin))
+    V, A = motion_at(search.relative, sub(c, open_body(a).origin))
     # a direction of B across which the first tangent lies; near its pole, another one
     f = rotate(open_body(b).rotation, directions.first)
     t = cross(f, n)
@@ -390,10 +425,10 @@ def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
     inverse = 1.0 / norm(t)
     t = scale(inverse, t)
     t_rate = across(t, scale(inverse, cross(f, n_rate)))
-    if open_code(codes[k]).tangent == 2:  # n x t and its rate
+    if code.tangent == 2:  # n x t and its rate
         t, t_rate = cross(n, t), add_cross(cross(n_rate, t), n, t_rate)
-    A = add_cross(A, open_relative(relative).spin, sub(c_rate, V))
-    put_contact(row, sign, c, c_rate, t, t_rate, 0.0, V, A)
+    A = add_cross(A, open_relative(search.relative).spin, sub(c_rate, V))
+    put_contact(rows[k], sign, c, c_rate, t, t_rate, 0.0, V, A)
 
 
 @inlined
@@ -433,7 +468,7 @@ def slip_of(rows, tangent):
 @plain
 def tip_offset(kind, surface_body, tip_radius):
     """From a tip's centre to its contact point, along the normal into the object [m]."""
-    if kind > CURVED:  # there is no tip
+    if not (is_in_closed_form(kind) or kind == ON_SURFACE):  # there is no tip
         return 0.0
     return tip_radius if surface_body == SURFACE_ON_OBJECT else -tip_radius
 

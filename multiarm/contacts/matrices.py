@@ -30,7 +30,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import COMBINED, Code, ContactGeometry
+from multiarm.contacts.table import COMBINED, Code, ContactGeometry, ContactTable
 from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.jit.rows import fields_of
 
@@ -73,8 +73,7 @@ class ContactMatrices(NamedTuple):
 
 
 def contact_matrices(
-    codes: np.ndarray,
-    geometry: np.ndarray,
+    table: ContactTable,
     rows: np.ndarray,
     wanted: np.ndarray,
     link: np.ndarray,
@@ -85,8 +84,7 @@ def contact_matrices(
 
     Parameters
     ----------
-    codes : int64 (N + P, 8), geometry : (N + P, 13)
-        The table, see :class:`multiarm.contacts.table.ContactTable`.
+    table : ContactTable
     rows : (N + P, 18)
         Kinematics of its rows, followed by those of the parts of combined rows.
     wanted : int (k,)
@@ -96,8 +94,8 @@ def contact_matrices(
     tip : (24,)
         Kinematics of the frame (fixed to the arm's last link) in which ``W_m`` is wanted.
     """
-    code, weights = fields_of(Code, codes), fields_of(ContactGeometry, geometry).weight
-    wrenches = np.empty((len(codes), 4, 6))
+    code, weights = fields_of(Code, table.codes), fields_of(ContactGeometry, table.geometry).weight
+    wrenches = np.empty((len(table.codes), 4, 6))
     for on_object, surface in ((True, body), (False, link)):
         mask = (code.surface_body == SURFACE_ON_OBJECT) == on_object
         wrenches[mask] = _uncombined(rows[mask], on_object, surface, body, tip)

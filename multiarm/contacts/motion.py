@@ -63,7 +63,7 @@ def motion_relative_to(a, b):
 
 
 @inlined
-def relative_motion(a, b, out):
+def write_relative_motion(a, b, out):
     """Write the motion of body A seen from body B into a row ``out`` (15,) of an array.
 
     ``a`` and ``b`` (24,) are rows too; their accelerations are those at ``q'' = 0``.

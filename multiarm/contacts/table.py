@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -16,16 +17,40 @@ import numpy as np
 from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact, SmoothShape, Surface
 from multiarm.jit.kernels import copy, plain
 from multiarm.jit.rows import Number, Rotation, Vector, as_row, fields_of, row_of, width
-from multiarm.jit.structs import Ints1
+from multiarm.jit.structs import Floats2, Ints1, Ints2
 
-# Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
-CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
+
+class RowKind(IntEnum):
+    """Kinds of row of W."""
+
+    # a tip on a surface: on those in closed form, on any other
+    ON_PLANE = 0
+    ON_SPHERE = 1
+    ON_CYLINDER = 2
+    ON_SURFACE = 3
+    PAIR = 4  # two surfaces, neither of them a tip
+    TANGENT = 5  # no slip
+    COMBINED = 6
+    JOINT = 7
+
+
+# Numba reads them as constants.
+ON_PLANE = int(RowKind.ON_PLANE)
+ON_SPHERE = int(RowKind.ON_SPHERE)
+ON_CYLINDER = int(RowKind.ON_CYLINDER)
+ON_SURFACE = int(RowKind.ON_SURFACE)
+PAIR = int(RowKind.PAIR)
+TANGENT = int(RowKind.TANGENT)
+COMBINED = int(RowKind.COMBINED)
+JOINT = int(RowKind.JOINT)
+
+_CLOSED_FORMS = {PLANE: ON_PLANE, SPHERE: ON_SPHERE, CYLINDER: ON_CYLINDER}
 
 
 class Code(NamedTuple):
     """Kind of a row, the body with its guiding surface, and by kind what else describes it."""
 
-    kind: Number
+    kind: Number  # a :class:`RowKind`
     surface_body: Number
     shape: Number = -1  # the first one in ``shapes``, of curved surfaces and pairs
     # tangents: which of the two, and a copy of their normal row among the parts, where they do not
@@ -113,24 +138,38 @@ class JointRow:
 
 
 class ContactTable(NamedTuple):
-    """Records packed for the kernel.
+    """Records packed for the kernel."""
 
-    codes : int64 (N + P, 8)
-        :class:`Code` of the N rows of W, arm after arm, then of the P parts of the combined rows.
-    geometry : float64 (N + P, 13)
-        By kind :class:`ContactGeometry`, :class:`TangentGeometry` or :class:`JointGeometry`.
-    shapes : float64 (S, 18)
-        :class:`Shape` of all other surfaces.  A pair has two, the guide first.
-    functions : list of SmoothShape
-    """
-
-    codes: np.ndarray
-    geometry: np.ndarray
-    shapes: np.ndarray
-    functions: list[SmoothShape]
+    # (N + P, 8) :class:`Code` of the N rows of W, arm after arm, then of the P parts of the
+    # combined rows
+    codes: Ints2
+    # (N + P, 13) by kind :class:`ContactGeometry`, :class:`TangentGeometry`, :class:`JointGeometry`
+    geometry: Floats2
+    # (S, 18) :class:`Shape` of the surfaces that are not in closed form; a pair has two, the guide
+    # first
+    shapes: Floats2
 
 
-def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
+class PackedContacts(NamedTuple):
+    """The table of some records, and the surfaces of users to which its shapes refer."""
+
+    table: ContactTable
+    surfaces: list[SmoothShape]
+
+
+def empty_table(records: int, shapes: np.ndarray) -> ContactTable:
+    """Allocate for a number of records, whose shapes are among these."""
+    codes = np.zeros((records, width(Code)), dtype=np.int64)
+    return ContactTable(codes, np.zeros((records, GEOMETRY_WIDTH)), shapes)
+
+
+@plain
+def is_in_closed_form(kind):
+    """Whether a row is that of a tip on a plane, a sphere or a cylinder."""
+    return kind in (ON_PLANE, ON_SPHERE, ON_CYLINDER)
+
+
+def pack(contacts: Sequence[Contact | JointRow]) -> PackedContacts:
     """Pack records for the kernel."""
     codes: list[Code] = []
     geometry: list[np.ndarray] = []
@@ -162,12 +201,12 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
     for part in parts:
         codes.append(_code(part, shapes, functions))
         geometry.append(_geometry_row(part))
-    return ContactTable(
+    table = ContactTable(
         np.array(codes, dtype=np.int64).reshape(-1, width(Code)),
         np.array(geometry).reshape(-1, GEOMETRY_WIDTH),
         np.array(shapes).reshape(-1, width(Shape)),
-        functions,
     )
+    return PackedContacts(table, functions)
 
 
 def count_parts(codes: np.ndarray, count: int) -> int:
@@ -181,40 +220,36 @@ def count_parts(codes: np.ndarray, count: int) -> int:
 
 
 @plain
-def select_rows(codes, geometry, rows, selected_codes, selected_geometry):
+def select_rows(table, rows, selected):
     """Write the table of some rows, in increasing order; returns the number of its parts.
 
-    The other surfaces, to which codes refer, are those of the whole table.
+    The shapes, to which codes refer, are those of the whole table.
     """
     count, parts = rows.size, 0
     for k in range(count):
         row = rows[k]
-        copy_record(codes, geometry, row, k, selected_codes, selected_geometry)
-        code, selected = open_code(codes[row]), open_code(selected_codes[k])
+        copy_record(table, row, selected, k)
+        code, copied = open_code(table.codes[row]), open_code(selected.codes[k])
         if code.kind == COMBINED:
-            selected.first_part = count + parts
+            copied.first_part = count + parts
             for piece in range(code.first_part, code.first_part + code.parts):
-                copy_record(
-                    codes, geometry, piece, count + parts, selected_codes, selected_geometry
-                )
+                copy_record(table, piece, selected, count + parts)
                 parts += 1
         elif code.kind == TANGENT:
             at, normal = k - code.tangent, row - code.tangent
             if code.normal_part > 0 or at < 0 or rows[at] != normal:
-                selected.normal_part = count + parts
+                copied.normal_part = count + parts
                 normal = code.normal_part if code.normal_part > 0 else normal
-                copy_record(
-                    codes, geometry, normal, count + parts, selected_codes, selected_geometry
-                )
+                copy_record(table, normal, selected, count + parts)
                 parts += 1
     return parts
 
 
 @plain
-def copy_record(codes, geometry, source, k, selected_codes, selected_geometry):
-    """Copy one record of a table to place ``k`` of another one."""
-    copy(codes[source], selected_codes[k])
-    copy(geometry[source], selected_geometry[k])
+def copy_record(table, record, selected, k):
+    """Copy a record of a table to place ``k`` of another one."""
+    copy(table.codes[record], selected.codes[k])
+    copy(table.geometry[record], selected.geometry[k])
 
 
 class JointRows(NamedTuple):
@@ -266,12 +301,12 @@ def _same(a: Surface, b: Surface) -> bool:
 
 def _code(contact: Contact, shapes: list, functions: list) -> Code:
     guide, follower = contact.guide, contact.follower
-    if follower.is_tip and guide.kind in (PLANE, SPHERE, CYLINDER):
-        return Code(guide.kind, contact.surface_body)
+    if follower.is_tip and guide.kind in _CLOSED_FORMS:
+        return Code(_CLOSED_FORMS[guide.kind], contact.surface_body)
     first = len(shapes)
     shapes.append(_shape_row(guide, functions))
     if follower.is_tip:
-        return Code(CURVED, contact.surface_body, shape=first)
+        return Code(ON_SURFACE, contact.surface_body, shape=first)
     shapes.append(_shape_row(follower, functions))
     return Code(PAIR, contact.surface_body, shape=first)
 

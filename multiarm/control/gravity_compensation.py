@@ -50,8 +50,8 @@ from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
-from multiarm.jit.kernels import INTS, cfunc, clear, copy, inlined, kernel
-from multiarm.jit.pointers import address_of
+from multiarm.jit.kernels import cfunc, clear, copy, inlined, kernel
+from multiarm.jit.pointers import address_of, call_whole
 from multiarm.jit.structs import struct_at
 from multiarm.scene.control import GravityCompensationControl
 
@@ -73,15 +73,8 @@ open_carrying = view_of_work(CarryingWork)
 
 @cfunc
 def gravity_compensation(address, size, _at, _t):
-    """Add the torques."""
+    """Add the torques, which hold arms and object at rest, to ``data.control.torque``."""
     model, data, work = open_system(struct_at(address, size))
-    add_holding_torques(model, data, work)
-    return 0
-
-
-@kernel
-def add_holding_torques(model, data, work):
-    """Add the torques that hold arms and object at rest to ``data.control.torque``."""
     torque, weight = data.control.torque, data.control.object_wrench
     for k in range(3):
         weight[k] = -model.object_mass * model.gravity[k]
@@ -89,7 +82,8 @@ def add_holding_torques(model, data, work):
     static_forces(data.rows.W_o, weight, data.rows.static_force)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
-    add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
+    add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
+    return OK
 
 
 @cfunc
@@ -220,7 +214,8 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
             for arm, angles in state.joint_positions.items()
         ]
     )
-    write_holding_torque(data.struct)
+    b.control.torque[:] = 0.0
+    call_whole(gravity_compensation, data.struct)
     return b.control.torque.copy()
 
 
@@ -231,14 +226,3 @@ def uncarried_weight(data: Data, start: State) -> np.ndarray:
     """
     holding_torque(data, start)
     return uncarried_wrench(data)
-
-
-@kernel
-def write_holding_torque(struct: INTS):
-    """Write the torques that hold the configuration in ``data`` into ``data.control.torque``.
-
-    Needs its kinematics and ``gravity_torque`` in ``data``.
-    """
-    model, data, work = open_system(struct)
-    clear(data.control.torque)
-    add_holding_torques(model, data, work)

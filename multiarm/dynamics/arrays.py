@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.table import JointRows
+from multiarm.contacts.table import ContactTable, JointRows
 from multiarm.dynamics.guards import Guards, open_guards
 from multiarm.dynamics.solver.node import ArmGroups, NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
@@ -38,7 +38,11 @@ from multiarm.jit.structs import (
 
 
 class CalledFunction(NamedTuple):
-    """A row of ``Constants.control``, ``sampled`` or ``effects``; addresses are 0 for none."""
+    """A row of ``Constants.control``, ``sampled`` or ``effects``; addresses are 0 for none.
+
+    Those of derivatives are written where they are first taken, since most runs need none
+    (:func:`multiarm.dynamics.force_derivatives.prepare_derivatives`).
+    """
 
     address: int
     numbers_at: int = 0  # index of its first number or array in the system's struct
@@ -60,7 +64,7 @@ def table_of(functions: Iterable[CalledFunction]) -> np.ndarray:
 OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
 
 
-class FreeMotions(NamedTuple):
+class FreeComponents(NamedTuple):
     """The m recorded components of the relative motions in the joint frames, arm after arm."""
 
     bounds: Ints1  # (n + 1,) first one of each arm
@@ -85,13 +89,10 @@ class Constants(NamedTuple):
     # sine stand there
     q_slots: Ints1
     circular: Ints1
-    # the contact table, with the arms' geometry in the frame of the joint that carries the tip
-    codes: Ints2
-    geometry: Floats2
-    shapes: Floats2
+    contacts: ContactTable  # the arms' geometry is in the frame of the joint that carries the tip
     joint_frames: Floats2  # (n, 24), see multiarm.contacts.joint
     tip_frames: Floats2  # (n, 12), of :class:`TipFrame`
-    free: FreeMotions
+    free: FreeComponents
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]

@@ -37,10 +37,10 @@ import math
 from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
 from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
-from multiarm.contacts.table import JOINT, open_code, open_geometry
+from multiarm.contacts.table import JOINT, ON_PLANE, open_code, open_geometry
 from multiarm.dynamics.layout import TWIST
-from multiarm.geometry.differences import CENTRAL_4
-from multiarm.geometry.records import PLANE, SURFACE_ON_OBJECT
+from multiarm.geometry.records import SURFACE_ON_OBJECT
+from multiarm.geometry.stencils import CENTRAL_4
 from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.rows import offset_of
 from multiarm.jit.vectors import (
@@ -129,10 +129,9 @@ def write_column_displacement(columns, c, seen, work):
 def are_flat(model, first, last):
     """Whether all rows are tips on planes of the object, or belong to joints."""
     for k in range(first, last):
-        code = open_code(model.codes[k])
-        if code.kind == PLANE and code.surface_body != SURFACE_ON_OBJECT:
-            return False
-        if code.kind not in (PLANE, JOINT):
+        code = open_code(model.contacts.codes[k])
+        on_object = code.kind == ON_PLANE and code.surface_body == SURFACE_ON_OBJECT
+        if not (on_object or code.kind == JOINT):
             return False
     return True
 
@@ -147,9 +146,9 @@ def differentiate_flat_rows(model, first, last, work):
         clear(wrench[i])
     for k in range(first, last):
         clear(slopes[k])
-        if open_code(model.codes[k]).kind == JOINT:
+        if open_code(model.contacts.codes[k]).kind == JOINT:
             continue
-        contact = open_geometry(model.geometry[k])
+        contact = open_geometry(model.contacts.geometry[k])
         d, n = rotate(R, contact.tip), contact.axis
         across = cross(n, w)
         by = open_displacement(slopes[k])
@@ -211,13 +210,9 @@ def differentiate_rows(model, data, first, last, work):
 @kernel
 def write_rows_at(model, data, first, last, motion, work):
     """Write the rows ``first`` to ``last`` of an arm for a motion seen from the object."""
-    pairs = data.pairs
+    still, rows, parts = work.scratch[STILL], work.rows, work.parts
     for k in range(first, last):
-        write_row(
-            k, motion, work.scratch[STILL], model.codes, model.geometry, model.shapes,
-            data.functions.surface, work.rows, work.parts,
-            pairs.relative, pairs.query, data.last_step.points, pairs.points,
-        )  # fmt: skip
+        write_row(k, motion, still, model.contacts, rows, parts, data.search)
 
 
 @kernel

@@ -6,18 +6,26 @@ where that fails, the method is started from many points.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from multiarm.contacts.kernel import LINE_CONTACT, ContactRow, locate_pair, tip_offset
+from multiarm.contacts.kernel import (
+    LINE_CONTACT,
+    ContactRow,
+    bodies_of,
+    distance_of,
+    locate_pair,
+    tip_offset,
+)
 from multiarm.contacts.matrices import (
     ContactTerms,
     RelativeMotion,
     contact_matrices,
     seen_from_object,
 )
-from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.surfaces import Query, world_distance
-from multiarm.contacts.table import PAIR, Code, ContactGeometry
+from multiarm.contacts.motion import BodyMotion, open_body, open_relative, write_relative_motion
+from multiarm.contacts.table import PAIR, Code, ContactGeometry, open_code
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_kinematics
@@ -37,6 +45,7 @@ from multiarm.geometry.records import (
 from multiarm.geometry.screws import first_largest
 from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.jit.rows import as_row, fields_of
+from multiarm.jit.vectors import add_symmetric, put, rotate, sub, vec
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -46,8 +55,8 @@ def place_state(data: Data, t: float, state: State) -> None:
     Newton's method starts from the contacts of the start, and where that fails from many points.
     """
     data.set_state(t, state)
-    constants = data.model.constants
-    if not len(constants.shapes) or not (fields_of(Code, constants.codes).kind == PAIR).any():
+    table = data.model.constants.contacts
+    if not len(table.shapes) or not (fields_of(Code, table.codes).kind == PAIR).any():
         return
     status = update_kinematics(data.struct)
     if status == OK and np.all(np.isfinite(data.arrays.rows.kinematics)):
@@ -69,8 +78,8 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
     SceneError
         When two surfaces have no common normal near each other, or touch along a line.
     """
-    places = np.zeros_like(data.arrays.pairs.points)
-    codes = fields_of(Code, data.model.constants.codes)
+    places = np.zeros_like(data.arrays.search.points)
+    codes = fields_of(Code, data.model.constants.contacts.codes)
     pairs = np.flatnonzero(codes.kind == PAIR)
     if not pairs.size:
         return places
@@ -114,10 +123,10 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 
     At the kinematics in the data.
     """
-    constants, count = data.model.constants, data.model.layout.contacts
+    table, count = data.model.constants.contacts, data.model.layout.contacts
     contacts = fields_of(ContactRow, data.arrays.rows.kinematics[rows])
-    codes = fields_of(Code, constants.codes[:count][rows])
-    radii = fields_of(ContactGeometry, constants.geometry[:count][rows]).tip_radius
+    codes = fields_of(Code, table.codes[:count][rows])
+    radii = fields_of(ContactGeometry, table.geometry[:count][rows]).tip_radius
     tips = zip(codes.kind, codes.surface_body, radii, strict=True)
     offsets = np.array([tip_offset(*tip) for tip in tips]).reshape(-1, 1)
     return contacts.point + offsets * contacts.normal, contacts.normal.copy()
@@ -125,14 +134,14 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 
 def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
     """Contact matrices of every arm at the kinematics in the data."""
-    b, constants = data.arrays, data.model.constants
+    b, table = data.arrays, data.model.constants.contacts
     every_row = np.vstack([b.rows.kinematics, b.rows.parts])
     terms = {}
     for i, name in enumerate(data.model.arm_names):
         rows = data.model.layout.contacts_of(i)
         matrices = contact_matrices(
-            constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
-            b.bodies.links[i], b.bodies.object, _tip_kinematics(data, name, b.bodies.links[i]),
+            table, every_row, np.arange(rows.start, rows.stop), b.bodies.links[i],
+            b.bodies.object, _tip_kinematics(data, name, b.bodies.links[i]),
         )  # fmt: skip
         contacts = fields_of(ContactRow, b.rows.kinematics[rows])
         points, normals = points_and_normals(data, rows)
@@ -280,35 +289,44 @@ def depth_of_contact(struct: INTS, patch: NUMBERS, body: INT, row: INT):
 
 def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
     """Point of the guiding surface, in its body, where two surfaces touch, shape (3,)."""
-    constants, arrays = data.model.constants, data.arrays
-    link, body = arrays.bodies.links[data.model.arm_names.index(arm)], arrays.bodies.object
-    code = Code(*constants.codes[row].tolist())
-    on_object = code.surface_body == SURFACE_ON_OBJECT
-    a, b = (link, body) if on_object else (body, link)
-    first, calls = code.shape, arrays.functions.surface
-    query, surface = arrays.pairs.query, fields_of(Query, arrays.pairs.query)
-    seen_from = fields_of(BodyMotion, b)
-    r = fields_of(BodyMotion, a).origin - seen_from.origin
-    best, smallest, trouble = None, np.inf, None
-    for guess in _guesses(data, arm, row, b):
+    code = Code(*data.model.constants.contacts.codes[row].tolist())
+    i, bodies = data.model.arm_names.index(arm), data.arrays.bodies
+    guiding = bodies.object if code.surface_body == SURFACE_ON_OBJECT else bodies.links[i]
+    best, smallest, trouble, second = None, np.inf, None, np.zeros(6)
+    for guess in _guesses(data, arm, row, guiding):
         place = guess.copy()
-        located = locate_pair(a, b, constants.shapes, first, tuple(r), query, calls, place)
-        z = seen_from.rotation @ place
-        world_distance(constants.shapes[first + 1], a, tuple(z - r), query, calls)
-        gap, second = float(surface.distance), surface.second.copy()
-        world_distance(constants.shapes[first], b, tuple(z), query, calls)
-        gap, second = abs(gap + surface.distance), second + surface.second
-        if arrays.status.failed:  # a user function has no answer there
+        gap = abs(locate_contact(data.struct, row, i, place, second))
+        if data.arrays.status.failed:  # a user function has no answer there
             trouble = data.callbacks["surface"].error
             data.forgive()
-            continue
-        if not located:
-            continue
-        if gap < smallest and not _is_line(second):
+        elif gap < smallest and not _is_line(second):
             best, smallest = place, gap
     if best is None and trouble is not None:
         raise trouble
     return best
+
+
+@kernel
+def locate_contact(struct: INTS, row: INT, arm: INT, place: NUMBERS, second: NUMBERS):
+    """Locate the contact of two surfaces of a row near ``place``, and move this there, for Python.
+
+    ``place`` (3,) is in the guiding body's frame.  Writes the second derivatives (6,) of the gap
+    there [1/m]; returns the gap [m], NaN where there is no contact.
+    """
+    model, data, _ = open_system(struct)
+    table, search, code = model.contacts, data.search, open_code(model.contacts.codes[row])
+    a, b, _ = bodies_of(code, data.bodies.links[arm], data.bodies.object)
+    write_relative_motion(a, b, search.relative)
+    if not locate_pair(code.shape, a, b, table, search, place):
+        return math.nan
+    z = rotate(open_body(b).rotation, vec(place, 0))
+    d = sub(z, open_relative(search.relative).shift)
+    s_A, _, H_A = distance_of(code.shape + 1, a, d, table, search)
+    s_B, _, H_B = distance_of(code.shape, b, z, table, search)
+    H = add_symmetric(H_A, H_B)
+    put(second, 0, H[0:3])
+    put(second, 3, H[3:6])
+    return s_A + s_B
 
 
 def _is_line(second: np.ndarray) -> bool:

@@ -155,14 +155,15 @@ class ControlLaw:
             raise ModelError(f"{who} returned a law with numbers that are not finite")
 
 
+def are_differentiable(laws: Sequence[ControlLaw]) -> bool:
+    """Whether all laws state the derivatives of their torques."""
+    return all(law.derivative is not None for law in laws)
+
+
 def law_table(laws: Sequence[ControlLaw], first: int) -> np.ndarray:
     """``Constants.control``; ``first`` is the place of the first law's numbers in the struct."""
     rows, at = [], first
     for law in laws:
-        derivative, share_derivative = (
-            0 if kernel is None else address_of(kernel)
-            for kernel in (law.derivative, law.share_derivative)
-        )
-        rows.append(CalledFunction(address_of(law.kernel), at, derivative, share_derivative))
+        rows.append(CalledFunction(address_of(law.kernel), at))
         at += len(law.numbers) + (0 if law.work is None else count_entries(law.work))
     return table_of(rows)

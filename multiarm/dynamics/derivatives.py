@@ -215,7 +215,8 @@ class _Equations:
             part.copy()
             for part in (b.bodies.object_inertia, own.M, self._data.work.W, b.rows.W_o, own.rates)
         )
-        codes = fields_of(Code, self._data.model.constants.codes[: len(b.rows.W_o)])
+        table = self._data.model.constants.contacts
+        codes = fields_of(Code, table.codes[: len(b.rows.W_o)])
         closed, layout = codes.kind != TANGENT, self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)
 

@@ -272,10 +272,16 @@ class EffectProgram:
         return any(effect.calls_user for effect in self.kernels)
 
     @property
+    def called(self) -> list[EffectKernel]:
+        """Those that are called, an entry for each row of ``Constants.effects``."""
+        return [effect for effect in self.kernels if effect.kernel is not None]
+
+    @property
     def local(self) -> bool:
         """Whether no kernel couples the arms with each other, or with the object."""
-        called = [effect for effect in self.kernels if effect.kernel is not None]
-        return all(effect.local and len(effect.state_joints) == effect.states for effect in called)
+        return all(
+            effect.local and len(effect.state_joints) == effect.states for effect in self.called
+        )
 
     @property
     def state_joints(self) -> np.ndarray:
@@ -306,18 +312,16 @@ class EffectProgram:
 
     def program(self) -> tuple[np.ndarray, list[int]]:
         """``Constants.effects``, and the end of each phase there."""
-        called = [(effect, at) for effect, at in zip(self.kernels, self._places(), strict=True)]
-        called = [(effect, at) for effect, at in called if effect.kernel is not None]
         rows = [
             CalledFunction(
                 address=address_of(effect.kernel),
                 numbers_at=at,
-                derivative=address_of(effect.derivative) if effect.derivative else 0,
                 state_alone=effect.knows_state_alone,
             )
-            for effect, at in called
+            for effect, at in zip(self.kernels, self._places(), strict=True)
+            if effect.kernel is not None
         ]
-        ends = [sum(effect.phase <= phase for effect, _ in called) for phase in range(3)]
+        ends = [sum(effect.phase <= phase for effect in self.called) for phase in range(3)]
         return table_of(rows), ends
 
     @property

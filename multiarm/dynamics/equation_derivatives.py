@@ -355,9 +355,9 @@ def add_drift_feedback(struct, own, alpha, beta):
 @inlined
 def gap_weight(model, row):
     """1 for a row with a gap, 0 for one with a rate only."""
-    kind = open_code(model.codes[row]).kind
+    kind = open_code(model.contacts.codes[row]).kind
     if kind == JOINT:
-        return open_joint(model.geometry[row]).has_bound
+        return open_joint(model.contacts.geometry[row]).has_bound
     return 0.0 if kind == TANGENT else 1.0
 
 

@@ -25,6 +25,7 @@ import math
 from multiarm.arms.compiled.tables import energy_of_arms
 from multiarm.arms.terms import open_addresses
 from multiarm.contacts.kernel import open_contact, write_row
+from multiarm.contacts.table import is_in_closed_form, open_code
 from multiarm.dynamics.arrays import (
     call_listed,
     open_coupled,
@@ -34,6 +35,7 @@ from multiarm.dynamics.arrays import (
 from multiarm.dynamics.kinematics import (
     arm_rows,
     arm_terms,
+    contact_rows,
     load_inertia,
     object_terms,
     write_joint_rows,
@@ -125,8 +127,9 @@ def kinematics(address, size, _a, _b):
     if data.status.failed:
         return CALLBACK_FAILED
     object_terms(model, data)
+    contact_rows(struct, model, data, work)
     for i in range(data.bodies.pointers.shape[0]):
-        arm_rows(i, struct, model, data, work)
+        arm_rows(i, data, work)
         load_inertia(i, data, work)
     write_joint_rows(model, data, work)
     # a user-defined surface may have failed
@@ -174,8 +177,9 @@ def control_of_closed(address, size, _a, _b):
     data = open_data(struct_at(address, size))
     closed = referenced(data.modes.closed)
     model, of_closed, work = open_system(closed)
+    contact_rows(closed, model, of_closed, work)
     for i in range(of_closed.bodies.pointers.shape[0]):
-        arm_rows(i, closed, model, of_closed, work)
+        arm_rows(i, of_closed, work)
         load_inertia(i, of_closed, work)
     load_gravity_torque(of_closed, work)
     return control_torques(closed, model.control.shape[0], model, of_closed)
@@ -370,22 +374,25 @@ def update_rows(struct: INTS):
     Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     model, data, work = open_system(struct)
+    contact_rows(struct, model, data, work)
     for i in range(data.bodies.pointers.shape[0]):
-        arm_rows(i, struct, model, data, work)
+        arm_rows(i, data, work)
     write_joint_rows(model, data, work)
     return CALLBACK_FAILED if data.status.failed else OK
 
 
 @cfunc
-def write_general_row(address, size, row, arm):
-    """Write a row of an arm that is not a tip on a plane, a sphere or a cylinder."""
-    model, data, _ = open_system(struct_at(address, size))
-    bodies, rows, pairs = data.bodies, data.rows, data.pairs
-    write_row(
-        int(row), bodies.links[int(arm)], bodies.object, model.codes, model.geometry, model.shapes,
-        data.functions.surface, rows.kinematics, rows.parts,
-        pairs.relative, pairs.query, data.last_step.points, pairs.points,
-    )  # fmt: skip
+def write_general_rows(address, size, _a, _b):
+    """Write the rows of all arms that are not in closed form, after those that are."""
+    model, data, work = open_system(struct_at(address, size))
+    bodies, rows, contacts = data.bodies, data.rows, model.contacts
+    for i in range(bodies.pointers.shape[0]):
+        link = bodies.links[i]
+        for k in range(work.first_contact[i], work.first_contact[i + 1]):
+            if not is_in_closed_form(open_code(contacts.codes[k]).kind):
+                write_row(
+                    k, link, bodies.object, contacts, rows.kinematics, rows.parts, data.search
+                )
     return OK
 
 

@@ -7,7 +7,7 @@ derivatives, ``data.slopes.torque``.  All other derivatives are those of one eff
 ``data.slopes.force``.  Columns are those of the state, then the effects' states, the time, and the
 numbers that arms share (:mod:`multiarm.dynamics.control_laws`).
 
-*Differences* (:mod:`multiarm.geometry.differences`) are of order four, or of order one where many
+*Differences* (:mod:`multiarm.geometry.stencils`) are of order four, or of order one where many
 evaluations cost more than an error is worth; those by the time look forward, with order two.  An
 actuator is displaced along the derivatives of the torques that come to it.  Where forces are
 *local*, those on an arm by its own state and those on the object by the object's, joint number j of
@@ -55,9 +55,19 @@ from multiarm.dynamics.kinematics import object_terms
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import HELD
-from multiarm.geometry.differences import CENTRAL_4, FORWARD_1, FORWARD_2
-from multiarm.jit.kernels import INTS, TABLE, allocating, clear, copy, greatest, inlined, kernel
-from multiarm.jit.pointers import call_cfunc
+from multiarm.geometry.stencils import CENTRAL_4, FORWARD_1, FORWARD_2
+from multiarm.jit.kernels import (
+    INTS,
+    TABLE,
+    Kernel,
+    allocating,
+    clear,
+    copy,
+    greatest,
+    inlined,
+    kernel,
+)
+from multiarm.jit.pointers import address_of, call_cfunc
 from multiarm.jit.structs import Flag, Float, Int, Numbers, referenced
 
 # Displacement of a difference of order one [m, rad], of velocities and of states of effects
@@ -69,7 +79,7 @@ TIME_CHANGE = 1e-5
 CONTROL = -1
 
 
-class Differences(Numbers):
+class ForceDifferences(Numbers):
     """How forces are differentiated, and those by differences that have no derivatives."""
 
     local: Flag  # each arm by its own state, the object by its own
@@ -96,12 +106,27 @@ def torques_are_held(model, data):
     return model.sampled.shape[0] > 0 and data.control.sampling.due == HELD
 
 
-def prepare_derivatives(data: Data) -> None:
-    """Make what the derivatives of the laws need; to be called before they are taken."""
-    of_laws = data.of_laws
-    for law, work in zip(data.model.laws, of_laws.law_works, strict=True):
+def prepare_derivatives(data: Data, of_laws: bool = True) -> None:
+    """Compile the derivatives that effects and laws state, and make what those of the laws need.
+
+    To be called before they are taken; those of the laws only with ``of_laws``.
+    """
+    model, constants = data.model, data.model.constants
+    for row, effect in zip(constants.effects, model.effects.called, strict=True):
+        row[DERIVATIVE] = _address(effect.derivative)
+    if not of_laws:
+        return
+    laws = constants.sampled if len(constants.sampled) else constants.control
+    for row, law in zip(laws, model.laws, strict=False):  # a controller in Python is no law
+        row[DERIVATIVE] = _address(law.derivative)
+        row[SHARE_DERIVATIVE] = _address(law.share_derivative)
+    for law, work in zip(model.laws, data.of_laws.law_works, strict=True):
         if law.prepare is not None:
-            law.prepare(of_laws, work)
+            law.prepare(data.of_laws, work)
+
+
+def _address(derivative: Kernel | None) -> int:
+    return 0 if derivative is None else address_of(derivative)
 
 
 def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
@@ -118,9 +143,8 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     follows &= closed_loop
     if not (follows or model.effects.kernels):
         return None
-    if follows:
-        prepare_derivatives(data)
-    differences = Differences(laws=len(constants.control), follows=follows, order=4)
+    prepare_derivatives(data, follows)
+    differences = ForceDifferences(laws=len(constants.control), follows=follows, order=4)
     applied = np.zeros((layout.nv + e + data.arrays.effects.power.size, columns))
     with without_samples(data.arrays.control):
         status = write_applied(data.struct, differences, model.effects.powers, applied)
@@ -129,7 +153,7 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
 
 
 @kernel
-def write_applied(struct: INTS, differences: Differences, powers: INTS, applied: TABLE):
+def write_applied(struct: INTS, differences: ForceDifferences, powers: INTS, applied: TABLE):
     """Write what :func:`applied_derivatives` describes; returns a status.
 
     At the end the data are as they were.

@@ -121,8 +121,8 @@ def spring_length(gap, rate, lag):
 @kernel
 def depth_on_body(patch, body, row, model, data):
     """How far inside its patch (18,) on a body the contact of a row is [m]."""
-    contact, code = open_contact(data.rows.kinematics[row]), open_code(model.codes[row])
-    radius = open_geometry(model.geometry[row]).tip_radius
+    contact, code = open_contact(data.rows.kinematics[row]), open_code(model.contacts.codes[row])
+    radius = open_geometry(model.contacts.geometry[row]).tip_radius
     offset = tip_offset(code.kind, code.surface_body, radius)
     touching = add_scaled(contact.point, offset, contact.normal)
     carrier = open_body(data.bodies.object if body == ON_OBJECT else data.bodies.links[body])

@@ -74,9 +74,14 @@ class Sampling:
             )
 
 
-def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
-    """Constants with control ``laws`` that are evaluated at samples only."""
-    derivative = address_of(differentiate_held_torques) if laws[:, DERIVATIVE].all() else 0
+def with_held_control(
+    constants: Constants, laws: np.ndarray, differentiable: bool, delay: bool = False
+) -> Constants:
+    """Constants with control ``laws`` that are evaluated at samples only.
+
+    ``differentiable``: all of them state their derivatives.
+    """
+    derivative = address_of(differentiate_held_torques) if differentiable else 0
     holding = CalledFunction(address_of(hold_torques), derivative=derivative)
     reach = constants.control_reach
     if not len(laws):

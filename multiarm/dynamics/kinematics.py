@@ -11,7 +11,7 @@ import ctypes
 import numpy as np
 
 from multiarm.arms.terms import POSE_WIDTH, TermAddresses, open_addresses, open_pose
-from multiarm.contacts.kernel import open_contact, write_rows
+from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import open_joint
 from multiarm.jit.kernels import inlined
@@ -103,21 +103,27 @@ def link_motion(addresses, gravity, body):
 
 
 @inlined
-def arm_rows(i, struct, model, data, work):
-    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W``.
+def contact_rows(struct, model, data, work):
+    """Contact kinematics of all arms; ``model, data, work`` are the views of ``struct``."""
+    bodies, complete = data.bodies, True
+    for i in range(bodies.pointers.shape[0]):
+        complete &= write_rows_in_closed_form(
+            work.first_contact[i], work.first_contact[i + 1], bodies.links[i], bodies.object,
+            model.contacts, bodies.relative, data.rows.kinematics,
+        )  # fmt: skip
+    if not complete:
+        call_cfunc(data.functions.general_rows, struct, 0.0, 0.0)
 
-    ``model, data, work`` are the views of ``struct``.
-    """
+
+@inlined
+def arm_rows(i, data, work):
+    """Rows of ``W_o`` of arm ``i``, and its ``W``, from the kinematics of its contacts."""
     d = work.first_joint[i + 1] - work.first_joint[i]
     first = work.first_contact[i]
     m = work.first_contact[i + 1] - first
     bodies = data.bodies
     J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
     x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.arm_wrenches
-    write_rows(
-        first, m, bodies.links[i], bodies.object, bodies.relative, model.codes, model.geometry,
-        data.rows.kinematics, struct, i, data.functions.row,
-    )  # fmt: skip
     for k in range(m):
         row, W_o = open_contact(data.rows.kinematics[first + k]), data.rows.W_o[first + k]
         e, p, couple = row.normal, row.point, row.couple
@@ -168,7 +174,8 @@ def write_joint_rows(model, data, work):
     joint_rows = model.joint_rows
     for k in range(joint_rows.row.size):
         i, row, joint = joint_rows.arm[k], joint_rows.row[k], joint_rows.joint[k]
-        geometry, contact = open_joint(model.geometry[row]), open_contact(data.rows.kinematics[row])
+        geometry = open_joint(model.contacts.geometry[row])
+        contact = open_contact(data.rows.kinematics[row])
         side, beyond = geometry.side, data.state.joint_positions[joint] - geometry.bound
         contact.gap = geometry.has_bound * side * beyond
         contact.gap_rate = side * data.state.joint_rates[joint]

@@ -28,11 +28,12 @@ from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import (
-    GEOMETRY_WIDTH,
     JOINT,
     Code,
+    ContactTable,
     JointRow,
     count_parts,
+    empty_table,
     make_joint_rows,
     select_joint_rows,
     select_rows,
@@ -40,7 +41,7 @@ from multiarm.contacts.table import (
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import COUPLED, FUNCTIONS, STATUS, Constants, system_struct
 from multiarm.dynamics.callbacks import DenseSolver, PythonControl, UserCallback
-from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw
+from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw, are_differentiable
 from multiarm.dynamics.effect_kernels import EffectData, EffectProgram
 from multiarm.dynamics.guards import Guard, Guards, make_guards, reset_guards
 from multiarm.dynamics.held_control import Sampling, with_held_control
@@ -66,7 +67,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
-from multiarm.jit.rows import fields_of, width
+from multiarm.jit.rows import fields_of
 from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
 from multiarm.scene import ResolvedArm
@@ -211,14 +212,15 @@ class Model:
         if sampling is None:
             constants = constants._replace(control=control.laws, sampled=NO_CONTROL)
         else:
-            constants = with_held_control(constants, control.laws, sampling.delay)
+            constants = with_held_control(constants, control.laws, False, sampling.delay)
         return replace(model, constants=constants)
 
     def with_held_control(self) -> Model:
         """The same model with control that can be held, see :meth:`Data.hold`."""
         if self.sampling is not None:
             return self
-        constants = with_held_control(self.constants, self.constants.control)
+        differentiable = self.python_control is None and are_differentiable(self.laws)
+        constants = with_held_control(self.constants, self.constants.control, differentiable)
         return replace(self, constants=constants)
 
     def with_constants(self, **changes: Any) -> Model:
@@ -249,29 +251,28 @@ class Model:
                 zip(layout.names, bounds[:-1], bounds[1:], strict=False)
             )
         }
-        codes, geometry = self.constants.codes, self.constants.geometry
-        size = len(chosen) + count_parts(codes, self.layout.contacts)
-        selected = (
-            np.zeros((size, width(Code)), dtype=np.int64), np.zeros((size, GEOMETRY_WIDTH))
-        )  # fmt: skip
-        size = len(chosen) + select_rows(codes, geometry, chosen, *selected)
-        codes, geometry = (table[:size].copy() for table in selected)
+        table = self.constants.contacts
+        parts = count_parts(table.codes, self.layout.contacts)
+        selected = empty_table(len(chosen) + parts, table.shapes)
+        size = len(chosen) + select_rows(table, chosen, selected)
+        codes, geometry = selected.codes[:size].copy(), selected.geometry[:size].copy()
+        table = ContactTable(codes, geometry, table.shapes)
         return replace(
             self,
             layout=layout,
             contacts=contacts,
             records=tuple(self.records[row] for row in chosen),
-            constants=self.constants._replace(**row_constants(codes, geometry, layout)),
+            constants=self.constants._replace(**row_constants(table, layout)),
         )
 
 
-def row_constants(codes: np.ndarray, geometry: np.ndarray, layout: Layout) -> dict[str, Any]:
-    """Constants of the rows of a contact table, but for the shapes of its surfaces."""
-    of_joints = fields_of(Code, codes[: layout.contacts]).kind == JOINT
+def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
+    """Constants of the rows of a contact table."""
+    of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT
     joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
     first_contact, first_joint = np.array(layout.first_contact), np.array(layout.first_joint)
-    select_joint_rows(codes, first_contact, first_joint, joint_rows)
-    return {"codes": codes, "geometry": geometry, "joint_rows": joint_rows}
+    select_joint_rows(table.codes, first_contact, first_joint, joint_rows)
+    return {"contacts": table, "joint_rows": joint_rows}
 
 
 def effect_constants(effects: EffectProgram) -> dict[str, Any]:
@@ -334,8 +335,8 @@ class SharedData:
         states = model.contacts_with_states or {}
         sizes = Sizes(
             layout=layout,
-            parts=len(constants.codes) - layout.contacts,
-            pairs=len(constants.shapes),
+            parts=len(constants.contacts.codes) - layout.contacts,
+            pairs=len(constants.contacts.shapes),
             tips=len(constants.tip_frames),
             pinocchio_configuration=self._backends.configuration,
             works=len(model.effects.works),
@@ -362,8 +363,10 @@ class SharedData:
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         if self.surfaces:
-            answer = user_surface_callback(self.surfaces, v.pairs.query)
-            self._add_callback("surface", PythonCallback(answer, v.status))
+            answer = user_surface_callback(self.surfaces, v.search.query)
+            self.callbacks["surface"] = surface = PythonCallback(answer, v.status)
+            self.calls.add(surface)
+            v.search.user.callback = surface.address
 
     def _pointers(self, layout: Layout) -> np.ndarray:
         """``Variables.bodies.pointers``; the surroundings are an arm without joints."""
@@ -727,10 +730,10 @@ def rows_of_view(model: Model, viewed: Data) -> RowData:
         held = np.zeros_like(arrays.control.held_torques)
         control = arrays.control._replace(sampling=sampling, held_torques=held)
         arrays = arrays._replace(control=control)
-    if model.constants.codes is viewed.model.constants.codes:
+    if model.constants.contacts is viewed.model.constants.contacts:
         return RowData(model, arrays, viewed.work, viewed.coupled, {})
     count = model.layout.contacts
-    rows = make_rows(count, len(model.constants.codes) - count)
+    rows = make_rows(count, len(model.constants.contacts.codes) - count)
     sample = arrays.sample._replace(forces=rows.force)
     return with_rows(model, arrays._replace(rows=rows, sample=sample))
 

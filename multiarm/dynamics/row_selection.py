@@ -17,11 +17,11 @@ import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.table import (
-    GEOMETRY_WIDTH,
     JOINT,
     Code,
     JointRows,
     count_parts,
+    empty_table,
     select_joint_rows,
     select_rows,
 )
@@ -38,7 +38,7 @@ from multiarm.dynamics.solver.node import (
 from multiarm.dynamics.solver.singular import CoupledWork, coupled_shapes
 from multiarm.dynamics.variables import Variables, row_shapes
 from multiarm.jit.kernels import INTS, clear, copy, kernel
-from multiarm.jit.rows import fields_of, width
+from multiarm.jit.rows import fields_of
 
 # Selections whose tables and caches are kept.
 MOST_RECENT = 32
@@ -76,7 +76,7 @@ class RowSelection(Data):
         self._full, self._room = full, self._make_room(variables)
         joints, first_contact = layout.joint_counts, np.array(layout.first_contact)
         self._places = row_places(*_shapes(joints, layout.contact_counts, 0))
-        of_joints = fields_of(Code, model.constants.codes[: layout.contacts]).kind == JOINT
+        of_joints = fields_of(Code, model.constants.contacts.codes[: layout.contacts]).kind == JOINT
         tables = partial(_tables, joints, first_contact, of_joints)
         self._tables = lru_cache(MOST_RECENT)(tables)
         # what is made for some rows stays right for them: their arrays are where they were
@@ -86,15 +86,12 @@ class RowSelection(Data):
     def _make_room(self, variables: dict[str, Any]) -> Room:
         """Replace the arrays by some with room for any rows; the struct has their addresses."""
         layout, constants = self.model.layout, self.model.constants
-        parts = count_parts(constants.codes, layout.contacts)
-        size = layout.contacts + parts
+        table = constants.contacts
+        parts = count_parts(table.codes, layout.contacts)
         # arms with more contacts than joints are in no group
         joints, contacts = layout.joint_counts, layout.contact_counts
         groups = make_work(joints, np.minimum(joints, contacts).tolist()).groups
-        constants = constants._replace(
-            codes=np.zeros((size, width(Code)), dtype=np.int64),
-            geometry=np.zeros((size, GEOMETRY_WIDTH)),
-        )
+        constants = constants._replace(contacts=empty_table(layout.contacts + parts, table.shapes))
         self.replace_arrays(
             constants=constants,
             work=self.work._replace(groups=groups),
@@ -223,8 +220,8 @@ def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: I
     model, data, work = open_system(struct)
     copy(bounds, work.first_contact)
     work.status.arm_by_arm = False
-    select_rows(constants.codes, constants.geometry, rows, model.codes, model.geometry)
-    select_joint_rows(model.codes, work.first_contact, work.first_joint, model.joint_rows)
+    select_rows(constants.contacts, rows, model.contacts)
+    select_joint_rows(model.contacts.codes, work.first_contact, work.first_joint, model.joint_rows)
     write_groups(order, work)
     # no result of other rows is left; columns of W beyond an arm's rows are zero
     for k in range(rows.size):

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import CONTACT_WIDTH
+from multiarm.contacts.kernel import CONTACT_WIDTH, ContactSearch, make_search
 from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH
-from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.references import References
@@ -129,7 +128,7 @@ class StepEnd(NamedTuple):
     determinant_signs: Floats1  # (n,) of each arm (0: unknown)
     sign_changes: Ints1  # (n,) whether this sign has changed in the step
     coordinates: Floats2  # (n, 6) free coordinates of the joints, without jumps
-    points: Floats2  # (S, 3) of pairs of surfaces, as in ``SurfacePairs``
+    points: Floats2  # (S, 3) of contacts of two surfaces, as in ``ContactSearch``
 
 
 def make_step_end(arms: int, pairs: int) -> StepEnd:
@@ -214,17 +213,6 @@ class DeficientArms(NamedTuple):
     undetermined: Ints1  # their contact forces take part in a motion that is not unique
 
 
-class SurfacePairs(NamedTuple):
-    """Contacts of two surfaces, S of them, and scratch of all rows that are not a tip on a surface
-    in closed form.
-    """
-
-    # (S, 3) contact points in the frame of the guiding body, searched from those of the last step
-    points: Floats2
-    relative: Floats1  # (15,) :class:`~multiarm.contacts.motion.RelativeRow`
-    query: Floats1  # (14,) :class:`~multiarm.contacts.surfaces.Query`
-
-
 class JointMotion(NamedTuple):
     """The relative motion that one joint leaves free, of the arm that was evaluated last."""
 
@@ -268,7 +256,7 @@ class Functions(Numbers):
     decomposed: Int  # the same with no arm eliminated as a whole
     solve_again: Int  # the system with deficient arms, its factors known
     command: Int  # torques of the control laws, with unilateral contacts
-    row: Int  # a contact other than a tip on a plane, sphere or cylinder
+    general_rows: Int  # those that are not in closed form
     near_singular: Int  # an evaluation near a loss of rank
     record: Int  # rank and residual of the last solution
     compare: Int  # the recorded solution with that of the step before, into ``this_step``
@@ -286,7 +274,6 @@ class Functions(Numbers):
     control: Int
     dense: Int
     dense_with_friction: Int  # the same for a mode with sliding contacts
-    surface: Int
 
 
 class ModeStructs(References):
@@ -323,7 +310,7 @@ class Variables(NamedTuple):
     sample: Sample
     slopes: ForceSlopes
     interpolation: Interpolation
-    pairs: SurfacePairs
+    search: ContactSearch  # its guesses are the points of the last step
     joint_motion: JointMotion
 
 
@@ -349,6 +336,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
     rows = make_rows(layout.contacts, sizes.parts)
     recorded = np.append(layout.first_contact, layout.contacts + np.cumsum(sizes.contact_states))
     state, forces, accelerations = stacked_vectors(layout)
+    last_step = make_step_end(arms, pairs)
     return Variables(
         time=Time(),
         status=Status(),
@@ -385,7 +373,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             coupled=np.zeros(arms, dtype=np.int64), undetermined=np.zeros(arms, dtype=np.int64)
         ),
         check=Check(),
-        last_step=make_step_end(arms, pairs),
+        last_step=last_step,
         this_step=make_step_end(arms, pairs),
         sample=Sample(
             forces=np.zeros(recorded[-1]) if recorded[-1] > layout.contacts else rows.force,
@@ -406,11 +394,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             velocity=np.zeros(layout.nv),
             acceleration=np.zeros(layout.nv),
         ),
-        pairs=SurfacePairs(
-            points=np.zeros((pairs, 3)),
-            relative=np.zeros(RELATIVE_WIDTH),
-            query=np.zeros(QUERY_WIDTH),
-        ),
+        search=make_search(last_step.points),
         joint_motion=JointMotion(rates=np.zeros(6), coordinates=np.zeros(9)),
     )
 

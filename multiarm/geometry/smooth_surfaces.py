@@ -15,8 +15,9 @@ Newton's method, starting at the last foot, on
 
 .. math:: s = n\cdot(y - x), \qquad H = -J I^{-1}\mathit{II}\, (I - s \mathit{II})^{-1} J^T .
 
-Derivatives that are not given are computed numerically (:mod:`multiarm.geometry.differences`);
-those that are given are compared with numerical ones once.
+Derivatives that are not given are computed numerically
+(:mod:`multiarm.geometry.numerical_derivatives`); those that are given are compared with numerical
+ones once.
 """
 
 from __future__ import annotations
@@ -29,13 +30,12 @@ from typing import TypeVar
 import numpy as np
 
 from multiarm.errors import ModelError
-from multiarm.geometry.differences import (
-    Differences,
+from multiarm.geometry.numerical_derivatives import (
+    NumericalDerivatives,
     check_agreement,
     check_certainty,
-    checked,
-    shown,
 )
+from multiarm.geometry.user_functions import checked, shown
 
 Smooth = TypeVar("Smooth", "SignedDistanceSurface", "ParametricSurface")
 
@@ -73,14 +73,14 @@ class SignedDistanceSurface:
         if hessian is not None:
             self._exact_hessian = checked(hessian, self.name, "hessian", (3, 3))
         self._length = length
-        self._of_distance = Differences(self._distance, np.full(3, length))
+        self._of_distance = NumericalDerivatives(self._distance, np.full(3, length))
         self._of_gradient = None
         if self._exact_gradient is not None:
-            self._of_gradient = Differences(self._exact_gradient, np.full(3, length))
+            self._of_gradient = NumericalDerivatives(self._exact_gradient, np.full(3, length))
         self._is_checked = False
 
     @property
-    def _used(self) -> list[Differences]:
+    def _used(self) -> list[NumericalDerivatives]:
         if self._of_gradient is None:
             return [self._of_distance]
         return [] if self._exact_hessian is not None else [self._of_gradient]
@@ -200,7 +200,7 @@ class ParametricSurface:
         self._stretch = self._typical_stretch()
         # the parametrisation is called up to 0.12 lengths beyond its ranges
         lengths = np.minimum(length / self._stretch, self._width)
-        self._differences = Differences(self._x, lengths)
+        self._differences = NumericalDerivatives(self._x, lengths)
         self._differences.probe(self._low + 0.43 * self._width)
         self._check()
         self._periodic = self._periodic_parameters()

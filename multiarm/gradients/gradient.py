@@ -365,9 +365,11 @@ class _AdjointSolver:
         typical = late.typical + early.typical
         sizes = np.maximum(magnitudes, part * self._magnitudes)
         sizes = self._sizes(sizes, np.maximum(typical, part * self._typical))
-        wrong = np.abs(missed).max() / (part * np.abs(early.start).max(initial=TINY))
-        wrong = max(wrong, (np.abs(missed_integrals) / sizes).max())
-        if wrong > linearised.panel_tolerance and (finer := halving.next(wrong, part)):
+        relative_error = np.abs(missed).max() / (part * np.abs(early.start).max(initial=TINY))
+        relative_error = max(relative_error, (np.abs(missed_integrals) / sizes).max())
+        if relative_error > linearised.panel_tolerance and (
+            finer := halving.next(relative_error, part)
+        ):
             later, later_integrals = self._solve_panel(second, finer)
             earlier, earlier_integrals = self._solve_panel(first, finer)
             return later + earlier, later_integrals + earlier_integrals
@@ -405,8 +407,8 @@ def _solved_with_error(
     """Solve the adjoint equation, and for its error, over a panel."""
     at, defect, weights = collocated.at, collocated.defect, collocated.panel.length * WEIGHTS
     start, stages, integrand = _adjoint(collocated, end)
-    wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
-    start_error, error_stages = collocated.collocation.backward(error, wrong)
+    residual = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
+    start_error, error_stages = collocated.collocation.backward(error, residual)
     of_series = _integrand(defect, stages) + defect.rates
     typical = np.zeros_like(integrand)
     typical[:, 1:] = np.abs(stages) @ collocated.scale
@@ -418,7 +420,7 @@ def _solved_with_error(
         torque_density=np.einsum("idn,id->in", at.B, stages),
         start_error=start_error,
         integral_errors=weights @ (_integrand(at, error_stages) + of_series),
-        series_error=float(np.abs(weights @ wrong).max() / np.abs(stages).max(initial=TINY)),
+        series_error=float(np.abs(weights @ residual).max() / np.abs(stages).max(initial=TINY)),
         series_integrals=weights @ np.abs(of_series),
     )
 

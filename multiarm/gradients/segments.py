@@ -159,10 +159,10 @@ class Segment:
         self.steepest = float(np.abs([value.slope for value in values]).max())
         matrices, lifts = _in_coordinates(values, bases, self.basis)
         self._series, self._lift = Series(*panel, matrices), Series(*panel, lifts)
-        wrong = self._series.defect[:d, :d].max(initial=0.0)
-        self.defect = float(wrong / np.abs(matrices[:, :d, :d]).max(initial=TINY))
+        defect = self._series.defect[:d, :d].max(initial=0.0)
+        self.defect = float(defect / np.abs(matrices[:, :d, :d]).max(initial=TINY))
         of_lift = self._lift.defect[:, :d].max(initial=0.0)
-        self.error = float(max(panel.length * wrong, of_lift))
+        self.error = float(max(panel.length * defect, of_lift))
 
     def of_comparison_run(self, values: Sequence[VariationalEquation]) -> Segment:
         """The segment of the comparison run, with values at the nodes of a low degree."""

@@ -137,8 +137,10 @@ class _ForwardSolution(NamedTuple):
     def difference(self, comparison: _ForwardSolution) -> float:
         """The largest relative difference of a derivative along the comparison run."""
         times = self.at.keys() & comparison.at.keys()
-        wrong = np.max([np.abs(comparison.at[t] - self.at[t]).max(axis=0) for t in times], axis=0)
-        return float((wrong / np.maximum(self.sizes, comparison.sizes)).max())
+        differences = np.max(
+            [np.abs(comparison.at[t] - self.at[t]).max(axis=0) for t in times], axis=0
+        )
+        return float((differences / np.maximum(self.sizes, comparison.sizes)).max())
 
 
 def sensitivities(
@@ -252,8 +254,10 @@ class _ForwardSolver:
         missed = (whole - S) / RICHARDSON
         sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
         part = panel.length / (linearised.end - linearised.begin)
-        wrong = np.abs(missed).max(axis=0) / (part * np.maximum(sizes, self._grown))
-        if wrong.max() > linearised.panel_tolerance and (finer := halving.next(wrong.max(), part)):
+        relative_error = np.abs(missed).max(axis=0) / (part * np.maximum(sizes, self._grown))
+        if relative_error.max() > linearised.panel_tolerance and (
+            finer := halving.next(relative_error.max(), part)
+        ):
             for half in collocated.halves:
                 self._solve_panel(half, segment_error, finer)
             return
@@ -271,9 +275,11 @@ def _solved_with_error(
     """
     at, defect, collocation = collocated.at, collocated.defect, collocated.collocation
     end, stages = collocation.forward(S, _by_column(at, S))
-    wrong = defect.A @ stages + _by_column(defect, S)
-    error, _ = collocation.forward(error, wrong)
-    of_series = collocated.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
+    residual = defect.A @ stages + _by_column(defect, S)
+    error, _ = collocation.forward(error, residual)
+    of_series = collocated.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, residual)).max(
+        axis=0
+    )
     return end, error, of_series
 
 

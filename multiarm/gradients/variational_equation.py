@@ -43,8 +43,8 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
-from multiarm.geometry.differences import CENTRAL_4
 from multiarm.geometry.screws import skew
+from multiarm.geometry.stencils import CENTRAL_4
 from multiarm.jit.rows import fields_of
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
@@ -266,7 +266,8 @@ class Parameter:
         if system.model.unilateral is None:
             with system.borrow() as data:
                 accelerations = evaluation.evaluate(data, t, state).accelerations
-                contacts, codes = data.contact_rows, fields_of(Code, data.model.constants.codes)
+                contacts = data.contact_rows
+                codes = fields_of(Code, data.model.constants.contacts.codes)
                 gaps = contacts.gap[codes.kind[: contacts.gap.size] != TANGENT]
                 return accelerations, np.concatenate([gaps, contacts.gap_rate])
         evaluated = evaluate(system, t, state)

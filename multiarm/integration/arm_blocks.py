@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import CARRYING, open_data, open_system
-from multiarm.dynamics.force_derivatives import Differences, torques_are_held
+from multiarm.dynamics.force_derivatives import ForceDifferences, torques_are_held
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.integration.step import Step
@@ -48,7 +48,7 @@ class ArmBlocks(NamedTuple):
     powers: Ints1  # (effects that are called,) the place of each one's power, -1 without
     # struct of multiarm.dynamics.equation_derivatives, for all arms; its K has the factors of each
     equations: Ints1
-    differences: Differences
+    differences: ForceDifferences
     # for u shared unknowns: A, A_o, U, before the solution those of F, (n, R, P + 2 o + 1 + u); B_i
     # (n, u, P); B_o, then the powers of the forces on the object (u + w, 2 o + 1)
     derivatives: Floats3
@@ -146,7 +146,7 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         states=states,
         powers=effects.powers,
         equations=equations,
-        differences=Differences(local=1, laws=len(constants.control) - shares, order=1),
+        differences=ForceDifferences(local=1, laws=len(constants.control) - shares, order=1),
         derivatives=np.zeros((n, rows, own_columns + of_object + u)),
         on_object=np.zeros((n, u, own_columns)),
         by_object=np.zeros((u + works, of_object)),

@@ -70,7 +70,7 @@ from multiarm.dynamics.equation_derivatives import (
 )
 from multiarm.dynamics.force_derivatives import (
     TIME_CHANGE,
-    Differences,
+    ForceDifferences,
     add_slopes,
     begin_differences,
     clear_table,
@@ -118,7 +118,7 @@ class FullMatrix(NamedTuple):
     solution: Floats2
     applied: Floats2
     powers: Ints1
-    differences: Differences
+    differences: ForceDifferences
     row: Floats1  # (columns,) scratch
     # (D,) of differences: a displaced vector of the chart, and its rates on either side
     displaced: Floats1
@@ -153,7 +153,7 @@ def make_full_matrix(data: Data, step: Step, equations: np.ndarray) -> FullMatri
         solution=np.zeros((n + layout.contacts, equation_columns(data.arrays).end)),
         applied=np.zeros((size - n, columns)),
         powers=data.model.effects.powers,
-        differences=Differences(laws=len(data.model.constants.control), order=1),
+        differences=ForceDifferences(laws=len(data.model.constants.control), order=1),
         row=np.zeros(columns),
         displaced=np.zeros(size),
         ahead=np.zeros(size),

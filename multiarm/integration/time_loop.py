@@ -317,7 +317,7 @@ def complete_step(method, step, clock, settings, h, end):
     alpha, beta = gains(settings, h)
     load_chart(step.z_new, step.base, data)
     status = project_and_evaluate(
-        struct, clock, settings, method.closes_gaps, min(end, latest), alpha, beta
+        struct, clock, settings, method.closes_gaps != 0, min(end, latest), alpha, beta
     )
     if status != OK:
         return status
@@ -382,8 +382,8 @@ def accept_step(method, step, clock, settings, h, end, error):
 @kernel
 def write_step_end(struct, model, data):
     """Write what a run remembers of a step, whose end has been evaluated, into its own record."""
-    for i in range(data.pairs.points.shape[0]):
-        copy(data.pairs.points[i], data.this_step.points[i])
+    for i in range(data.search.points.shape[0]):
+        copy(data.search.points[i], data.this_step.points[i])
     follow_joints(model, data)
     call_cfunc(data.functions.compare, struct, 0.0, 0.0)
 
@@ -393,7 +393,7 @@ def accept_step_end(struct, data):
     """Remember this step as the last one, and begin the guards that report at its end."""
     accept_guards(open_reports(struct))
     accept_solution(data)
-    for i in range(data.pairs.points.shape[0]):
+    for i in range(data.search.points.shape[0]):
         copy(data.this_step.points[i], data.last_step.points[i])
     for i in range(data.last_step.coordinates.shape[0]):
         copy(data.this_step.coordinates[i], data.last_step.coordinates[i])

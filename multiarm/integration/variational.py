@@ -183,7 +183,7 @@ def find_velocities(step, work, t, h):
             return status
         momentum_residual(step, work, h)
         for k in range(work.gap.size):
-            rolls = open_code(model.codes[k]).kind == TANGENT
+            rolls = open_code(model.contacts.codes[k]).kind == TANGENT
             rate = open_contact(data.rows.kinematics[k]).gap_rate
             data.rows.c[k] = -rate if rolls else work.gap[k]
         status = solve_frictionless(step.system)

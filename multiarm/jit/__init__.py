@@ -1,6 +1,7 @@
 """Compiled code: the only package that knows Numba's internals.
 
 - :mod:`~multiarm.jit.kernels`: functions that are compiled, cached and inlined into each other;
+- :mod:`~multiarm.jit.sources`: the files that cached code depends on;
 - :mod:`~multiarm.jit.interpretation`: the same kernels as plain Python, to step through;
 - :mod:`~multiarm.jit.linking`: how their parts become one unit of machine code;
 - :mod:`~multiarm.jit.pointers`: calls through addresses, and callbacks into Python;

@@ -23,8 +23,9 @@ from typing import get_type_hints
 from numba import types
 
 from multiarm.errors import MultiarmError
-from multiarm.jit.kernels import Kernel, kernel_modules
+from multiarm.jit.kernels import Kernel
 from multiarm.jit.pointers import CFUNC, address_of
+from multiarm.jit.sources import kernel_modules
 
 
 def all_kernels() -> list[Kernel]:

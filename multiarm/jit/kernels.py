@@ -2,18 +2,14 @@
 
 A kernel is compiled whole when Python calls it, or when its address is taken; where another kernel
 calls it, it becomes part of that one.  Plain ones run as Python when Python calls them.  The code
-of a whole is cached on disk and stays fresh until the kernel's file, or one that it imports from
-directly or through others, changes.
+of a whole is cached on disk and stays fresh until its sources change (:mod:`multiarm.jit.sources`).
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
-import re
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,71 +19,11 @@ from numba.core import event
 from multiarm.jit.compilation import compiling, start_compiling, stop_compiling
 from multiarm.jit.interpretation import INTERPRETED
 from multiarm.jit.linking import PART, WHOLE
-
-_PACKAGE = Path(__file__).parents[1]
-_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|plain|fused|cfunc|allocating)\b", re.MULTILINE)
-_IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
-
+from multiarm.jit.sources import stamp_of
 
 # Types of arguments, to annotate kernels with that Python calls: these can be compiled ahead.
 INT, NUMBER, TRUTH = types.int64, types.float64, types.boolean
 INTS, NUMBERS, TABLE = types.int64[::1], types.float64[::1], types.float64[:, ::1]
-
-
-def kernel_modules() -> list[str]:
-    """Names of the package's modules that have kernels."""
-    paths = (path.relative_to(_PACKAGE).with_suffix("") for path in _kernel_files())
-    return [".".join(("multiarm", *path.parts)) for path in paths]
-
-
-def _kernel_files() -> list[Path]:
-    return [path for path in sorted(_PACKAGE.rglob("*.py")) if _KERNEL.search(path.read_bytes())]
-
-
-def _stamp_of(function: Callable) -> str:
-    """Digest of all sources that the cached code of a kernel depends on.
-
-    Numba looks only at a kernel's own file to see whether its cached code is fresh.  A kernel from
-    another file that was compiled into it, or a constant that it reads, would stay as it was; so
-    what the file imports from this package counts, and what that imports, and so on.
-    """
-    file = Path(function.__code__.co_filename)
-    if _PACKAGE in file.parents:
-        return _stamp_of_module(file)
-    # of other packages: names may come by way of other files, and of a notebook nothing is known
-    own = _read(file)[0].hex() if file.is_file() else ""
-    return own + _stamp(_kernel_files())
-
-
-def _stamp(files: list[Path]) -> str:
-    """Digest of files of this package, and of all that they import from it."""
-    digests: dict[Path, bytes] = {}
-    waiting = list(files)
-    while waiting:
-        path = waiting.pop()
-        if path not in digests:
-            digests[path], imported = _read_module(path)
-            waiting += imported
-    return hashlib.sha256(b"".join(digests[path] for path in sorted(digests))).hexdigest()
-
-
-def _read(path: Path) -> tuple[bytes, list[Path]]:
-    """Digest of a file, and the files of this package that it imports from."""
-    text = path.read_bytes()
-    names = {name.decode().replace(".", "/") for name in _IMPORTED.findall(text)}
-    places = [(_PACKAGE / f"{name}.py", _PACKAGE / name / "__init__.py") for name in names]
-    return hashlib.sha256(text).digest(), [
-        module if module.is_file() else package for module, package in places
-    ]
-
-
-# This package's files are read once, when they are imported: they may be edited while it runs.
-_read_module = functools.cache(_read)
-
-
-@functools.cache
-def _stamp_of_module(file: Path) -> str:
-    return _stamp([file])
 
 
 class Kernel:
@@ -103,7 +39,7 @@ class Kernel:
         functools.update_wrapper(self, function)
         if INTERPRETED:
             return
-        self._stamp = _stamp_of(function)
+        self._stamp = stamp_of(function)
         # As in NumPy, a division by zero gives inf or NaN, which the callers look for.  Numba hands
         # inlining and contraction on to what a kernel calls, where that does not state its own.
         common = {"error_model": "numpy", "no_cfunc_wrapper": True}

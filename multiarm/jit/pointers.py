@@ -12,6 +12,7 @@ from contextlib import nullcontext
 from typing import Any
 from weakref import WeakValueDictionary
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 
@@ -47,6 +48,11 @@ def address_of(function: Kernel) -> int:
 def function_at(address: int) -> Callable[[int, int, float, float], int]:
     """The function, decorated with `cfunc`, at an address."""
     return _INTERPRETED[address] if INTERPRETED else CFUNC_PROTOTYPE(address)
+
+
+def call_whole(function: Kernel, struct: np.ndarray, a: float = 0.0, b: float = 0.0) -> int:
+    """Call a kernel decorated with `cfunc` from Python, as kernels call it."""
+    return function_at(address_of(function))(struct.ctypes.data, struct.size, a, b)
 
 
 def c_function(prototype: Any, function: Callable) -> tuple[Any, int]:

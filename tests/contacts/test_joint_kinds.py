@@ -9,9 +9,8 @@ from repository import WORKED
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
-from multiarm.contacts.table import COMBINED, TANGENT, Code, pack
+from multiarm.contacts.table import COMBINED, ON_PLANE, TANGENT, Code, pack
 from multiarm.errors import ModelError
-from multiarm.geometry.records import PLANE
 from multiarm.jit.rows import fields_of
 from multiarm.scene import (
     BallJoint,
@@ -283,8 +282,8 @@ def test_a_unit_force_is_a_plain_contact_and_other_wrenches_are_combinations():
     joint = WrenchesJoint(arm="a", wrenches=[[0.6, 0, 0.8, 0, 0.1, 0], couple([1, 0, 0])])
     plain, combined = joint.placed(np.eye(4))
     assert (plain.is_combined, combined.is_combined) == (False, True)
-    codes = fields_of(Code, pack([plain, combined]).codes)
-    assert list(codes.kind[:2]) == [PLANE, COMBINED]
+    codes = fields_of(Code, pack([plain, combined]).table.codes)
+    assert list(codes.kind[:2]) == [ON_PLANE, COMBINED]
     assert [plain.name, combined.name] == ["wrench 1", "wrench 2"]
 
 
@@ -380,7 +379,7 @@ def test_a_rolling_contact_has_two_rows_more():
     )
     assert [c.name for c in contacts] == ["wheel", "wheel, no slip 1", "wheel, no slip 2"]
     assert [c.pushes_only for c in contacts] == [True, False, False]
-    assert list(fields_of(Code, pack(contacts).codes).kind) == [PLANE, TANGENT, TANGENT]
+    assert list(fields_of(Code, pack(contacts).table.codes).kind) == [ON_PLANE, TANGENT, TANGENT]
     W = kernel_rows(contacts, np.eye(4), np.eye(4)).W_o
     np.testing.assert_allclose(W[:3].T @ W[:3], np.eye(3), atol=1e-15)
     np.testing.assert_allclose(W[3:], 0.0, atol=1e-15)  # they touch at the origin

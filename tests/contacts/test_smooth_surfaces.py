@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from multiarm.errors import ModelError
-from multiarm.geometry.differences import Differences, check_certainty
+from multiarm.geometry.numerical_derivatives import NumericalDerivatives, check_certainty
 from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 TURN = (0.0, 2.0 * math.pi)
@@ -287,7 +287,7 @@ def test_functions_that_are_not_what_they_should_be_are_refused(make, expected):
 
 
 def test_differences_keep_their_steps_where_the_function_fails():
-    differences = Differences(lambda x: x, [0.5])
+    differences = NumericalDerivatives(lambda x: x, [0.5])
 
     def fails_at_halved_steps(x):
         if differences.lengths < 0.5:

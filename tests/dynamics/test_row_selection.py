@@ -52,7 +52,7 @@ def full() -> Data:
     state.velocity[:] = rng.uniform(-1.0, 1.0, state.velocity.size)
     data.set_state(0.0, state)
     assert update_kinematics(data.struct) == OK
-    assert {PAIR, TANGENT, JOINT} <= set(fields_of(Code, data.model.constants.codes).kind)
+    assert {PAIR, TANGENT, JOINT} <= set(fields_of(Code, data.model.constants.contacts.codes).kind)
     return data
 
 
@@ -70,7 +70,7 @@ def test_selected_rows_are_those_of_the_table_that_was_packed(full):
     for rows in subsets(full, 40):
         selection.select(rows)
         assert update_kinematics(selection.struct) == OK
-        codes = fields_of(Code, selection.model.constants.codes[: len(rows)])
+        codes = fields_of(Code, selection.model.constants.contacts.codes[: len(rows)])
         alone += np.count_nonzero((codes.kind == TANGENT) & (codes.normal_part > 0))
         np.testing.assert_array_equal(selection.arrays.rows.W_o, full.arrays.rows.W_o[rows])
         np.testing.assert_array_equal(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
 import math
 import os
 import subprocess
@@ -22,10 +23,11 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.errors import MultiarmError
-from multiarm.jit import kernels, vectors
+from multiarm.jit import sources, vectors
 from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
-from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, fused, kernel, kernel_modules
+from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, fused, kernel
 from multiarm.jit.pointers import address_of
+from multiarm.jit.sources import kernel_modules
 from multiarm.jit.structs import (
     Flag,
     Float,
@@ -170,9 +172,9 @@ def test_threads_that_ask_at_once_get_one_entry():
     assert len(found) == 4 and len(set(found)) == 1
 
 
-OWN = """
+USER_KERNEL = """
 from multiarm.jit.kernels import kernel
-FACTOR = {factor}
+{imports}
 
 @kernel
 def scaled(x):
@@ -183,24 +185,105 @@ if __name__ == "__main__":
 """
 
 
-def run_own(folder: Path, factor: float) -> str:
-    file = folder / "own_kernel.py"
-    file.write_text(OWN.format(factor=factor), encoding="utf-8")
-    os.utime(file, (1e9, 1e9))  # a copy of the same time and size
+def run_kernel_of_user(folder: Path, imports: str, **modules: str) -> str:
+    """Whether its code is in the cache, and its result; the modules lie beside its file."""
+    for name, text in {"user_kernel": USER_KERNEL.format(imports=imports), **modules}.items():
+        file = folder.joinpath(*name.split(".")).with_suffix(".py")
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+        os.utime(file, (1e9, 1e9))  # a copy of the same time and size
     environment = os.environ | {
         "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(folder / "cache"),
+        "PYTHONDONTWRITEBYTECODE": "1",  # Python looks at time and size, too
     }  # fmt: skip
     done = subprocess.run(
-        [sys.executable, str(file)], env=environment, capture_output=True, text=True, check=True
-    )
+        [sys.executable, str(folder / "user_kernel.py")],
+        env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
     return done.stdout.strip()
 
 
 @pytest.mark.slow
-def test_an_edited_constant_of_ones_own_kernel_counts(tmp_path):
-    assert run_own(tmp_path, 3.0) == "False 6.0"
-    assert run_own(tmp_path, 3.0) == "True 6.0"
-    assert run_own(tmp_path, 5.0) == "False 10.0"
+def test_an_edited_constant_of_a_users_kernel_counts(tmp_path):
+    assert run_kernel_of_user(tmp_path, "FACTOR = 3.0") == "False 6.0"
+    assert run_kernel_of_user(tmp_path, "FACTOR = 3.0") == "True 6.0"
+    assert run_kernel_of_user(tmp_path, "FACTOR = 5.0") == "False 10.0"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "imports, modules",
+    [
+        ("from constants import FACTOR", {"constants": "FACTOR = {}"}),
+        (
+            "import law\nFACTOR = law.factor",
+            {"law": "from constants import factor", "constants": "factor = {}"},
+        ),
+        (
+            "from laws import (  # relative\n    law,\n)\nFACTOR = law.factor",
+            {
+                "laws.__init__": "", "laws.constants": "factor = {}",
+                "laws.law": "from .constants import factor",
+            },
+        ),
+    ],
+    ids=["directly", "through another file", "in a package"],
+)  # fmt: skip
+def test_an_edited_file_that_the_file_of_a_users_kernel_imports_counts(tmp_path, imports, modules):
+    def run(factor: float) -> str:
+        texts = {name: text.format(factor) for name, text in modules.items()}
+        return run_kernel_of_user(tmp_path, imports, **texts)
+
+    assert run(3.0) == "False 6.0"
+    assert run(3.0) == "True 6.0"
+    assert run(5.0) == "False 10.0"
+
+
+def stamp_of_code(text: str, file: Path) -> str:
+    """The stamp of the function ``f`` of a user's code, of a file or of a notebook's cell."""
+    namespace: dict = {"__name__": "__main__"}
+    exec(compile(text, str(file), "exec"), namespace)
+    return sources.stamp_of(namespace["f"])
+
+
+def test_a_module_counts_as_it_was_when_it_was_imported(tmp_path, monkeypatch):
+    """Code that is compiled after the file was edited has the numbers from before."""
+    monkeypatch.syspath_prepend(tmp_path)
+    constants, file = tmp_path / "numbers_of_a_user.py", tmp_path / "user.py"
+    constants.write_text("FACTOR = 3.0", encoding="utf-8")
+    file.write_text("from numbers_of_a_user import FACTOR\nf = lambda: FACTOR", encoding="utf-8")
+
+    def stamp() -> str:
+        return stamp_of_code(file.read_text(encoding="utf-8"), file)
+
+    before = stamp()
+    constants.write_text("FACTOR = 5.00", encoding="utf-8")
+    assert stamp() == before
+    importlib.reload(sys.modules["numbers_of_a_user"])
+    assert stamp() != before
+    constants.write_text("FACTOR = 3.0", encoding="utf-8")
+    os.utime(constants, (1e9, 1e9))
+    importlib.reload(sys.modules["numbers_of_a_user"])
+    assert stamp() == before
+
+
+def test_of_a_notebooks_kernels_all_modules_of_its_user_count(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    cell = tmp_path / "ipykernel_1.py"  # no such file
+    (tmp_path / "of_an_earlier_cell.py").write_text("FACTOR = 3.0", encoding="utf-8")
+    before = stamp_of_code("f = lambda: 0", cell)
+    importlib.import_module("of_an_earlier_cell")
+    assert stamp_of_code("f = lambda: 0", cell) != before
+
+
+def test_installed_packages_are_not_read():
+    """They have thousands of files; a package's own ones are, when it is installed itself."""
+    file = Path(np.__file__)
+    assert not sources._may_change("numpy", file, "laws.law")
+    assert not sources._may_change("ast", Path(ast.__file__), "laws")
+    assert not sources._may_change("sys", Path(), "laws")
+    assert sources._may_change("numpy.linalg", file, "numpy.random")
+    assert sources._may_change("repository", ROOT / "tests" / "support" / "repository.py", "")
 
 
 PACKAGE = ROOT / "multiarm"
@@ -240,15 +323,15 @@ def reached_from(file: Path) -> set[Path]:
 )
 def test_exactly_the_kernels_that_import_an_edited_file_compile_again(edited, monkeypatch):
     files = [ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in kernel_modules()]
-    before = {file: kernels._stamp([file]) for file in files}
-    read_module = kernels._read_module
+    before = {file: sources._stamp([str(file)]) for file in files}
+    read_file = sources._read_file
 
     def read(path):
-        digest, imported = read_module(path)
-        return (b"edited" if path == PACKAGE / edited else digest), imported
+        digest, imported = read_file(path)
+        return (b"edited" if path == str(PACKAGE / edited) else digest), imported
 
-    monkeypatch.setattr(kernels, "_read_module", read)
-    changed = {file for file in files if kernels._stamp([file]) != before[file]}
+    monkeypatch.setattr(sources, "_read_file", read)
+    changed = {file for file in files if sources._stamp([str(file)]) != before[file]}
     assert changed == {file for file in files if PACKAGE / edited in reached_from(file)}
     assert changed
 
@@ -257,25 +340,26 @@ def test_kernels_of_other_packages_compile_again_with_any_kernel_of_this_one(mon
     """They name what they use by way of `multiarm.effects`, which loads it on demand."""
     path = str(ROOT / "examples" / "own_effect" / "magnet_effect.py")
     function = eval(compile("lambda: 0", path, "eval"))
-    before = kernels._stamp_of(function)
+    before, read_file = sources.stamp_of(function), sources._read_file
 
     def read(path):
-        digest, imported = kernels._read(path)
-        return (b"edited" if path == PACKAGE / "dynamics" / "arrays.py" else digest), imported
+        digest, imported = read_file(path)
+        return (b"edited" if path == str(PACKAGE / "dynamics" / "arrays.py") else digest), imported
 
-    monkeypatch.setattr(kernels, "_read_module", read)
-    assert kernels._stamp_of(function) != before
+    monkeypatch.setattr(sources, "_read_file", read)
+    monkeypatch.setattr(sources, "_stamp_of_package", sources._stamp_of_package.__wrapped__)
+    assert sources.stamp_of(function) != before
 
 
 @pytest.mark.slow
 def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path):
-    run_own(tmp_path, 3.0)
+    run_kernel_of_user(tmp_path, "FACTOR = 3.0")
     for ending in ("nbi", "nbc"):
         files = list((tmp_path / "cache").rglob(f"*.{ending}"))
         assert files
         for file in files:
             file.write_bytes(file.read_bytes()[:100])
-        assert run_own(tmp_path, 3.0).endswith("6.0")
+        assert run_kernel_of_user(tmp_path, "FACTOR = 3.0").endswith("6.0")
 
 
 def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
@@ -289,7 +373,7 @@ def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
     compiled = data_of(coupled).arrays.functions.coupled
     assert compiled not in (before, data_of(fresh).arrays.functions.coupled)
     assert data_of(regular).arrays.functions.coupled == before, "a regular scene does without"
-    assert data_of(regular).arrays.functions.row != 0
+    assert data_of(regular).arrays.functions.general_rows != 0
 
 
 @fused

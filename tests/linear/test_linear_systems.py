@@ -44,7 +44,7 @@ from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import Float, Floats1, struct_at
 from multiarm.linear import equilibrium as equilibrium_module
 from multiarm.linear.equilibrium import _Search
-from multiarm.linear.motion import modes_trajectory
+from multiarm.linear.modes_trajectory import modes_trajectory
 from multiarm.problems import HARD_CASES
 from multiarm.problems.loops import bricard_motion
 

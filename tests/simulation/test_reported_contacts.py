@@ -187,13 +187,8 @@ def test_progress_may_evaluate_the_system_that_runs(sliding):
 @pytest.mark.parametrize("scale", [1.0, 0.1])
 def test_distance_inside_an_ellipsoid_is_smooth_across_its_planes_of_symmetry(x, scale):
     """From a place in the plane x = 0 the foot is in it too: an ellipse's nearest point."""
-    table = pack(
-        [
-            Record(
-                "c", point((0, 0, 0)), ellipsoid((0, 0, 0), np.eye(3), scale * np.arange(1.0, 4.0))
-            )
-        ]
-    )
+    oval = ellipsoid((0, 0, 0), np.eye(3), scale * np.arange(1.0, 4.0))
+    table = pack([Record("c", point((0, 0, 0)), oval)]).table
     query = np.zeros(QUERY_WIDTH)
     at = fields_of(Query, query)
     at.point[:] = scale * np.array([x, 1.4, 2.0])

@@ -18,11 +18,17 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 import multiarm.arms.backends
-from multiarm.contacts.kernel import CONTACT_WIDTH, ContactRow, write_row
+from multiarm.contacts.kernel import (
+    CONTACT_WIDTH,
+    ContactRow,
+    ContactSearch,
+    make_search,
+    write_row,
+)
 from multiarm.contacts.matrices import contact_matrices
-from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
-from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
-from multiarm.contacts.table import PAIR, Code, pack
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
+from multiarm.contacts.surfaces import user_surface_callback
+from multiarm.contacts.table import PAIR, Code, ContactTable, pack
 from multiarm.dynamics.variables import Status
 from multiarm.geometry.records import (
     CONE,
@@ -32,8 +38,10 @@ from multiarm.geometry.records import (
     SURFACE_ON_OBJECT,
     TORUS,
 )
+from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 from multiarm.jit.rows import fields_of
+from multiarm.jit.structs import count_entries, struct_of, view
 from multiarm.scene import parse_scene
 
 EPS = np.finfo(float).eps
@@ -311,33 +319,37 @@ def body_row(X: np.ndarray, twist=None) -> np.ndarray:
     return row
 
 
+_open_table, _open_search = view(ContactTable), view(ContactSearch, count_entries(ContactTable))
+
+
+@kernel
+def write_row_alone(struct, k, arm, body, rows, parts):
+    """A row of the table in the struct of this and a search."""
+    write_row(k, arm, body, _open_table(struct), rows, parts, _open_search(struct))
+
+
 def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     """What the kernels make of contacts on two moving bodies, one row (column of W) a contact.
 
     ``near`` (N, 3) are points of the guiding surfaces, in their bodies' frames, near which contacts
     of two surfaces are looked for.
     """
-    table, n = pack(contacts), len(contacts)
+    (table, surfaces), n = pack(contacts), len(contacts)
     arm, body = body_row(X_WT, twist_T), body_row(X_WO, twist_O)
     rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
-    relative, query = np.zeros(RELATIVE_WIDTH), np.zeros(QUERY_WIDTH)
-    located = np.zeros((len(table.shapes), 3))
-    places = np.zeros_like(located)
-    answer = PythonCallback(user_surface_callback(table.functions, query), Status())
+    search = make_search(np.zeros((len(table.shapes), 3)))
+    answer = PythonCallback(user_surface_callback(surfaces, search.query), Status())
+    search.user.callback = answer.address
+    struct = struct_of(table, search)
     codes, columns = fields_of(Code, table.codes), fields_of(ContactRow, rows)
     for k in range(n):
         first = codes.first_part[k]
         for piece in (k, codes.normal_part[k] or k, *range(first, first + codes.parts[k])):
             if codes.kind[piece] == PAIR:
-                places[codes.shape[piece]] = near[k]
-        write_row(
-            k, arm, body, table.codes, table.geometry, table.shapes, answer.address, rows, parts,
-            relative, query, places, located,
-        )  # fmt: skip
+                search.guesses[codes.shape[piece]] = near[k]
+        write_row_alone(struct, k, arm, body, rows, parts)
     answer.reraise()
-    W = contact_matrices(
-        table.codes, table.geometry, np.vstack([rows, parts]), np.arange(n), arm, body, arm
-    )
+    W = contact_matrices(table, np.vstack([rows, parts]), np.arange(n), arm, body, arm)
     return SimpleNamespace(
         phi=columns.gap, phi_dot=columns.gap_rate, c=-columns.gap_bias, normals=columns.normal,
         W_m=W.W_m, W_o=W.W_o, W_m_dot=W.W_m_dot, W_o_dot=W.W_o_dot,

@@ -9,7 +9,6 @@ import numpy as np
 from mechanics import data_of, first_difference
 
 import multiarm as ma
-from multiarm.dynamics.arrays import DERIVATIVE
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.model import effect_constants
 from multiarm.dynamics.status import OK
@@ -27,12 +26,12 @@ def coupled(system):
 
 def without_derivatives(system):
     """The same system with laws and effects that state no derivatives."""
-    kernels = (replace(own, derivative=None) for own in system.model.effects.kernels)
+    kernels = (replace(kernel, derivative=None) for kernel in system.model.effects.kernels)
     effects = EffectProgram(tuple(kernels))
-    control = system.model.constants.control.copy()
-    control[:, DERIVATIVE] = 0
+    laws = tuple(replace(law, derivative=None) for law in system.model.laws)
+    control = system.model.constants.control.copy()  # which has the addresses of derivatives
     constants = system.model.constants._replace(control=control, **effect_constants(effects))
-    model = replace(system.model, effects=effects, constants=constants)
+    model = replace(system.model, effects=effects, laws=laws, constants=constants)
     return replace(system, model=model)
 
 

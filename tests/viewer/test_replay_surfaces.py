@@ -35,7 +35,7 @@ def distance(surface: Surface, p: np.ndarray) -> tuple[float, np.ndarray]:
     """Signed distance of the solid body and its gradient at a point, body's frame."""
     egg = records.ellipsoid(AT, np.eye(3), (1, 2, 3))  # a sphere would be its tip
     hollow = replace(surface, inside=True)
-    shape = pack([Contact("c", egg, hollow)]).shapes[0]
+    shape = pack([Contact("c", egg, hollow)]).table.shapes[0]
     query = np.zeros(QUERY_WIDTH)
     at = fields_of(Query, query)
     at.point[:] = surface.axes.T @ (p - surface.origin)

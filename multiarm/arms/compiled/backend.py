@@ -35,7 +35,7 @@ from multiarm.arms.terms import (
 )
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.errors import ModelError
-from multiarm.jit.pointers import address_of, function_at
+from multiarm.jit.pointers import address_of, call_whole
 from multiarm.jit.rows import as_row, fields_of, offset_of
 from multiarm.jit.structs import make_struct
 
@@ -171,7 +171,7 @@ class CompiledBackend:
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the positions and velocities bound, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
-            function_at(address_of(entry))(self._struct.ctypes.data, self._struct.size, 0.0, 0.0)
+            call_whole(entry, self._struct)
 
     def terms(self, arm: int) -> LinkTerms:
         """Copies of the last terms of arm number ``arm`` of these."""

@@ -1,4 +1,4 @@
-r"""Numerical differentiation of user functions, and checks of what they return.
+r"""Numerical derivatives of functions of users, and checks of those that they give.
 
 Derivatives that are not given are computed with complex numbers where a function accepts them, else
 by central differences.  The first derivative is then free of cancellation,
@@ -14,38 +14,17 @@ a second one is a mean over 8 points around x, conjugate in pairs,
 
 Central differences combine values at :math:`x \pm k h, k = 1..4`, with an error of order
 :math:`h^8` too.
-
-Kernels take differences by stencils,
-
-.. math:: f'(x) \approx \frac1h \sum_k w_k\, (f(x + o_k h) - f(x)) .
 """
 
 from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.errors import USER_FAULTS, ModelError
-
-UserFunction = Callable[[np.ndarray], np.ndarray]
-
-
-class Stencil(NamedTuple):
-    """Where a difference takes values, and their weights."""
-
-    offsets: tuple[float, ...]  # in steps h
-    weights: tuple[float, ...]  # times h
-
-
-# With errors of order h, h^2 and h^4.
-FORWARD_1 = Stencil((1.0,), (1.0,))
-FORWARD_2 = Stencil((1.0, 2.0), (2.0, -0.5))
-CENTRAL_4 = Stencil((-2.0, -1.0, 1.0, 2.0), (1.0 / 12.0, -2.0 / 3.0, 2.0 / 3.0, -1.0 / 12.0))
+from multiarm.geometry.user_functions import UserFunction, shown
 
 # Central differences of order 8, and the mean over a circle; steps and radius are fractions of the
 # function's length scale.  Rounding errors weigh more in a second derivative.
@@ -55,28 +34,6 @@ _COMPLEX_STEP = 1e-30
 _CIRCLE, _RADIUS = np.exp(1j * np.pi * np.array([1, 3, 5, 7]) / 8), 0.04
 _MEAN = _CIRCLE**-2 / (2.0 * _RADIUS**2)
 _PROBING = threading.Lock()
-
-
-def checked(
-    function: Callable, name: str, role: str, shape: tuple[int, ...], spread: bool = False
-) -> UserFunction:
-    """The function, with a clear error for every unusable result.
-
-    Parameters
-    ----------
-    function : callable
-        Of an array, or of its entries one by one (``spread``).
-    name, role : str
-        Messages say ``the <role> of <name>``.
-    shape : tuple of int
-        Of its result; ``()``: one number.
-    """
-    return partial(_evaluated, function, f"the {role} of {name}", shape, spread)
-
-
-def shown(x: np.ndarray) -> str:
-    """Numbers for a message."""
-    return np.array2string(np.asarray(x), precision=6, separator=", ")
 
 
 def check_agreement(name: str, role: str, of: str, x: np.ndarray, error: float) -> None:
@@ -93,7 +50,11 @@ def check_agreement(name: str, role: str, of: str, x: np.ndarray, error: float) 
 
 
 def check_certainty(
-    name: str, differences: Differences, derivative: UserFunction, x: np.ndarray, scale: float
+    name: str,
+    differences: NumericalDerivatives,
+    derivative: UserFunction,
+    x: np.ndarray,
+    scale: float,
 ) -> None:
     """Raise a ModelError where halving the steps of the differences changes the derivatives."""
     coarse, lengths = derivative(x), differences.lengths
@@ -110,7 +71,7 @@ def check_certainty(
         )
 
 
-class Differences:
+class NumericalDerivatives:
     """First and second derivatives of a function of ``n`` variables with ``m`` values.
 
     Parameters
@@ -229,31 +190,3 @@ def _complex(values: np.ndarray) -> np.ndarray:
     if values.dtype.kind != "c":
         raise _RealError("the function drops imaginary parts")
     return values
-
-
-def _evaluated(
-    function: Callable, subject: str, shape: tuple[int, ...], spread: bool, x: np.ndarray
-) -> np.ndarray:
-    try:
-        value = np.asarray(function(*x) if spread else function(x))
-    except USER_FAULTS as error:
-        raise ModelError(
-            f"{subject} failed at {_place(x)}: {type(error).__name__}: {error}; "
-            "correct the function"
-        ) from error
-    if value.size == 1 and shape == ():
-        value = value.reshape(())
-    if value.shape != shape or value.dtype.kind not in "fciu":
-        what = "one number" if shape == () else f"numbers of shape {shape}"
-        got = f"shape {value.shape}" if value.shape != shape else f"{value.dtype}"
-        raise ModelError(f"{subject} must return {what}, got {got} at {_place(x)}")
-    if not np.all(np.isfinite(value)):
-        raise ModelError(f"{subject} is not finite at {_place(x)}: {shown(value)}")
-    return value
-
-
-def _place(x: np.ndarray) -> str:
-    """A point for a message; imaginary parts serve differentiation only."""
-    if not np.iscomplexobj(x):
-        return shown(x)
-    return f"{shown(np.real(x))} (called with complex numbers, which differentiate it)"
