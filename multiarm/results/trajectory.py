@@ -11,7 +11,7 @@ from closing.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -21,7 +21,6 @@ import numpy as np
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
-from multiarm.results.by_arm import ByArm
 from multiarm.results.channels import Channel, arm_names, channels_of, work_channels
 from multiarm.results.energy import energy_at_start, energy_balance
 from multiarm.results.event_log import CLAUSE_SEPARATOR
@@ -56,6 +55,36 @@ class Store(Protocol):
 
     def close(self) -> None:
         """Release the samples; further reads are an error."""
+
+
+class _MissingArmError(TrajectoryError, KeyError):
+    """A KeyError whose text is a sentence."""
+
+    __str__ = TrajectoryError.__str__
+
+
+class ByArm(Mapping[str, np.ndarray]):
+    """One quantity of every arm, and of the floor where it has contacts; read on access."""
+
+    def __init__(self, quantity: str, names: dict[str, str], read: Callable[[str], np.ndarray]):
+        self._quantity, self._names, self._read = quantity, names, read
+
+    def __getitem__(self, arm: str) -> np.ndarray:
+        if not self._names:
+            raise _MissingArmError(
+                f"this result has no channels '{self._quantity}': it is that of an earlier version "
+                "of multiarm; run the scene again"
+            )
+        if arm not in self._names:
+            known = ", ".join(map(repr, self._names))
+            raise _MissingArmError(f"unknown arm {arm!r}; arms are {known}")
+        return self._read(self._names[arm])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 class Trajectory:
