@@ -226,8 +226,11 @@ def who(event: Event) -> str:
 
 
 def what(event: Event) -> str:
-    """What happened, without what :func:`who` gives; earlier versions stored them in one text."""
-    return str(event.get("what", event["text"]))
+    """What happened, without what :func:`who` gives.
+
+    Earlier versions stored both in one text: of their events it is the kind, if it is somebody's.
+    """
+    return str(event.get("what", event["kind"] if who(event) else event["text"]))
 
 
 def change(event: Event) -> str:

@@ -206,8 +206,9 @@ def test_whose_event_it_is_is_told_once():
     assert (who(arm.entry()), what(arm.entry())) == ("left", "little motion along z")
     rank = RunEvent(1.0, EventKind.RANK_FALLS, "rank falls from 9 to 8").entry()
     assert (who(rank), what(rank), rank["text"]) == ("", *["rank falls from 9 to 8"] * 2)
-    earlier = {"time": 1.0, "kind": "x", "arm": "left", "text": "left: slips"}
-    assert what(earlier) == "left: slips"
+    earlier = {"time": 1.0, "kind": "slides", "arm": "left", "text": "left: slides a little"}
+    assert what(earlier) == "slides"
+    assert what({"time": 1.0, "kind": "rank falls", "text": "rank falls to 8"}) == "rank falls to 8"
 
 
 def test_a_contact_that_bounces_often_is_told_once():
