@@ -21,7 +21,7 @@ from matplotlib.ticker import NullLocator
 
 from multiarm.plots.style import STYLE
 from multiarm.results.files import save_figure
-from multiarm.results.trajectory import plain
+from multiarm.results.outcome import plain
 from multiarm.studies.records import machine
 
 RESULTS = Path(__file__).parent / "results"

@@ -73,7 +73,7 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     MultiarmError
         The file cannot be written.
     """
-    from multiarm.results.trajectory import plain
+    from multiarm.results.outcome import plain
 
     text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False, indent=2)
     write_text(path, text + "\n", "--json")

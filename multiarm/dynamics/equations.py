@@ -109,13 +109,14 @@ def update_kinematics(struct: INTS):
 
 
 @kernel
-def solve_frictionless(struct: INTS):
+def solve_frictionless(struct: INTS, gap: NUMBER):
     """Solve for ``a_o, a_j, force`` with the right-hand sides ``f_o, f_j, c`` in ``data``.
 
     Contact forces act along their normals, without friction, as projections need.  Call
-    :func:`update_kinematics` before.  Returns a status.
+    :func:`update_kinematics` before.  ``gap`` is the largest one [m] that the solution closes, 0
+    where it closes none.  Returns a status.
     """
-    return call_cfunc(open_data(struct).functions.solve_frictionless, struct, 0.0, 0.0)
+    return call_cfunc(open_data(struct).functions.solve_frictionless, struct, gap, 0.0)
 
 
 @cfunc
@@ -270,7 +271,7 @@ def drift_terms(data, alpha, beta):
 
 
 @cfunc
-def solve(address, size, _a, _b):
+def solve(address, size, gap, _b):
     """Solve as :func:`solve_frictionless` describes: four arms at a time, else arm by arm."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
@@ -288,23 +289,23 @@ def solve(address, size, _a, _b):
         data.solution.imbalance = imbalance(data, data.rows.W_o)
         if data.solution.imbalance <= IMBALANCE_BOUND:
             return OK
-    return call_cfunc(data.functions.coupled, struct, 0.0, 0.0)
+    return call_cfunc(data.functions.coupled, struct, gap, 0.0)
 
 
 @cfunc
-def solve_deficient(address, size, _a, _b):
+def solve_deficient(address, size, gap, _b):
     """Solve a system with deficient arms, arm by arm; returns a status.
 
     Where the residual of the object's equation is too large, no arm is eliminated as a whole.
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    status = solve_coupled_arms(data, work, open_coupled(struct), False)
+    status = solve_coupled_arms(data, work, open_coupled(struct), False, gap)
     if status != OK or data.solution.imbalance <= IMBALANCE_BOUND:
         return status
     if data.solution.coupled_arms == data.bodies.pointers.shape[0]:
         return status
-    return call_cfunc(data.functions.decomposed, struct, 0.0, 0.0)
+    return call_cfunc(data.functions.decomposed, struct, gap, 0.0)
 
 
 @cfunc
@@ -322,20 +323,21 @@ def solve_again(address, size, _a, _b):
 
 
 @cfunc
-def solve_decomposed(address, size, _a, _b):
+def solve_decomposed(address, size, gap, _b):
     """Solve a system with no arm eliminated as a whole; returns a status."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    return solve_coupled_arms(data, work, open_coupled(struct), True)
+    return solve_coupled_arms(data, work, open_coupled(struct), True, gap)
 
 
 @kernel
-def solve_coupled_arms(data, work, coupled, decompose_all):
+def solve_coupled_arms(data, work, coupled, decompose_all, gap):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
     status, data.status.arm = eliminate_arms(work, data.rows.W_o)
     if status != OK:
         return status
-    pivot = couple(work, coupled, data.rows.W_o, data.bodies.object_inertia, decompose_all)
+    inertia = data.bodies.object_inertia
+    pivot = couple(work, coupled, data.rows.W_o, inertia, decompose_all, gap)
     work.pivot[data.bodies.pointers.shape[0]] = pivot
     if not pivot > 0.0:
         return OBJECT_INERTIA if pivot == pivot else NOT_FINITE

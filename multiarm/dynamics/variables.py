@@ -191,16 +191,17 @@ class ForceSlopes(NamedTuple):
     share: Floats2  # (6, columns) of the equations of the numbers that arms share
 
 
-class InterpolationSettings(Numbers):
-    """How states near a loss of rank are evaluated."""
+class InterpolationNumbers(Numbers):
+    """How states near a loss of rank are evaluated, and what the last one has cost."""
 
     gap: Float  # to which neighbours of the state are projected [m]
+    evaluations: Int  # that were made beside the first one, projections as what they count
 
 
 class Interpolation(NamedTuple):
     """Memory of an evaluation near a loss of rank, :mod:`multiarm.integration.near_singular`."""
 
-    settings: InterpolationSettings
+    numbers: InterpolationNumbers
     configuration: Floats1  # of the state itself
     velocity: Floats1
     acceleration: Floats1  # interpolated
@@ -389,7 +390,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             share=np.zeros((6, columns)),
         ),
         interpolation=Interpolation(
-            settings=InterpolationSettings(),
+            numbers=InterpolationNumbers(),
             configuration=np.zeros(layout.nq),
             velocity=np.zeros(layout.nv),
             acceleration=np.zeros(layout.nv),

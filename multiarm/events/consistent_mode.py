@@ -41,13 +41,13 @@ def enter_consistent_mode(
     Returns
     -------
     decision : Decision
-        With trouble, no mode has been entered.  Where no mode holds, it is that of the instant.
+        No mode has been entered where it is undecided.  Where no mode holds: that of the instant.
     holds : bool
     """
     decisions: list[Decision] = []
     for ahead in (0.0, *(share * longest_step for share in LATER if longest_step > 0.0)):
         decision = decide(ahead)
-        if decision.trouble:  # later on, the displaced contacts may contradict each other
+        if decision.undecided:  # later on, the displaced contacts may contradict each other
             break
         if decisions:
             first = decisions[0]

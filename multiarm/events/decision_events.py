@@ -74,7 +74,7 @@ def _event(
     return RunEvent(
         float(t),
         kind,
-        f"{constraint.arm}: {name} {_verb(modes, constraint, kind)}",
+        _verb(modes, constraint, kind),
         constraint.arm,
         contact=name if is_contact else "",
         joint="" if is_contact else name,
@@ -85,7 +85,7 @@ def _event(
 
 
 def _verb(modes: Modes, constraint: Constraint, kind: EventKind) -> str:
-    """The event as a verb; of a joint limit with the end of the range."""
+    """The event as a verb, of a joint limit with the end of the range; empty: that of its kind."""
     verbs = {EventKind.JOINT_SLIPS: "slips", EventKind.JOINT_STICKS: "sticks"}
     if constraint.kind == LIMIT:
         record = modes.full.model.records[constraint.row]
@@ -96,4 +96,4 @@ def _verb(modes: Modes, constraint: Constraint, kind: EventKind) -> str:
             EventKind.REACHES_LIMIT: f"reaches {end}",
             EventKind.LEAVES_LIMIT: f"leaves {end}",
         }
-    return verbs.get(kind, kind.word)
+    return verbs.get(kind, "")

@@ -91,8 +91,8 @@ def enter_mode_at(data: Data, t: float, state: State) -> Modes:
         return transition.decide(with_impacts=False)
 
     decision, holds = enter_consistent_mode(modes, decide)
-    if decision.trouble:
-        raise SolverError(decision.trouble)
+    if decision.undecided:
+        raise SolverError(decision.undecided.message)
     if not holds:  # it is refused where it cannot be evaluated
         require_ok(modes.data, evaluate_state(modes.data.struct, 0.0, 0.0))
     return modes

@@ -33,7 +33,7 @@ from multiarm.results.contact_states import ContactState
 # speeds [m/s, rad/s], and parts of the largest forces, those of dry friction of its bound.
 GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
 # Largest gap or penetration of contacts that touch without force [m].
-REST = 1e-9
+TOUCHING_GAP = 1e-9
 
 # What a guard of a constraint watches, and 1 or -1: its sign, of cones that of the normal force.
 Key = tuple[type, int]
@@ -122,7 +122,7 @@ def _guards(
     scale = JOINT_FORCES if constraint.kind == LIMIT else FORCES
     guards = {
         (OpenGap, 1): Guard(OpenGap(row), GAP_THRESHOLD),
-        (Touch, 1): Guard(Touch(row, REST)),
+        (Touch, 1): Guard(Touch(row, TOUCHING_GAP)),
         (PushingForce, 1): Guard(PushingForce(row), FORCE_THRESHOLD, scale=scale),
     }
     if tangents:

@@ -27,7 +27,7 @@ from multiarm.events.complementarity.problem import RANK
 from multiarm.events.modes import Modes
 
 # Rates below this, relative to 1 and to the fastest coordinate, are rest [m/s, rad/s].
-REST = 1e-9
+REST_RATE = 1e-9
 
 
 class RowDynamics:
@@ -51,7 +51,7 @@ class RowDynamics:
         """Rates below this are rest [m/s, rad/s]."""
         arrays = self.full.arrays
         fastest = np.max(np.abs(arrays.state.velocity))
-        return REST * (1.0 + float(fastest))
+        return REST_RATE * (1.0 + float(fastest))
 
     def jacobian(self, rows: list[int]) -> np.ndarray:
         """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
@@ -132,5 +132,5 @@ def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
     b = data.arrays
     require_ok(data, update_kinematics(data.struct))
     b.forces.f[:], b.rows.c[:] = force, 0.0
-    require_ok(data, solve_frictionless(data.struct))
+    require_ok(data, solve_frictionless(data.struct, 0.0))
     return b.accelerations.a.copy()

@@ -60,7 +60,7 @@ _STATES = {
     ContactMode.CLOSED: ContactState.TOUCHING,
     ContactMode.STICKING: ContactState.STICKING,
     ContactMode.SLIDING: ContactState.SLIDING,
-    ContactMode.LIMIT: ContactState.AT_BOUND,
+    ContactMode.AT_BOUND: ContactState.AT_BOUND,
     ContactMode.HOLDING: ContactState.STICKING,
     ContactMode.AT_LOWER: ContactState.FORWARD,
     ContactMode.AT_UPPER: ContactState.BACKWARD,
@@ -87,6 +87,22 @@ class Hit:
 
 
 @dataclass(frozen=True)
+class Undecided:
+    """Why a transition has no next mode.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        ``NONE``: no motion obeys the contact laws; ``SEVERAL``: more than one does.
+    message : str
+        The same in a sentence, with the remedy.
+    """
+
+    verdict: Verdict
+    message: str
+
+
+@dataclass(frozen=True)
 class Decision:
     """Result of a transition.
 
@@ -98,8 +114,8 @@ class Decision:
         Forces that obey the contact laws, by row [N, N m].
     residual : float
         Largest residual of the complementarity problems that were solved, dimensionless.
-    trouble : str
-        Why there is no motion, or more than one; else empty.
+    undecided : Undecided or None
+        Where there is no motion, or more than one.
     hits : tuple of Hit
     energy : float
         Kinetic energy that the impact added [J], positive by rounding only.
@@ -110,7 +126,7 @@ class Decision:
     mode: Mode
     forces: dict[int, float]
     residual: float
-    trouble: str = ""
+    undecided: Undecided | None = None
     hits: tuple[Hit, ...] = ()
     energy: float = 0.0
     rested: tuple[int, ...] = ()
@@ -163,8 +179,8 @@ class Transition:
         hits, energy, rested = self._impact() if with_impacts else ([], 0.0, [])
         if hits:
             self._rows.update()
-        mode, forces, trouble = self._contact_modes()
-        return Decision(mode, forces, self._residual, trouble, tuple(hits), energy, tuple(rested))
+        mode, forces, undecided = self._contact_modes()
+        return Decision(mode, forces, self._residual, undecided, tuple(hits), energy, tuple(rested))
 
     # --- impacts ----------------------------------------------------------------------------------
 
@@ -251,12 +267,53 @@ class Transition:
 
     # --- contact modes ----------------------------------------------------------------------------
 
-    def _contact_modes(self) -> tuple[Mode, dict[int, float], str]:
-        """The next mode, forces, and why there are none."""
-        constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
-        states = [ContactState.OPEN] * len(constraints)
+    def _contact_modes(self) -> tuple[Mode, dict[int, float], Undecided | None]:
+        """The next mode, its forces by row, and why it is undecided, if it is."""
+        constraints = self._constraints
+        states, involved, slips = self._states_by_rates()
+        moving = tuple(
+            ContactState.OPEN if u in involved else state for u, state in enumerate(states)
+        )
+        set_constraint_forces(self._modes.full, moving)
+        if not involved:
+            return self._mode(states, (), frozenset(), {}), {}, None
+        fixed = self._directions_without_slip([u for u in involved if u not in slips])
+        unable_to_slip = {u for u in involved if fixed.issuperset(constraints[u].tangents or {-1})}
+        rows = [constraints[u].row for u in involved]
+        rows += [t for u in involved if u not in unable_to_slip for t in constraints[u].tangents]
+        at = {row: k for k, row in enumerate(rows)}
+        solution, response, pulling = self._solve(involved, rows, slips, fixed)
+        self._residual = max(self._residual, solution.residual)
+        directions = dict(slips)
+        for k, u in enumerate(involved):
+            touches = u in unable_to_slip
+            states[u] = ContactState.TOUCHING if touches else _STATES[solution.modes[k]]
+            if states[u] in (ContactState.SLIDING, ContactState.AT_BOUND) and u not in directions:
+                directions[u] = solution.directions[k]
+        self._let_slip(involved, at, states, directions, solution, response)
+        dropped = self._drop_unloaded(involved, rows, states, solution, response)
+        active = [
+            k
+            for k in solution.active_rows
+            if k < len(rows) and k not in dropped and rows[k] not in fixed
+        ]
+        self._keep_closed(involved, at, states, directions, active, solution, response)
+        held = tuple(sorted(rows[k] for k in active))
+        every = [*rows, *self._modes.unilateral.bilateral]
+        forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
+        normals = [at[constraints[u].row] for u in involved]
+        mode = self._mode(states, held, pulling, directions)
+        return mode, forces, _undecided(solution, normals)
+
+    def _states_by_rates(self) -> tuple[list[ContactState], list[int], dict[int, np.ndarray]]:
+        """What the rates decide: states, constraints that forces decide, and unit slips of these.
+
+        Constraints that forces decide are open here, dry joints that they may hold move.
+        """
+        rates, rest = self._rows.rates.copy(), self._rows.rest_rate
+        states = [ContactState.OPEN] * len(self._constraints)
         involved, slips = [], {}
-        for u, constraint in enumerate(constraints):
+        for u, constraint in enumerate(self._constraints):
             still = max(rest, self._at_rest.get(u, 0.0))
             if constraint.kind == DRY_JOINT:
                 if abs(rates[constraint.row]) <= still:
@@ -271,25 +328,19 @@ class Transition:
                 speed = float(np.linalg.norm(slip))
                 if constraint.tangents and speed > still:
                     slips[u] = slip / speed
-        moving = tuple(
-            ContactState.OPEN if u in involved else state for u, state in enumerate(states)
-        )
-        set_constraint_forces(self._modes.full, moving)
-        if not involved:
-            return self._mode(states, (), frozenset(), {}), {}, ""
-        fixed = self._directions_without_slip([u for u in involved if u not in slips])
-        unable_to_slip = {u for u in involved if fixed.issuperset(constraints[u].tangents or {-1})}
-        rows = [constraints[u].row for u in involved]
-        rows += [t for u in involved if u not in unable_to_slip for t in constraints[u].tangents]
-        solution, response, pulling = self._solve(involved, rows, slips, fixed)
-        at = {row: k for k, row in enumerate(rows)}
-        self._residual = max(self._residual, solution.residual)
-        directions = dict(slips)
-        for k, u in enumerate(involved):
-            touches = u in unable_to_slip
-            states[u] = ContactState.TOUCHING if touches else _STATES[solution.modes[k]]
-            if states[u] in (ContactState.SLIDING, ContactState.AT_BOUND) and u not in directions:
-                directions[u] = solution.directions[k]
+        return states, involved, slips
+
+    def _let_slip(
+        self,
+        involved: list[int],
+        at: dict[int, int],
+        states: list[ContactState],
+        directions: dict[int, np.ndarray],
+        solution: ComplementaritySolution,
+        response: np.ndarray,
+    ) -> None:
+        """Let contacts at the bound of friction slide where the closed rows allow it."""
+        constraints = self._constraints
         closed = {at[constraints[u].row] for u in involved if constraints[u].bilateral}
         closed |= set(solution.active_rows)
         for u in involved:
@@ -298,19 +349,6 @@ class Transition:
                 slip[[at[t] for t in constraints[u].tangents]] = directions[u]
                 if can_move(response, slip, sorted(closed)):
                     states[u] = ContactState.SLIDING
-        dropped = self._drop_unloaded(involved, rows, states, solution, response)
-        active = [
-            k
-            for k in solution.active_rows
-            if k < len(rows) and k not in dropped and rows[k] not in fixed
-        ]
-        self._keep_closed(involved, at, states, directions, active, solution, response)
-        held = tuple(sorted(rows[k] for k in active))
-        normal = [at[constraints[u].row] for u in involved]
-        every = [*rows, *self._modes.unilateral.bilateral]
-        forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
-        mode = self._mode(states, held, pulling, directions)
-        return mode, forces, _trouble(solution, normal)
 
     def _mode(
         self,
@@ -514,20 +552,20 @@ def _law(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) ->
     )
 
 
-def _trouble(solution: ComplementaritySolution, normal: list[int]) -> str:
-    """Why the motion cannot continue; empty when it can.
+def _undecided(solution: ComplementaritySolution, normals: list[int]) -> Undecided | None:
+    """Why the motion cannot continue; None where it can.
 
     Several motions that agree in the accelerations of all gaps differ in how contacts share the
     load; the one with the smallest forces is taken.  Where they do not, one contact opens in one of
     them and pushes in the other.
     """
     if solution.verdict is Verdict.NONE:
-        return solution.message
+        return Undecided(Verdict.NONE, solution.message)
     if solution.verdict is not Verdict.SEVERAL:
-        return ""
-    rates = solution.rates[normal]
+        return None
+    rates = solution.rates[normals]
     size = SAME_MOTION * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
     for motion in solution.alternatives:
-        if np.max(np.abs(motion.rates[normal] - rates), initial=0.0) > size:
-            return solution.message
-    return ""
+        if np.max(np.abs(motion.rates[normals] - rates), initial=0.0) > size:
+            return Undecided(Verdict.SEVERAL, solution.message)
+    return None

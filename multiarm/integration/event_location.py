@@ -49,7 +49,8 @@ class GuardValues:
     struct, arrays : ndarray
         Of the system and of its step.
     write : Kernel
-        ``write(struct)`` writes the values of the guards at the state evaluated last.
+        ``write(struct)`` writes the values of the guards at the state evaluated last, and returns a
+        status.
     guards : Guards
     begin, end : float
         Of the step [s].
@@ -74,7 +75,8 @@ class GuardValues:
         """Values of all guards; NaN where the state cannot be evaluated."""
         if theta not in self._known:
             status = evaluate_in_step(self._struct, *self._step, theta)
-            self._write(self._struct)
+            if status == OK:
+                status = self._write(self._struct)
             values = self._guards.value * (self._guards.sign * self._signs)
             self._known[theta] = values if status == OK else np.full_like(values, np.nan)
         return self._known[theta]

@@ -4,7 +4,7 @@ A method is a tableau (:mod:`multiarm.tableaus`) and the kernel that makes a ste
 work arrays of its own.  The kernel is called by address with the struct of coefficients, step and
 work: it is compiled when a method of its kind is first used, and the loop knows no method's name.
 An explicit Runge-Kutta method is nothing but its tableau; another kind is a module with its step,
-and a line in :data:`KINDS`.
+and a line in :data:`STEP_KINDS`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _no_work(_data: Data, _step: Step) -> WorkArrays:
     return ()
 
 
-class Kind(NamedTuple):
+class StepKind(NamedTuple):
     """How methods of one kind make a step.
 
     Attributes
@@ -50,12 +50,12 @@ class Kind(NamedTuple):
     make_work: Callable[[Data, Step], WorkArrays] = _no_work
 
 
-KINDS: Mapping[int, Kind] = MappingProxyType(
+STEP_KINDS: Mapping[int, StepKind] = MappingProxyType(
     {
-        EXPLICIT: Kind(explicit_step),
-        SEMI_IMPLICIT: Kind(semi_implicit_step),
-        ROSENBROCK: Kind(rosenbrock_step, make_rosenbrock),
-        VARIATIONAL: Kind(variational_step, make_variational),
+        EXPLICIT: StepKind(explicit_step),
+        SEMI_IMPLICIT: StepKind(semi_implicit_step),
+        ROSENBROCK: StepKind(rosenbrock_step, make_rosenbrock),
+        VARIATIONAL: StepKind(variational_step, make_variational),
     }
 )
 
@@ -95,7 +95,7 @@ _address = cache(address_of)
 
 def make_stepping(data: Data, tableau: Tableau) -> Stepping:
     """Allocate for the steps of a system; compiles the step of this kind if need be."""
-    effects, kind = data.model.effects, KINDS[tableau.kind]
+    effects, kind = data.model.effects, STEP_KINDS[tableau.kind]
     works = 1 + len(effects.works)
     step = make_step(tableau, data.model.layout, data.struct, effects.states, works)
     known, work = coefficients(tableau, _address(kind.step)), kind.make_work(data, step)

@@ -26,7 +26,7 @@ from multiarm.dynamics.equations import evaluate_projected, evaluate_state
 from multiarm.dynamics.residuals import constraint_residual
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.dynamics.status import OK
-from multiarm.integration.projection import project
+from multiarm.integration.projection import cost_of_projection, project
 from multiarm.jit.kernels import cfunc, clear, copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
@@ -44,16 +44,17 @@ def evaluate_on_branch(struct, gap_tolerance, projected, alpha, beta):
     """:func:`multiarm.dynamics.equations.evaluate_state`, interpolated near a loss of rank.
 
     ``gap_tolerance`` is the gap that projection leaves [m]; ``projected`` says that the velocities
-    were projected right before.
+    were projected right before.  What interpolation takes is in ``data.interpolation.numbers``.
     """
     if projected:
         status = evaluate_projected(struct, alpha, beta)
     else:
         status = evaluate_state(struct, alpha, beta)
     data = open_data(struct)
+    data.interpolation.numbers.evaluations = 0
     if status != OK or data.solution.coupled_arms == 0:
         return status
-    data.interpolation.settings.gap = gap_tolerance
+    data.interpolation.numbers.gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)
 
 
@@ -73,6 +74,7 @@ def evaluate_near_singular(address, size, alpha, beta):
     restore_state(data)
     data.status.position_change, data.status.velocity_change = position_change, velocity_change
     # everything but the accelerations belongs to the state itself
+    data.interpolation.numbers.evaluations += 1
     status = evaluate_state(struct, alpha, beta)
     if status == OK and interpolated:
         exchange_solution(data)
@@ -106,10 +108,13 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         restore_state(data)
         ahead, start = (k if side % 2 == 0 else -k) * delay, data.interpolation.configuration
         retract_into(state.poses.shape[0], start, ahead, state.velocity, state.configuration)
-        if (
-            project(struct, data.interpolation.settings.gap) != OK
-            or evaluate_projected(struct, alpha, beta) != OK
-        ):
+        numbers = data.interpolation.numbers
+        status = project(struct, numbers.gap)
+        numbers.evaluations += cost_of_projection(data)
+        if status != OK:
+            return False
+        numbers.evaluations += 1
+        if evaluate_projected(struct, alpha, beta) != OK:
             return False
         there = max(there, solution.margin)
         fewest = min(fewest, solution.dependent)

@@ -16,7 +16,9 @@ Both are the node system with other right-hand sides (``f = 0``, ``c = -\varphi`
 ``-\dot\varphi``), so that each costs as much as an evaluation and stays linear in the arms.  Of
 deficient arms the factors for the velocities serve the evaluation that follows, too.
 Where the constraints lose rank, small gaps that no motion closes to first order (a flat
-parallelogram, redundant contacts) are left.
+parallelogram, redundant contacts) are left.  Constraints that depend on each other on the joints
+only (a loop of Bricard's) are independent off them, by as little as the gaps are large: the rank
+for the positions is decided with the largest gap as a bound, not to move along the motion itself.
 """
 
 from __future__ import annotations
@@ -121,7 +123,7 @@ def project_positions(
         clear(data.forces.f)
         for k in range(data.rows.c.size):
             data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap
-        status = solve_frictionless(struct)
+        status = solve_frictionless(struct, worst)
         if status != OK:
             return status
         reach = greatest(data.accelerations.a_j)
@@ -160,7 +162,7 @@ def project_velocities(struct):
     clear(data.forces.f)
     for k in range(data.rows.c.size):
         data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap_rate
-    status = solve_frictionless(struct)
+    status = solve_frictionless(struct, 0.0)
     if status != OK:
         return status
     data.status.velocity_change = greatest(data.accelerations.a)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence, Set
 
 from multiarm.dynamics.arrays import open_reports, open_system
 from multiarm.dynamics.equations import update_rows
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
     DriveMargin,
@@ -24,14 +25,14 @@ from multiarm.dynamics.guard_functions import (
 from multiarm.dynamics.guards import FORCES, Guard, count_events, judge_guards, write_values
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.geometry.records import Contact
 from multiarm.jit.kernels import INTS, cfunc, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import referenced, struct_at
 
 # Excesses below this are roundings [m, rad]; and pulls below this part of the largest force.
-ROUNDING, SMALL_PULL = 1e-9, 1e-6
+ROUNDED_EXCESS, SMALL_PULL = 1e-9, 1e-6
 
 
 def reporting_guards(
@@ -55,7 +56,7 @@ def reporting_guards(
                 guards += _contact_guards(layout.first_contact[i] + k, i, contact)
         for component, (lower, upper) in limits[arm].items():
             depth = RangeDepth(i, component, lower, upper)
-            guards.append(Guard(depth, ROUNDING, stops=False))
+            guards.append(Guard(depth, ROUNDED_EXCESS, stops=False))
     guards += [
         Guard(DriveMargin(joint, place), roundings, stops=False)
         for place, joint, roundings in drives
@@ -72,7 +73,7 @@ def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
     for body, surface in ((arm, contact.arm), (ON_OBJECT, contact.object)):
         if surface.patch is not None:
             depth = PatchDepth(row, body, packed_patch(surface.patch))
-            guards.append(Guard(depth, ROUNDING, stops=False))
+            guards.append(Guard(depth, ROUNDED_EXCESS, stops=False))
     return guards
 
 
@@ -80,34 +81,40 @@ def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
 def write_reports(struct: INTS):
     """Write the values of the guards that only report at the state evaluated last.
 
-    They are numbered by all rows; in a mode these have kinematics of their own.
+    They are numbered by all rows; in a mode these have kinematics of their own.  Returns ``OK`` or
+    ``CALLBACK_FAILED``.
     """
     model, data, _ = open_system(struct)
-    if data.modes.active:
-        rows = referenced(data.modes.full)
-        update_rows(rows)
-        model_of_all, full, _ = open_system(rows)
-        write_values(open_reports(struct), struct, data, model_of_all, full)
-    else:
+    if not data.modes.active:
         write_values(open_reports(struct), struct, data, model, data)
+        return CALLBACK_FAILED if data.status.failed else OK
+    rows = referenced(data.modes.full)
+    status = update_rows(rows)
+    model_of_all, full, _ = open_system(rows)
+    write_values(open_reports(struct), struct, data, model_of_all, full)
+    return status
 
 
 @cfunc
 def check_reports(address, size, h, _b):
-    """Check these guards at the end of a step of length ``h``."""
+    """Check these guards at the end of a step of length ``h``; returns a status."""
     struct = struct_at(address, size)
-    write_reports(struct)
-    judge_guards(open_reports(struct), h)
-    return OK
+    status = write_reports(struct)
+    if status == OK:
+        judge_guards(open_reports(struct), h)
+    return status
 
 
 @kernel
 def count_reports(struct, functions, h):
-    """Call :func:`check_reports` where there are such guards; returns how many report an event."""
+    """Call :func:`check_reports` where there are such guards.
+
+    Returns a status, and how many of them report an event.
+    """
     if functions.reports == 0:
-        return 0
-    call_cfunc(functions.reports, struct, h, 0.0)
-    return count_events(open_reports(struct))
+        return OK, 0
+    status = call_cfunc(functions.reports, struct, h, 0.0)
+    return status, count_events(open_reports(struct)) if status == OK else 0
 
 
 def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
@@ -117,7 +124,7 @@ def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
     """
     if not any(isinstance(guard.function, PatchDepth) for guard in data.model.guards):
         return []
-    write_reports(data.struct)
+    require_ok(data, write_reports(data.struct))
     off = []
     for guard, depth in zip(data.model.guards, data.guards.value.tolist(), strict=True):
         if isinstance(guard.function, PatchDepth) and depth < -guard.threshold:

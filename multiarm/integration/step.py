@@ -83,7 +83,7 @@ class Stage(Numbers):
         self.projects, self.latest, self.evaluations = False, math.inf, 0
 
 
-class Outcome(Numbers):
+class StepEnd(Numbers):
     """What the end of a step has shown, until the step is accepted."""
 
     reports: Int  # guards that report an event in it
@@ -95,7 +95,7 @@ class Step(NamedTuple):
 
     system: Ints1  # struct of the system
     stage: Stage
-    outcome: Outcome
+    at_end: StepEnd
     # state at the beginning, at the end before projection, at a stage, after projection: (D,)
     z: Floats1
     z_new: Floats1
@@ -164,7 +164,7 @@ def make_step(
     return Step(
         system=system,
         stage=stage,
-        outcome=Outcome(),
+        at_end=StepEnd(),
         z=np.zeros(size),
         z_new=np.zeros(size),
         z_stage=np.zeros(size),
@@ -219,6 +219,7 @@ def evaluate_slope(struct, stage, t, z, base, slope):
     data.time.now = min(t, stage.latest)
     if stage.projects:
         status = evaluate_on_branch(struct, stage.gap, True, stage.alpha, stage.beta)
+        stage.evaluations += data.interpolation.numbers.evaluations
     else:
         status = evaluate_state(struct, stage.alpha, stage.beta)
     if status == OK:

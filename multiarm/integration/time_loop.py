@@ -148,7 +148,9 @@ def begin_run(struct: INTS):
     Returns a status.
     """
     model, data, _ = open_system(struct)
-    count_reports(struct, data.functions, 0.0)
+    status, _ = count_reports(struct, data.functions, 0.0)
+    if status != OK:
+        return status
     status = call_cfunc(data.functions.record, struct, 0.0, 0.0)
     write_step_end(struct, model, data)
     accept_step_end(struct, data)
@@ -179,7 +181,9 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
     data.time.now = t
     clock.evaluations += 1
     if projects:
-        return evaluate_on_branch(struct, settings.gap_tolerance, not projected, alpha, beta)
+        status = evaluate_on_branch(struct, settings.gap_tolerance, not projected, alpha, beta)
+        clock.evaluations += data.interpolation.numbers.evaluations
+        return status
     return evaluate_state(struct, alpha, beta)
 
 
@@ -338,13 +342,13 @@ def complete_step(method, step, clock, settings, h, end):
         if data.modes.event:
             status = prepare_dense(method, step, t, h)
             return EVENT if status == OK else status
-    step.outcome.reports = count_reports(struct, data.functions, h)
-    if data.status.failed:
-        return CALLBACK_FAILED
-    step.outcome.limited = False
+    status, step.at_end.reports = count_reports(struct, data.functions, h)
+    if status != OK:
+        return status
+    step.at_end.limited = False
     if settings.adaptive and math.isfinite(method.stability):
         write_chart(data, step.base, step.z_next)
-        step.outcome.limited = limited_by_stability(method, step, step.z_next, h)
+        step.at_end.limited = limited_by_stability(method, step, step.z_next, h)
     write_step_end(struct, model, data)
     if not math.isinf(latest):
         after = max(end, breakpoint_at(clock, settings, end))
@@ -357,7 +361,7 @@ def complete_step(method, step, clock, settings, h, end):
     write_new_chart(data, step.base_next, step.z_next)
     works = chart_places(data).works
     copy(step.z_new[works:], step.z_next[works:])
-    if due < end - CLOSE_IN_STEP * h or step.outcome.reports > 0:
+    if due < end - CLOSE_IN_STEP * h or step.at_end.reports > 0:
         return prepare_dense(method, step, t, h)
     return OK
 
@@ -369,10 +373,10 @@ def accept_step(method, step, clock, settings, h, end, error):
     if data.functions.accept != 0:
         call_cfunc(data.functions.accept, struct, 0.0, 0.0)
     accept_step_end(struct, data)
-    clock.reports = step.outcome.reports
+    clock.reports = step.at_end.reports
     count_solution(data.last_step.solution, clock)
     if settings.adaptive and math.isfinite(method.stability):
-        count_stiff_steps(clock, step.outcome.limited, end)
+        count_stiff_steps(clock, step.at_end.limited, end)
     copy(step.z_next, step.z)
     copy(step.base_next, step.base)
     copy(step.slope_next, step.slope)

@@ -186,7 +186,7 @@ def find_velocities(step, work, t, h):
             rolls = open_code(model.contacts.codes[k]).kind == TANGENT
             rate = open_contact(data.rows.kinematics[k]).gap_rate
             data.rows.c[k] = -rate if rolls else work.gap[k]
-        status = solve_frictionless(step.system)
+        status = solve_frictionless(step.system, 0.0)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED
         change = correct_unknowns(work, data, iteration)
@@ -320,7 +320,7 @@ def end_step(step, work, t, h):
         return status
     copy(momentum, data.forces.f)
     clear(data.rows.c)
-    status = solve_frictionless(step.system)
+    status = solve_frictionless(step.system, 0.0)
     if status != OK:
         return status
     for k in range(work.xi.size):  # the chart's rotation vectors begin at zero

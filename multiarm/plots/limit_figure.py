@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from multiarm.plots.style import BLUE, GRID, INK, RED, STYLE
-from multiarm.results.limit_use import QUANTITIES, ROUNDING, JointUse, joint_uses
+from multiarm.results.limit_use import QUANTITIES, ROUNDED_SHARE, JointUse, joint_uses
 from multiarm.results.trajectory import Trajectory
 
 ROW, EDGES = 0.2, 0.9
@@ -52,7 +52,7 @@ def _most(use: JointUse) -> float | None:
 def _draw(axes: Axes, quantity: str, uses: list[JointUse]) -> None:
     shares = [getattr(use, quantity) for use in uses]
     values = np.array([0.0 if share is None else 100.0 * share.value for share in shares])
-    beyond = values > 100.0 * (1.0 + ROUNDING)
+    beyond = values > 100.0 * (1.0 + ROUNDED_SHARE)
     axes.set_title(quantity.capitalize())
     axes.barh(
         range(len(uses)), values, height=0.62, color=[RED if over else BLUE for over in beyond]

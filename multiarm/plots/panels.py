@@ -24,8 +24,8 @@ from multiarm.notation import count_of
 from multiarm.plots.style import INK, STYLE
 from multiarm.results.event_kinds import (
     ACTUATOR,
+    AT_LIMIT,
     FAMILIES,
-    LIMIT,
     LOST,
     MADE,
     OTHER,
@@ -45,7 +45,7 @@ _DASHES: dict[Family, tuple[float, ...]] = {
     LOST: (7, 2.5),
     SLIP: (1, 1.6),
     STICK: (5, 2, 1, 2),
-    LIMIT: (3, 1.5),
+    AT_LIMIT: (3, 1.5),
     ACTUATOR: (8, 2, 1, 2, 1, 2),
     OTHER: (1, 4),
 }

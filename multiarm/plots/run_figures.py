@@ -28,10 +28,11 @@ from multiarm.plots.style import (
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import channels_of
+from multiarm.results.channels import channels_of, work_channels
 from multiarm.results.contact_states import STATE_STYLES, ContactState
+from multiarm.results.energy import ENERGIES, energy_balance
 from multiarm.results.event_log import Event
-from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
+from multiarm.results.trajectory import Trajectory
 
 FIGURE_POINTS = 60_000
 """Points of all lines of a figure together: many arms get fewer points each."""
@@ -106,7 +107,7 @@ def energy(trajectory: Trajectory) -> Figure:
     start, potential_start = trajectory.energy_at_start, trajectory.read(ENERGIES[1], 0, 1).sum()
 
     def combine(kinetic: np.ndarray, potential: np.ndarray, work: np.ndarray) -> np.ndarray:
-        balance = kinetic + potential - start - work
+        balance = energy_balance(kinetic, potential, work, start)
         return np.column_stack([kinetic, potential - potential_start, work, balance])
 
     time, values = decimate(trajectory, ENERGIES, combine)

@@ -18,6 +18,7 @@ from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
 from multiarm.reports.pages import heading
 from multiarm.reports.run_facts import COURSE, SETTINGS, course_facts, figures_of, motion_facts
+from multiarm.results.channels import work_channels
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import printable, resolved, write_text
 from multiarm.results.limit_use import (
@@ -29,7 +30,7 @@ from multiarm.results.limit_use import (
     peaks,
     percent,
 )
-from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
+from multiarm.results.trajectory import Trajectory, require_trajectory
 from multiarm.scene.text import parse_yaml
 
 SHOWN_EVENTS = 200

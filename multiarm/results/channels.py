@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,23 @@ Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
 FLOOR = "floor"
 """In place of an arm: contacts of the object with its surroundings."""
+OBJECT, ARMS, ENVIRONMENT, EFFECTS = "object", "arms", "environment", "effects"
+"""Groups of channels; others, such as ``energy``, are of the whole run."""
+
+
+class Owner(NamedTuple):
+    """Whose quantity a channel has.
+
+    Attributes
+    ----------
+    group : str
+        The first part of the channel's name; empty for the time.
+    name : str
+        Of the arm or the effect; empty in groups that have one owner only.
+    """
+
+    group: str
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -43,6 +61,22 @@ class Channel:
                 f"channel name {self.name!r} has an empty, '.' or '..' part; "
                 "name the arm with letters, digits, '_' or '-'"
             )
+
+    @cached_property
+    def _path(self) -> tuple[Owner, str]:
+        """Owner and quantity; names of arms may have several parts."""
+        path, _, quantity = self.name.rpartition("/")
+        return Owner(*path.split("/", 1)), quantity
+
+    @property
+    def owner(self) -> Owner:
+        """Whose quantity it is."""
+        return self._path[0]
+
+    @property
+    def quantity(self) -> str:
+        """What it is of its owner, such as ``contact_force``."""
+        return self._path[1]
 
     @cached_property
     def width(self) -> int:
@@ -99,20 +133,34 @@ def first_fault(channels: Sequence[Channel], columns: Columns, rows: np.ndarray)
     )
 
 
-def arm_names(channels: Iterable[str]) -> tuple[str, ...]:
+def arm_channel(arm: str, quantity: str) -> str:
+    """Name of the channel of an arm's quantity."""
+    return f"{ARMS}/{arm}/{quantity}"
+
+
+def arm_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
     """Names of the arms that have channels, in the order of the scene."""
-    arms = (name for name in channels if name.startswith("arms/"))
-    return tuple(dict.fromkeys(name.removeprefix("arms/").rpartition("/")[0] for name in arms))
+    owners = (channel.owner for channel in channels.values())
+    return tuple(dict.fromkeys(owner.name for owner in owners if owner.group == ARMS))
 
 
-def channels_of(channels: Iterable[str], quantity: str) -> dict[str, str]:
+def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str]:
     """Arm, or "floor" -> name of its channel of a quantity, of the channels of a run."""
-    known = dict.fromkeys(channels)
-    names = {arm: f"arms/{arm}/{quantity}" for arm in arm_names(known)}
-    channel_of = {arm: name for arm, name in names.items() if name in known}
-    if f"environment/{quantity}" in known:
-        channel_of.setdefault(FLOOR, f"environment/{quantity}")  # an arm may have this name
-    return channel_of
+    of_quantity = [channel for channel in channels.values() if channel.quantity == quantity]
+    names = {c.owner.name: c.name for c in of_quantity if c.owner.group == ARMS}
+    for channel in of_quantity:
+        if channel.owner.group == ENVIRONMENT:
+            names.setdefault(FLOOR, channel.name)  # an arm may have this name
+    return names
+
+
+def work_channels(channels: Mapping[str, Channel]) -> dict[str, str]:
+    """Effect -> name of the channel of its work, of the channels of a run."""
+    return {
+        channel.owner.name: channel.name
+        for channel in channels.values()
+        if channel.owner.group == EFFECTS and channel.quantity == "work"
+    }
 
 
 def trajectory_channels(

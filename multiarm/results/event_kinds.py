@@ -29,7 +29,7 @@ class Family:
         return tuple(kind.word for kind in EventKind if kind.family is self)
 
 
-MADE, LOST, SLIP, STICK, LIMIT, ACTUATOR, OTHER = FAMILIES = (
+MADE, LOST, SLIP, STICK, AT_LIMIT, ACTUATOR, OTHER = FAMILIES = (
     Family("contact made", "\N{BLACK DOWN-POINTING TRIANGLE}", "#1f9d57"),
     Family("contact lost", "\N{WHITE UP-POINTING TRIANGLE}", "#d1495b"),
     Family("slip", "\N{WHITE DIAMOND}", "#d07c1e"),
@@ -86,16 +86,16 @@ class EventKind(Enum):
     JOINT_STICKS = "joint sticks", STICK, "dry friction holds a joint"
     REACHES_LIMIT = (
         "reaches its limit",
-        LIMIT,
+        AT_LIMIT,
         "a joint comes to the end of its range and stays there",
     )
-    LEAVES_LIMIT = "leaves its limit", LIMIT, "a joint moves away from the end of its range"
+    LEAVES_LIMIT = "leaves its limit", AT_LIMIT, "a joint moves away from the end of its range"
     PASSES_LIMIT = (
         "passes its limit",
-        LIMIT,
+        AT_LIMIT,
         "a joint passes the end of its range, which the scene does not name",
     )
-    RETURNS_TO_RANGE = "is back within its limit", LIMIT, "a joint has returned to its range"
+    RETURNS_TO_RANGE = "is back within its limit", AT_LIMIT, "a joint has returned to its range"
     SATURATES = "saturates", ACTUATOR, "a drive comes to the limit of its torque"
     UNSATURATES = "is no longer saturated", ACTUATOR, "a drive is below its limit again"
     LOSES_DIRECTION = (

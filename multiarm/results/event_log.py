@@ -1,9 +1,9 @@
 """Events of a run: the first ones are listed, the others counted; their text.
 
-An event of `Trajectory.events` is a dict with ``time`` [s], ``kind`` and ``text``, and, where they
-apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``, ``where`` (world
-[m]), ``before`` and ``after``: named numbers whose unit ends the name, as in ``gap_rate_m_s``, or
-words.
+An event of `Trajectory.events` is a dict with ``time`` [s], ``kind``, ``text`` (and ``what``, the
+text without arm, contact and joint), and, where they apply, ``arm`` ("floor" for the object's own
+contacts), ``contact`` or ``joint``, ``where`` (world [m]), ``before`` and ``after``: named numbers
+whose unit ends the name, as in ``gap_rate_m_s``, or words.
 
 A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
 by kind, so that neither a result nor its message grows with them. Figures and replays show a
@@ -74,9 +74,12 @@ class RunEvent:
     time : float
         [s]
     kind : EventKind
-    text : str
+    words : str
+        What happened, where the word of the kind does not say it all.
     arm : str
         Empty for none, as ``contact`` and ``joint``; "floor" for the object's own contacts.
+    body : {"", "object", "arm"}
+        Whose surface a contact has left, or come back to.
     where : tuple of float or None
         World [m].
     sides : tuple of Side or None
@@ -87,23 +90,54 @@ class RunEvent:
 
     time: float
     kind: EventKind
-    text: str
+    words: str = ""
     arm: str = ""
     contact: str = ""
     joint: str = ""
+    body: str = ""
     where: tuple[float, ...] | None = None
     sides: tuple[Side, Side] | None = None
     turns: bool = False
+
+    @property
+    def who(self) -> str:
+        """Arm, contact or joint: ``left: fingertip_2``; empty for none."""
+        return ": ".join(name for name in (self.arm, self.contact or self.joint) if name)
+
+    @property
+    def what(self) -> str:
+        """What happened: ``leaves its patch (on the object)``."""
+        return (self.words or self.kind.word) + self._on_body
+
+    @property
+    def text(self) -> str:
+        """The event in words."""
+        if not self.who:
+            return self.what
+        return f"{self.who}{' ' if self.contact or self.joint else ': '}{self.what}"
+
+    @property
+    def subject(self) -> str:
+        """Whose event it is, for a clause that says what its kind means; or all its words."""
+        if self.words:
+            return self.text
+        return self.who + self._on_body
+
+    @property
+    def _on_body(self) -> str:
+        return f" (on the {self.body})" if self.body else ""
 
     def entry(self) -> Event:
         """The event as results have it."""
         names = {"arm": self.arm, "contact": self.contact, "joint": self.joint}
         before, after = (None, None) if self.sides is None else map(self._entry_of, self.sides)
         where = None if self.where is None else list(self.where)
-        optional = {"before": before, "after": after, "text": self.text, "where": where}
+        optional = {"before": before, "after": after, "where": where}
         return {
             "time": self.time,
             "kind": self.kind.word,
+            "text": self.text,
+            "what": self.what,
             **{key: name for key, name in names.items() if name},
             **{key: value for key, value in optional.items() if value is not None},
         }
@@ -156,7 +190,7 @@ class EventLog:
             first: dict[str, float] = {}
             for event in self.listed:
                 if event.kind is kind:
-                    first.setdefault(event.text.replace(f" {kind.word}", ""), event.time)
+                    first.setdefault(event.subject, event.time)
             if first:
                 names = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
                 clauses.append(f"{meaning}: {_some(names)}")
@@ -192,12 +226,11 @@ def who(event: Event) -> str:
 
 
 def what(event: Event) -> str:
-    """What happened: the event's text without the part that `who` gives."""
-    text, whose = str(event["text"]), who(event)
-    for opening in (f"{whose} ", f"{event.get('arm')}: "):
-        if whose and text.startswith(opening) and len(text) > len(opening):
-            return text[len(opening) :]
-    return text
+    """What happened, without what :func:`who` gives.
+
+    Earlier versions stored both in one text: of their events it is the kind, if it is somebody's.
+    """
+    return str(event.get("what", event["kind"] if who(event) else event["text"]))
 
 
 def change(event: Event) -> str:

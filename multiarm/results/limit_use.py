@@ -24,14 +24,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel
+from multiarm.results.channels import Channel, arm_channel
 
 LIMITS = "joint_limits"
 """Entry of a run's provenance: arm -> limits of its joints, see :func:`limits_record`."""
 _CHANNELS = {"effort": "joint_torque", "speed": "joint_velocity", "range": "joint_position"}
 QUANTITIES = tuple(_CHANNELS)
 """What a joint has limits of."""
-ROUNDING = 1e-6
+ROUNDED_SHARE = 1e-6
 """A share beyond 1 by less is at the limit: drives cut off there, and joints stop there."""
 _REMEDIES = {
     "effort": "take a lighter object, a slower motion or a stronger robot, or let the drives give "
@@ -132,7 +132,7 @@ def joint_uses(trajectory: Samples) -> list[JointUse]:
     limits, channels = trajectory.provenance.get(LIMITS, {}), trajectory.channels
     uses = []
     for arm in trajectory.arm_names:
-        names = {quantity: f"arms/{arm}/{channel}" for quantity, channel in _CHANNELS.items()}
+        names = {quantity: arm_channel(arm, channel) for quantity, channel in _CHANNELS.items()}
         joints = next((channels[n].column_labels for n in names.values() if n in channels), ())
         shares = [
             _largest(trajectory, name, _bounds(limits, arm, quantity, len(joints)))
@@ -154,7 +154,7 @@ def peaks(uses: Sequence[JointUse]) -> dict[str, Peak | None]:
         shares = {use.joint: getattr(use, quantity) for use in uses}
         known = {joint: share for joint, share in shares.items() if share is not None}
         joint = max(known, key=lambda name: known[name].value, default="")
-        beyond = sum(share.value > 1.0 + ROUNDING for share in known.values())
+        beyond = sum(share.value > 1.0 + ROUNDED_SHARE for share in known.values())
         peak = known.get(joint)
         largest[quantity] = peak and Peak(joint, quantity, peak.value, peak.time, beyond)
     return largest

@@ -25,7 +25,8 @@ import numpy as np
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel, Columns, first_fault, in_sequence, recordable
 from multiarm.results.files import CLOSED, RunStatus
-from multiarm.results.trajectory import Outcome, Trajectory, plain
+from multiarm.results.outcome import Outcome, plain
+from multiarm.results.trajectory import Trajectory
 
 Metadata = dict[str, Any] | Callable[[], dict[str, Any]]
 """Provenance, see :func:`provenance`, or a function that returns it on access."""

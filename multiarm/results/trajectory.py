@@ -3,18 +3,16 @@
 A `Trajectory` is a read-only view of arrays in memory or of a file. A channel is read from the file
 on first use, so that memory holds only channels in use.
 
-Two quantities measure the quality of a run, both 0 when it is exact:
-
-    energy balance   E(t) - E(0) - W(t),   E = kinetic + potential, W = work since the start
-    drift            max |phi| and max |W^T v|, how far the contacts are from closing
+Two quantities measure the quality of a run, both 0 when it is exact: the energy balance
+(:mod:`multiarm.results.energy`), and the drift, max |phi| and max |W^T v|: how far the contacts are
+from closing.
 """
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -23,38 +21,16 @@ import numpy as np
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
-from multiarm.results.channels import Channel, arm_names, channels_of
+from multiarm.results.channels import Channel, arm_names, channels_of, work_channels
+from multiarm.results.energy import energy_at_start, energy_balance
 from multiarm.results.event_log import CLAUSE_SEPARATOR
 from multiarm.results.files import RunStatus, atomic_file
-from multiarm.results.limit_use import (
-    JointUse,
-    joint_uses,
-    largest_shares,
-    limit_summary,
-    percent,
-)
+from multiarm.results.limit_use import JointUse, joint_uses, largest_shares, percent
+from multiarm.results.outcome import Outcome, plain
+from multiarm.results.summary import summarise
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-
-ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
-"""Channels of which the energy balance is made."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended."""
-
-    status: RunStatus
-    message: str  # how it ended and, after a failure, the remedy
-    statistics: dict[str, Any] = field(default_factory=dict)  # steps, evaluations, wall_time_s, ...
-    events: list[dict[str, Any]] = field(default_factory=list)
-    certificate: dict[str, Any] | None = None
-    remarks: list[str] = field(default_factory=list)  # what a user should know besides, clauses
-
-    def __post_init__(self) -> None:
-        if self.status not in (known := tuple(RunStatus)):
-            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {known}")
 
 
 class Store(Protocol):
@@ -385,13 +361,13 @@ class Trajectory:
     @property
     def energy_balance(self) -> np.ndarray:
         """Energy gained since the start less the work done, shape (K,) [J]; 0 if exact."""
-        return self.energy - self.energy_at_start - self.work
+        energies = self.kinetic_energy, self.potential_energy, self.work
+        return energy_balance(*energies, self.energy_at_start)
 
     @property
     def energy_at_start(self) -> float:
         """Energy less work done at the first sample [J]: the energy at the start, if exact."""
-        kinetic, potential, work = (self.read(name, 0, 1).sum() for name in ENERGIES)
-        return float(kinetic + potential - work)
+        return energy_at_start(self)
 
     @property
     def position_drift(self) -> np.ndarray:
@@ -509,31 +485,7 @@ class Trajectory:
             limit); rank_lowest, rank_highest and coupled_steps. Numbers are finite; unknown ones
             are None.
         """
-        counted = (
-            "steps", "rejected_steps", "evaluations", "wall_time_s", "compile_time_s",
-            "realtime_factor", "error_estimate",
-        )  # fmt: skip
-        forces, wrenches = (
-            channels_of(self._store.channels, quantity) for quantity in ("contact_force", "wrench")
-        )
-        return {
-            "status": self.status,
-            "message": self.message,
-            "samples": len(self),
-            "duration_s": self._duration(),
-            **{key: plain(self._outcome.statistics.get(key)) for key in counted},
-            "position_drift_max_m": self._largest("drift/position"),
-            "velocity_drift_max_m_per_s": self._largest("drift/velocity"),
-            "energy_balance_max_J": self._largest_imbalance(),
-            "final_object_position": self._last("object/position"),
-            "final_object_quaternion_xyzw": self._last("object/quaternion_xyzw"),
-            "contact_force_max_N": {arm: self._largest(name) for arm, name in forces.items()},
-            "limit_use": limit_summary(self),
-            "wrench_max": {arm: self._largest_wrench(name) for arm, name in wrenches.items()},
-            "rank_lowest": plain(self._outcome.statistics.get("lowest_rank")),
-            "rank_highest": plain(self._outcome.statistics.get("highest_rank")),
-            "coupled_steps": plain(self._outcome.statistics.get("coupled_steps")),
-        }
+        return summarise(self)
 
     def save(self, path: str | os.PathLike) -> Path:
         """Write the trajectory to a file that `load_trajectory` reads; may be its own file.
@@ -580,52 +532,6 @@ class Trajectory:
             return self.channel(name) if name else np.empty((len(self), 0))
 
         return ByArm(quantity, names, read)
-
-    def _duration(self) -> float | None:
-        if not len(self):
-            return None
-        return float(self.read("time", len(self) - 1)[0] - self.read("time", 0, 1)[0])
-
-    def _last(self, name: str) -> list[float] | None:
-        return self.read(name, len(self) - 1)[0].tolist() if len(self) else None
-
-    def _largest(self, name: str) -> float | None:
-        peaks = [np.abs(values).max() for (values,) in self.blocks(name) if values.size]
-        return float(max(peaks)) if peaks else None
-
-    def _largest_wrench(self, name: str) -> dict[str, float | None]:
-        """The largest force and moment of a channel of wrenches, and their times."""
-        force, force_time = self._longest(name, slice(0, 3))
-        moment, moment_time = self._longest(name, slice(3, 6))
-        return {
-            "force_N": force,
-            "force_time_s": force_time,
-            "moment_N_m": moment,
-            "moment_time_s": moment_time,
-        }
-
-    def _longest(self, name: str, part: slice) -> tuple[float | None, float | None]:
-        """The largest length of a vector in a channel, and its time."""
-        longest, when = -1.0, 0.0
-        for time, values in self.blocks("time", name):
-            with np.errstate(over="ignore"):
-                lengths = np.hypot.reduce(values[:, part], axis=1)  # without overflow of squares
-            k = int(lengths.argmax())
-            if lengths[k] > longest:
-                longest, when = float(lengths[k]), float(time[k])
-        return (plain(longest), when) if len(self) else (None, None)
-
-    def _largest_imbalance(self) -> float | None:
-        if not len(self):
-            return None
-        start = self.energy_at_start
-        return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*ENERGIES)))
-
-
-def work_channels(channels: Iterable[str]) -> dict[str, str]:
-    """Effect -> name of the channel of its work, of the channels of a run."""
-    names = (name for name in channels if name.startswith("effects/") and name.endswith("/work"))
-    return {name.removeprefix("effects/").removesuffix("/work"): name for name in names}
 
 
 def require_trajectory(trajectory: Any, call: str) -> Trajectory:
@@ -685,18 +591,3 @@ def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:
     from multiarm.results.trajectory_file import amend
 
     amend(Path(path), plain(changes))
-
-
-def plain(value: Any) -> Any:
-    """The value in types of JSON; a number that is not finite becomes None."""
-    if value is None or isinstance(value, (str, int)):  # bool is an int
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, (dict, Mapping)):  # dict first: checks for abstract classes are slow
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
-    if isinstance(value, (list, Iterable)):
-        return [plain(item) for item in value]
-    return str(value)

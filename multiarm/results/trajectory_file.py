@@ -41,6 +41,7 @@ from multiarm.notation import count_of
 from multiarm.results.channels import (
     LARGEST,
     Channel,
+    arm_channel,
     arm_names,
     control_power_channel,
     recordable,
@@ -155,7 +156,9 @@ class TrajectoryReader(StoredFile):
             if self.channels.get(channel.name, channel).shape != channel.shape:
                 raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):
-            joints = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
+            joints = [
+                arm_channel(arm, f"joint_{name}") for name in ("position", "velocity", "torque")
+            ]
             if len({self.channels[name].shape for name in joints if name in self.channels}) > 1:
                 raise self.broken(f"channels of arm '{arm}' have different numbers of joints")
         times = self.file["time"][: self.samples]

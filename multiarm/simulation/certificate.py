@@ -52,12 +52,14 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.notation import Word, number
+from multiarm.results.channels import arm_channel
+from multiarm.results.energy import largest_imbalance
 from multiarm.results.files import RunStatus
-from multiarm.results.trajectory import ENERGIES, Trajectory
+from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.comparison import (
     FORCE,
-    KINDS,
+    OUTPUT_KINDS,
     POSITION,
     ROTATION,
     UNITS,
@@ -70,7 +72,7 @@ from multiarm.simulation.comparison import (
 
 SAFETY = 2.0
 """Of an estimate: covers reruns whose error is up to half of the run's."""
-ROUNDING = 1e-14
+ROUNDED_ESTIMATE = 1e-14
 """Floor of an estimate, relative to the values (at least 1 m, 1 rad, 1 N)."""
 
 
@@ -182,7 +184,7 @@ class Finding:
             "over_time": {
                 "time": comparison.time.tolist(),
                 **{
-                    kind: (SAFETY * values + ROUNDING).tolist()
+                    kind: (SAFETY * values + ROUNDED_ESTIMATE).tolist()
                     for kind, values in comparison.course.items()
                 },
             },
@@ -191,7 +193,9 @@ class Finding:
         }
 
 
-def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec) -> Finding:
+def assess(
+    data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec, begin: float = 0.0
+) -> Finding:
     """Estimate the errors of a run from a tightened rerun, and check the run itself.
 
     Parameters
@@ -202,11 +206,13 @@ def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec
     finer : Trajectory
         The rerun; where it ended early, the common part is compared.
     accuracy : AccuracySpec
+    begin : float
+        Time at which both begin [s].
     """
     comparison = compare(run, finer, undetermined_forces(data, run))
     required = _required(accuracy)
     estimated: dict[str, float | None] = {}
-    for kind in KINDS:
+    for kind in OUTPUT_KINDS:
         worst = comparison.worst(kind)
         estimated[kind] = None if worst is None else _estimate(worst, comparison.size(kind))
     lengths = {k: required[k] or estimated[k] or 0.0 for k in (POSITION, ROTATION)}
@@ -216,7 +222,7 @@ def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec
         estimated,
         comparison,
         check_run(data, run, comparison, lengths),
-        growth_rate(comparison.time - run.statistics["start_time_s"], apart),
+        growth_rate(comparison.time - begin, apart),
         complete=finer.status == RunStatus.COMPLETED and len(finer) == len(run),
     )
 
@@ -254,9 +260,9 @@ def unchecked(accuracy: AccuracySpec) -> dict[str, Any]:
     return {
         "met": False,
         "asked": _required(accuracy),
-        "estimated_error": dict.fromkeys(KINDS),
+        "estimated_error": dict.fromkeys(OUTPUT_KINDS),
         "by_output": {},
-        "over_time": {"time": [], **{kind: [] for kind in KINDS}},
+        "over_time": {"time": [], **{kind: [] for kind in OUTPUT_KINDS}},
         "checks": {},
         "growth_rate_per_s": None,
     }
@@ -296,13 +302,16 @@ def _energy_check(
     data: Data, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
 ) -> Check | None:
     """The energy check; None next to a posture where the energy cannot be evaluated."""
-    k, imbalance, exchanged = _worst_balance(run)
+    imbalance, k, exchanged = largest_imbalance(run)
     slack = 1e-13 * exchanged + _work_on_gaps(run)  # roundings of many steps
     try:
         state = sample_state(data.model.layout, run, k)
         units = data.model.coordinate_units
         off = np.array([accuracy[POSITION if unit == "m" else ROTATION] for unit in units])
-        names = ["object/twist", *(f"arms/{arm}/joint_velocity" for arm in data.model.arm_names)]
+        names = [
+            "object/twist",
+            *(arm_channel(arm, "joint_velocity") for arm in data.model.arm_names),
+        ]
         slow = np.concatenate([comparison.velocity[name] for name in names])
         explained = float(
             np.abs(_energy_gradient(data, state)) @ off + np.abs(_momenta(data, state)) @ slow
@@ -317,23 +326,9 @@ def _energy_check(
     )  # fmt: skip
 
 
-def _worst_balance(run: Trajectory) -> tuple[int, float, float]:
-    """Sample of the largest imbalance, the imbalance, and the largest energy or work [J]."""
-    begin = run.energy_at_start
-    worst, at, size, start = -1.0, 0, abs(begin), 0
-    for kinetic, potential, work in run.blocks(*ENERGIES):
-        balance = np.abs(kinetic + potential - begin - work)
-        k = int(np.argmax(balance))
-        if balance[k] > worst:
-            worst, at = float(balance[k]), start + k
-        size = max(size, *(float(np.abs(values).max()) for values in (kinetic, potential, work)))
-        start += len(kinetic)
-    return at, worst, size
-
-
 def _work_on_gaps(run: Trajectory) -> float:
     """Bound of the work of contact forces on gaps that are not closed [J]."""
-    forces = [f"arms/{arm}/contact_force" for arm in run.arm_names]
+    forces = [arm_channel(arm, "contact_force") for arm in run.arm_names]
     largest, gap, opened, before = 0.0, 0.0, 0.0, None
     for time, gaps, rates, *blocks in run.blocks(
         "time", "drift/position", "drift/velocity", *forces
@@ -378,7 +373,7 @@ def _required(accuracy: AccuracySpec) -> dict[str, float | None]:
 
 def _estimate(difference: float, size: float) -> float:
     """Estimated error from a difference of two runs, for values of this size."""
-    return SAFETY * difference + ROUNDING * max(1.0, size)
+    return SAFETY * difference + ROUNDED_ESTIMATE * max(1.0, size)
 
 
 def _listed(values: dict[str, float]) -> str:

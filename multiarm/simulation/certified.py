@@ -30,9 +30,10 @@ from multiarm.results.files import RunStatus
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory, amend_file, load_trajectory
 from multiarm.scene import AccuracySpec
-from multiarm.simulation.certificate import SAFETY, Finding, Reason, certificate, judge
-from multiarm.simulation.comparison import KINDS, LENGTHS
+from multiarm.simulation.certificate import SAFETY, Finding, Reason, assess, certificate
+from multiarm.simulation.comparison import LENGTHS, OUTPUT_KINDS
 from multiarm.simulation.driver import BUDGET, TOO_MANY, End
+from multiarm.simulation.record import RunStatistics
 from multiarm.simulation.run import carry_out
 from multiarm.simulation.setup import SMALLEST_TOLERANCE, Task
 from multiarm.terminal.progress import RunWatcher
@@ -57,34 +58,30 @@ class Attempt:
     """One run."""
 
     trajectory: Trajectory  # closed once it is no longer needed
+    statistics: RunStatistics
     path: Path | None
-    errors: Mapping[str, float | None]  # by kind of output; None until they are estimated
+    # by kind of output; None until they are estimated
+    errors: Mapping[str, float | None] = field(default_factory=lambda: dict.fromkeys(OUTPUT_KINDS))
 
     @property
     def tolerance(self) -> float:
-        """Largest accepted error of one step."""
-        return float(self.trajectory.statistics["tolerance"])
-
-    @property
-    def steps(self) -> int:
-        """Number of accepted steps."""
-        return int(self.trajectory.statistics["steps"])
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations."""
-        return int(self.trajectory.statistics["evaluations"])
-
-    @property
-    def compile_time(self) -> float:
-        """How long it waited for the compiler [s]."""
-        return float(self.trajectory.statistics["compile_time_s"])
+        """Largest accepted error of one step: runs of some accuracy choose their steps."""
+        assert self.statistics.tolerance is not None
+        return self.statistics.tolerance
 
     def row(self, returned: bool) -> dict[str, Any]:
         """Cost and errors for the certificate, in types of JSON."""
-        counted = self.trajectory.statistics
-        keys = ("tolerance", "integrator", "steps", "evaluations", "wall_time_s", "compile_time_s")
-        return {**{key: counted.get(key) for key in keys}, **self.errors, "returned": returned}
+        s = self.statistics
+        return {
+            "tolerance": s.tolerance,
+            "integrator": s.integrator,
+            "steps": s.steps,
+            "evaluations": s.evaluations,
+            "wall_time_s": s.wall_time_s,
+            "compile_time_s": s.compile_time_s,
+            **self.errors,
+            "returned": returned,
+        }
 
 
 class _Stopped(Exception):
@@ -116,8 +113,8 @@ class Attempts:
     def first(self) -> Trajectory:
         """Carry out the task as given."""
         sink = MemorySink() if self.out is None else Hdf5Sink(self.out)
-        trajectory = carry_out(self.task, sink, self.watcher).trajectory
-        self._attempts.append(Attempt(trajectory, self.out, dict.fromkeys(KINDS)))
+        trajectory, _, statistics = carry_out(self.task, sink, self.watcher)
+        self._attempts.append(Attempt(trajectory, statistics, self.out))
         return trajectory
 
     def certify(self) -> Trajectory:
@@ -146,7 +143,13 @@ class Attempts:
                 )
         candidate, finer = self._first_pair()
         while True:
-            finding = judge(self.task.data, candidate.trajectory, finer.trajectory, self._accuracy)
+            finding = assess(
+                self.task.data,
+                candidate.trajectory,
+                finer.trajectory,
+                self._accuracy,
+                self.task.begin,
+            )
             candidate.errors = finding.estimated
             if self._judged:
                 self._drop(self._judged[-1][0])
@@ -174,7 +177,7 @@ class Attempts:
                 if stop.reason != Reason.ROUNDING:
                     raise
         looser = self._rerun(TIGHTER * max(first.tolerance, SMALLEST_TOLERANCE))
-        if looser.steps > 0.95 * first.steps:
+        if looser.statistics.steps > 0.95 * first.statistics.steps:
             # the tolerance does not limit the steps: the difference of the runs means nothing
             raise _Stopped(Reason.ROUNDING, ROUNDING_WORDS)
         return looser, first
@@ -229,7 +232,7 @@ class Attempts:
         sink = MemorySink() if path is None else Hdf5Sink(path)
         try:
             task = self._with_shorter_steps(tolerance, coarser)
-            trajectory, end = carry_out(
+            trajectory, end, statistics = carry_out(
                 task,
                 sink,
                 lambda t: self.watcher.checking(t, number),
@@ -242,7 +245,7 @@ class Attempts:
         except BaseException:
             self._remove(path)
             raise
-        attempt = Attempt(trajectory, path, dict.fromkeys(KINDS))
+        attempt = Attempt(trajectory, statistics, path)
         self._attempts.append(attempt)
         if end is End.INTERRUPTED:
             raise _Stopped(Reason.INTERRUPTED, "")
@@ -262,7 +265,7 @@ class Attempts:
         if coarser is None:
             return self.task
         ratio = min(1.0, tolerance / coarser.tolerance) ** (1.0 / 8.0)  # as with order 8
-        before = coarser.trajectory.statistics["largest_step_s"] or math.inf
+        before = coarser.statistics.largest_step_s or math.inf
         return replace(self.task, longest_step=ratio * min(self.task.longest_step, before))
 
     def _rerun_file(self, number: int) -> Path | None:
@@ -296,8 +299,8 @@ class Attempts:
                 words = "the repetition with smaller tolerances was interrupted by the user"
             rows = [attempt.row(attempt is chosen) for attempt in self._attempts]
             changes["certificate"] = certificate(finding, self._accuracy, reason, words, rows)
-        waited = sum(attempt.compile_time for attempt in self._attempts)
-        changes["statistics"] = {**chosen.trajectory.statistics, "compile_time_s": waited}
+        waited = sum(attempt.statistics.compile_time_s for attempt in self._attempts)
+        changes["statistics"] = replace(chosen.statistics, compile_time_s=waited).as_dict()
         if chosen.path is None:
             return chosen.trajectory.with_outcome(**changes)
         return self._store(chosen, changes)
@@ -345,4 +348,4 @@ def _grown(rate: float | None, time: float) -> float:
 def _most(coarser: Attempt, tolerance: float) -> float:
     """How many evaluations a rerun may take: one that takes many more is limited by roundings."""
     tighter = max(coarser.tolerance / tolerance / TIGHTER, 1.0)
-    return 12.0 * tighter**0.25 * coarser.evaluations + BUDGET
+    return 12.0 * tighter**0.25 * coarser.statistics.evaluations + BUDGET

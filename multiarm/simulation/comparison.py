@@ -28,15 +28,17 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data
-from multiarm.results.channels import channels_of
+from multiarm.results.channels import arm_channel, channels_of
 from multiarm.results.trajectory import Trajectory
 
 POSITION, ROTATION, FORCE = "position_m", "rotation_rad", "force_N"
-KINDS = (POSITION, ROTATION, FORCE)
+OUTPUT_KINDS = (POSITION, ROTATION, FORCE)
 """Kinds of output for which an accuracy can be set."""
 LENGTHS = (POSITION, ROTATION)
 UNITS = {POSITION: "m", ROTATION: "rad", FORCE: "N"}
 
+VELOCITIES = ("twist", "joint_velocity")
+"""Of which the largest difference of each number is kept: those of the state."""
 BLOCK_SAMPLES = 4096
 
 
@@ -45,7 +47,7 @@ class Output:
     """Columns of a channel that are compared together."""
 
     noun: str  # what it is, such as ``joints``
-    kind: str  # one of ``KINDS``
+    kind: str  # one of ``OUTPUT_KINDS``
     channel: str
     columns: np.ndarray
     others: np.ndarray  # the columns of the other run
@@ -100,7 +102,7 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
         Output("object rotation", ROTATION, "object/quaternion_xyzw", turn, turn),
     ]
     for arm in run.arm_names:
-        joints = run.channels[f"arms/{arm}/joint_position"]
+        joints = run.channels[arm_channel(arm, "joint_position")]
         units = np.array(joints.column_units)
         for kind, noun in ((ROTATION, "joints"), (POSITION, "sliding joints")):
             columns = np.flatnonzero(units == UNITS[kind])
@@ -131,13 +133,13 @@ def compare(
         By arm: forces that are left out where the constraints are dependent.
     """
     outputs, samples = outputs_of(run, other), min(len(run), len(other))
-    velocities = [name for name in run.channels if name.endswith(("twist", "joint_velocity"))]
+    velocities = [c.name for c in run.channels.values() if c.quantity in VELOCITIES]
     contacts = sum(output.columns.size for output in outputs if output.kind == FORCE)
     result = {o.name: Difference(o.kind, o.noun, o.arm) for o in outputs}
     apart = {name: np.zeros(run.channels[name].shape) for name in velocities}
     width = max(1, -(-samples // 400))  # at most 400 points of the course, each of its worst sample
     times: list[float] = []
-    course: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    course: dict[str, list[float]] = {kind: [] for kind in OUTPUT_KINDS}
     work = 0.0
     rows = width * max(1, BLOCK_SAMPLES // width)
     for start in range(0, samples, rows):
@@ -145,7 +147,7 @@ def compare(
         time = run.read("time", start, stop)
         dependent = np.minimum(*(r.read("solver/rank", start, stop) for r in (run, other)))
         dependent = dependent < contacts
-        block = {kind: np.zeros(len(time)) for kind in KINDS}
+        block = {kind: np.zeros(len(time)) for kind in OUTPUT_KINDS}
         for output in outputs:
             first, second = (r.read(output.channel, start, stop) for r in (run, other))
             gaps = _apart(output, first, second)
@@ -244,7 +246,7 @@ def sample_state(layout: Layout, run: Trajectory, k: int) -> State:
         return run.read(name, k, k + 1)[0]
 
     joints = [
-        [read(f"arms/{arm}/joint_{what}") for arm in run.arm_names]
+        [read(arm_channel(arm, f"joint_{what}")) for arm in run.arm_names]
         for what in ("position", "velocity")
     ]
     pose = [read("object/position"), read("object/quaternion_xyzw")]

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
 
@@ -52,7 +53,7 @@ from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
 from multiarm.results.files import RunStatus
 from multiarm.scene import RunSpec
-from multiarm.simulation.event_handling import EventHandler
+from multiarm.simulation.event_handling import EventFailure, EventHandler
 from multiarm.simulation.guard_log import log_reports
 from multiarm.simulation.setup import Run, Task, control_end
 from multiarm.tableaus import METHODS
@@ -101,6 +102,21 @@ class Ending(NamedTuple):
     message: str
 
 
+class Return(NamedTuple):
+    """Why the loop has returned.
+
+    Attributes
+    ----------
+    reason : int
+        A status, see :mod:`multiarm.dynamics.status`.
+    failure : EventFailure or None
+        Of the event at which it has returned.
+    """
+
+    reason: int
+    failure: EventFailure | None = None
+
+
 class Driver:
     """Advances a run.
 
@@ -124,7 +140,7 @@ class Driver:
         self.wall, self.compilation = 0.0, compilation
         self.switch, self._pace = Switch(), Pace(run, task.spec)
         self._settings = struct_of(run.settings)
-        self._loaded: tuple[int, str] | None = None
+        self._loaded: Return | None = None
         self._span = task.data.model.control_span  # None, too, after the control has ended
 
     def load(self) -> None:
@@ -144,13 +160,13 @@ class Driver:
         started, compiled_before = running_time(), compile_time()
         next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
         try:
-            reason, fault = self._loaded or self.advance(BUDGET)
+            returned = self._loaded or self.advance(BUDGET)
             self._loaded = None
             while True:
-                ending = self._ending(reason, fault, interrupted(), most_evaluations)
+                ending = self._ending(returned, interrupted(), most_evaluations)
                 due = time.perf_counter() >= next_checkpoint
                 try:
-                    if ending or due or reason == BLOCK_FULL:
+                    if ending or due or returned.reason == BLOCK_FULL:
                         self.flush()
                     if due:
                         self.run.sink.checkpoint()
@@ -159,7 +175,7 @@ class Driver:
                     ending = Ending(End.FAILED, f"{where_of(self.run)}: {error}")
                 if ending:
                     return ending
-                reason, fault = self.advance(BUDGET)
+                returned = self.advance(BUDGET)
         finally:
             self.wall += running_time() - started
             self.compilation += compile_time() - compiled_before
@@ -186,19 +202,16 @@ class Driver:
         block[clock.sample - clock.block_first] = row
         clock.sample += 1
 
-    def advance(self, budget: int) -> tuple[int, str]:
-        """Call the loop with a budget of evaluations.
-
-        Returns why it stopped, and why the run cannot go on past an event there (else empty).
-        """
-        run, events, fault = self.run, self.events, ""
+    def advance(self, budget: int) -> Return:
+        """Call the loop with a budget of evaluations, and act where it has returned."""
+        run, events, failure = self.run, self.events, None
         reason = advance(run.stepping.struct, run.clock.struct, self._settings, run.block, budget)
         if self._span is not None and run.clock.t > self._span.end:
             run.log.add(control_end(self._span))
             self._span = None
         if events is not None and reason in (EVENT, STOPPED):
             self.event_stops += 1
-            fault = events.handle(run, reason == STOPPED)
+            failure = events.handle(run, reason == STOPPED)
             reason = BUDGET_USED
         if reason == STIFF:
             self.switch.begin_trial(run)
@@ -212,7 +225,7 @@ class Driver:
             log_reports(run.data, run.stepping, run.clock, run.log)
             if run.data.arrays.status.failed:
                 reason = CALLBACK_FAILED
-        return reason, fault
+        return Return(reason, failure)
 
     def observe(self, row: np.ndarray) -> int:
         """Evaluate where the run is, and write it as a row of samples; returns a status."""
@@ -220,22 +233,62 @@ class Driver:
         return observe(run.stepping.struct, run.clock.struct, self._settings, row)
 
     def _ending(
-        self, reason: int, fault: str, interrupted: bool, most_evaluations: float
+        self, returned: Return, interrupted: bool, most_evaluations: float
     ) -> Ending | None:
         """How the run ends where the loop has returned; None where it goes on."""
         run, where = self.run, where_of(self.run)
-        if reason == FINISHED:
+        if returned.reason == FINISHED:
             return Ending(End.COMPLETED, "the run reached its end")
         if interrupted:
             return Ending(End.INTERRUPTED, f"stopped by the user {where}")
-        if reason not in GOES_ON:
-            return failure_of(run, reason)
-        if fault:
-            return Ending(End.UNDECIDED, f"{where}: {fault}")
-        too_many = run.clock.evaluations > most_evaluations
-        if stalled := TOO_MANY if too_many else self._pace.judge(run, self.event_stops):
-            return Ending(End.STALLED, f"{where}: {stalled}")
+        if returned.reason not in GOES_ON:
+            return failure_of(run, returned.reason)
+        if returned.failure:
+            return Ending(End.UNDECIDED, f"{where}: {returned.failure.message}")
+        if run.clock.evaluations > most_evaluations:
+            return Ending(End.STALLED, f"{where}: {TOO_MANY}")
+        if stall := self._pace.stall(run, self.event_stops):
+            return Ending(End.STALLED, f"{where}: {stall.message}")
         return None
+
+
+@dataclass(frozen=True)
+class Stall:
+    """A run whose steps have become too short.
+
+    Attributes
+    ----------
+    steps : int
+        Judged steps; rejected ones and events count.
+    advanced : float
+        By which they have advanced the run [s].
+    next_step : float
+        [s]
+    most_steps : float
+        That it may take for ``unit`` [s].
+    unit : float
+    adaptive : bool
+        The method chooses the steps.
+    """
+
+    steps: int
+    advanced: float
+    next_step: float
+    most_steps: float
+    unit: float
+    adaptive: bool
+
+    @property
+    def message(self) -> str:
+        """The stall in a sentence, with remedies."""
+        loosen = "loosen `accuracy`, " if self.adaptive else ""
+        return (
+            f"{TOO_MANY}: the last {self.steps:,} steps, rejected ones and events counted, "
+            f"advanced it by {self.advanced:.2g} s, the next one is {self.next_step:.2g} s long; "
+            f"a pace of more than {self.most_steps:.2g} steps (`run.most_steps`) for "
+            f"{self.unit:.3g} s; {loosen}look for a control that jumps or oscillates, contacts "
+            f"that chatter or a singular posture there, or raise `most_steps`"
+        )
 
 
 class Pace:
@@ -247,8 +300,8 @@ class Pace:
         self._shortest = min(self._unit / self._most, SHORT_SHARE * chosen)
         self._steps, self._t = 0, run.settings.begin
 
-    def judge(self, run: Run, event_stops: int) -> str:
-        """Why the run is ended; empty while it advances fast enough.
+    def stall(self, run: Run, event_stops: int) -> Stall | None:
+        """Why the run is to end; None while it advances fast enough, or until it is judged again.
 
         ``event_stops``: how often the loop has stopped for an event.
         """
@@ -256,18 +309,11 @@ class Pace:
         steps = clock.steps + clock.rejected + EVENT_STEPS * event_stops
         judged, advanced = steps - self._steps, t - self._t
         if judged < JUDGED_STEPS:
-            return ""
+            return None
         self._steps, self._t = steps, t
         if advanced >= judged * self._shortest:
-            return ""
-        loosen = "loosen `accuracy`, " if run.settings.adaptive else ""
-        return (
-            f"{TOO_MANY}: the last {judged:,} steps, rejected ones and events counted, advanced it "
-            f"by {advanced:.2g} s, the next one is {run.clock.h:.2g} s long; a pace of more "
-            f"than {self._most:.2g} steps (`run.most_steps`) for {self._unit:.3g} s; {loosen}look "
-            f"for a control that jumps or oscillates, contacts that chatter or a singular posture "
-            f"there, or raise `most_steps`"
-        )
+            return None
+        return Stall(judged, advanced, clock.h, self._most, self._unit, run.settings.adaptive)
 
 
 class Switch:

@@ -9,8 +9,8 @@ continues with the same step.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -63,6 +63,29 @@ class Pending:
     guards: list[int]
 
 
+class EventFault(Enum):
+    """Why a run cannot go on past an event."""
+
+    ERROR = auto()  # the state there cannot be evaluated, or put on the contacts
+    UNDECIDED = auto()  # no mode follows, or more than one
+    TOO_MANY = auto()  # events at one time
+
+
+@dataclass(frozen=True)
+class EventFailure:
+    """An event that a run cannot go on past.
+
+    Attributes
+    ----------
+    fault : EventFault
+    message : str
+        The fault in a sentence, with the remedy.
+    """
+
+    fault: EventFault
+    message: str
+
+
 @dataclass(frozen=True)
 class _Participants:
     """Constraints of an event: arguments of :class:`multiarm.events.transition.Transition`."""
@@ -80,6 +103,8 @@ class EventHandler:
     ----------
     residual : float
         Largest residual of the complementarity problems.
+    count : int
+        Events so far.
     """
 
     def __init__(self, data: Data, tolerance: Tolerance | None, step: float | None, log: EventLog):
@@ -113,28 +138,24 @@ class EventHandler:
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
         decision = self._enter_mode(time, _Participants(touching, off_patch=off_patch))
         self._log_decision(time, decision, Mode((), ()))
-        if decision.trouble:
-            raise SolverError(f"at the start: {decision.trouble}")
+        if decision.undecided:
+            raise SolverError(f"at the start: {decision.undecided.message}")
         changed = decision.hits or given
         return self.modes.data, self.modes.data.get_state() if changed else None
 
-    def statistics(self) -> dict[str, Any]:
-        """Number of events, and largest residual of the complementarity problems."""
-        return {"contact_events": self.count, "complementarity_residual": self.residual}
-
     # --- events -----------------------------------------------------------------------------------
 
-    def handle(self, run: Run, stopped: bool) -> str:
+    def handle(self, run: Run, stopped: bool) -> EventFailure | None:
         """Locate an event, or decide the next mode where the run has ``stopped`` at one.
 
-        Returns why the run must end; empty when it continues.
+        Returns why the run must end; None where it continues.
         """
         try:
             return self.cross(run) if stopped else self.locate(run)
         except MultiarmError as error:
-            return str(error)
+            return EventFailure(EventFault.ERROR, str(error))
 
-    def locate(self, run: Run) -> str:
+    def locate(self, run: Run) -> EventFailure | None:
         """Locate the first event in the last step, and let the loop stop there."""
         numbers, guards, t = self.modes.numbers, self.modes.guards, run.clock.t
         begin, end = numbers.begin, numbers.end
@@ -144,7 +165,7 @@ class EventHandler:
         theta, changed = first_event(probe, guards.result.copy(), guards.level.copy())
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted
-            return ""
+            return None
         self._last_length = end - begin
         self._usual_length = max(self._usual_length, end - begin)
         time = begin + theta * (end - begin)
@@ -152,13 +173,13 @@ class EventHandler:
         if time - t <= max(1e-13, shortest_step(t)):
             return self.cross(run)
         run.clock.stop = time
-        return ""
+        return None
 
     def forget_pending(self) -> None:
         """Forget the event that was located: the run does not come to it."""
         self._pending, self.modes.numbers.muted = None, False
 
-    def cross(self, run: Run) -> str:
+    def cross(self, run: Run) -> EventFailure | None:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
         assert self._pending is not None, "the run stops at an event"
         pending, self._pending = self._pending, None
@@ -173,10 +194,16 @@ class EventHandler:
         )
         decision = self._enter_mode(t, participants, ended=before)
         self._log_decision(t, decision, before)
-        trouble = decision.trouble or self._limit_events(t)
-        if not trouble:
-            self._continue(run, decision)
-        return trouble
+        if decision.undecided:
+            return EventFailure(EventFault.UNDECIDED, decision.undecided.message)
+        if self._count_simultaneous(t) > MOST_SIMULTANEOUS:
+            return EventFailure(
+                EventFault.TOO_MANY,
+                f"{self._simultaneous} events at one time: contacts open and close without the "
+                f"motion getting on; lessen restitution or friction, or start elsewhere",
+            )
+        self._continue(run, decision)
+        return None
 
     def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
@@ -275,17 +302,12 @@ class EventHandler:
         self.count += len(events)
         self._log.add(*events)
 
-    def _limit_events(self, t: float) -> str:
-        """Count an event; returns why the run must end after 60 of them at one time, else empty."""
+    def _count_simultaneous(self, t: float) -> int:
+        """Count an event; returns how many there have been at its time."""
         if t - self._simultaneous_since > 1e-11 * max(1.0, t):
             self._simultaneous, self._simultaneous_since = 0, t
         self._simultaneous += 1
-        if self._simultaneous <= MOST_SIMULTANEOUS:
-            return ""
-        return (
-            f"{self._simultaneous} events at one time: contacts open and close without the "
-            f"motion getting on; lessen restitution or friction, or start elsewhere"
-        )
+        return self._simultaneous
 
 
 def _constraints(guards: list[Guard], *functions: type) -> set[int]:

@@ -26,7 +26,7 @@ from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import EventLog, RunEvent
 
 # Kinds of the events at which a guard falls below zero, and is above it again.
-KINDS = {
+GUARD_EVENTS = {
     PushingForce: (EventKind.PULLS, EventKind.PUSHES_AGAIN),
     RangeDepth: (EventKind.PASSES_LIMIT, EventKind.RETURNS_TO_RANGE),
     DriveMargin: (EventKind.SATURATES, EventKind.UNSATURATES),
@@ -58,17 +58,15 @@ def log_reports(data: Data, stepping: Stepping, clock: Clock, log: EventLog) -> 
 def _event(data: Data, g: int, time: float) -> RunEvent:
     """The event at which a guard changes its sign."""
     model, watched = data.model, data.model.guards[g].function
-    kind = KINDS[type(watched)][0 if data.guards.sign[g] > 0 else 1]
+    kind = GUARD_EVENTS[type(watched)][0 if data.guards.sign[g] > 0 else 1]
     time = float(time)
     if isinstance(watched, RangeDepth):
-        arm, name = model.arm_names[watched.arm], f"joint, {COMPONENTS[watched.component]}"
-        return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
+        joint = f"joint, {COMPONENTS[watched.component]}"
+        return RunEvent(time, kind, arm=model.arm_names[watched.arm], joint=joint)
     if isinstance(watched, DriveMargin):
-        arm = model.arm_names[model.layout.arm_of_joint(watched.joint)]
-        name = model.joint_name(watched.joint)
-        return RunEvent(time, kind, f"{arm}: {name} {kind.word}", arm, joint=name)
-    (arm, contact), where = model.owner(int(data.guards.held[watched.row])), ""
+        name = model.arm_names[model.layout.arm_of_joint(watched.joint)]
+        return RunEvent(time, kind, arm=name, joint=model.joint_name(watched.joint))
+    (arm, contact), body = model.owner(int(data.guards.held[watched.row])), ""
     if isinstance(watched, PatchDepth):
-        where = " (on the object)" if watched.body == ON_OBJECT else " (on the arm)"
-    text = f"{arm}: {contact.name} {kind.word}{where}"
-    return RunEvent(time, kind, text, arm, contact=contact.name)
+        body = "object" if watched.body == ON_OBJECT else "arm"
+    return RunEvent(time, kind, arm=arm, contact=contact.name, body=body)

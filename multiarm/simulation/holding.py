@@ -35,7 +35,7 @@ from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
 from multiarm.geometry.screws import lever_arm, row_scale
 from multiarm.programs import LinearRows
-from multiarm.results.limit_use import ROUNDING
+from multiarm.results.limit_use import ROUNDED_SHARE
 
 SIDES = 16
 """Of the polygon in a cone of friction."""
@@ -52,7 +52,7 @@ class EffortShares:
     @property
     def overloaded(self) -> bool:
         """Whether a joint is beyond its limit."""
-        return self.largest > 1.0 + ROUNDING
+        return self.largest > 1.0 + ROUNDED_SHARE
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from multiarm.dynamics.system import StartReport, System
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.notation import count_of
-from multiarm.results.trajectory import plain
+from multiarm.results.outcome import plain
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance

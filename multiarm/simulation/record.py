@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from multiarm.dynamics.system import System
@@ -13,6 +14,49 @@ from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, dump_scene
 from multiarm.simulation.driver import Driver
+
+
+@dataclass(frozen=True)
+class RunStatistics:
+    """What a run has taken so far; the fields are the keys of `Trajectory.statistics`.
+
+    None stands for what a run does not have: a tolerance of fixed steps, ranks before the first
+    step.  The counts of control samples and contact events are left out where there can be none.
+    """
+
+    integrator: str  # with which it ended
+    solver: str
+    arms: Mapping[str, str]  # arm -> who computes its terms
+    not_compiled: Mapping[str, str]  # arm -> why it is not compiled
+    stabilization: str
+    accuracy: float | Mapping[str, float] | None  # as it is written in the scene
+    tolerance: float | None  # smallest of one step
+    start_time_s: float
+    simulated_s: float
+    steps: int
+    ambiguous_steps: int  # at whose end friction leaves the motion open
+    rejected_steps: int
+    evaluations: int
+    projections: int
+    smallest_step_s: float | None
+    largest_step_s: float | None
+    error_estimate: float | None  # sum over the steps [m, rad]
+    coupled_steps: int  # at whose end some arms were not eliminated as a whole
+    lowest_rank: int | None
+    highest_rank: int | None
+    residual_max: float
+    correction_max: float
+    contact_events: int | None
+    complementarity_residual: float | None
+    control_samples: int | None
+    wall_time_s: float  # without compilation
+    compile_time_s: float
+    realtime_factor: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The statistics as results have them."""
+        optional = ("contact_events", "complementarity_residual", "control_samples")
+        return {k: v for k, v in vars(self).items() if v is not None or k not in optional}
 
 
 def open_sink(sink: Sink, system: System, spec: RunSpec, with_state: bool, **about: str) -> None:
@@ -42,42 +86,43 @@ def leave_undone(
     return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
-def run_statistics(driver: Driver) -> dict[str, Any]:
-    """What a run has taken so far, for its result."""
+def run_statistics(driver: Driver) -> RunStatistics:
+    """What a run has taken so far."""
     task, run, events, wall = driver.task, driver.run, driver.events, driver.wall
     sampling = task.data.model.sampling
     clock, settings, spec = run.clock, run.settings, task.spec
     backends = task.data.model.backends
     simulated = clock.t - settings.begin
-    return {
-        "integrator": run.stepping.tableau.name,
-        "solver": spec.solver,
-        "arms": backends.by_arm,
-        "not_compiled": backends.reasons,
-        "stabilization": spec.stabilization.kind,
-        "accuracy": None if spec.accuracy is None else spec.accuracy.written,
-        "tolerance": settings.tolerance if settings.adaptive else None,
-        "start_time_s": settings.begin,
-        "simulated_s": simulated,
-        "steps": clock.steps,
-        "ambiguous_steps": clock.ambiguous_steps,
-        "rejected_steps": clock.rejected,
-        "evaluations": clock.evaluations,
-        "projections": clock.projections,
-        "smallest_step_s": clock.smallest_step if clock.steps else None,
-        "largest_step_s": clock.largest_step if clock.steps else None,
-        "error_estimate": clock.error_sum if settings.adaptive else None,
-        "coupled_steps": clock.coupled_steps,
-        "lowest_rank": clock.lowest_rank if clock.steps else None,
-        "highest_rank": clock.highest_rank if clock.steps else None,
-        "residual_max": clock.worst_residual,
-        "correction_max": clock.worst_correction,
-        **({} if events is None else events.statistics()),
-        **({} if sampling is None else {"control_samples": clock.control_samples}),
-        "wall_time_s": wall,
-        "compile_time_s": driver.compilation,
-        "realtime_factor": simulated / wall if wall > 0.0 else None,
-    }
+    return RunStatistics(
+        integrator=run.stepping.tableau.name,
+        solver=spec.solver,
+        arms=backends.by_arm,
+        not_compiled=backends.reasons,
+        stabilization=spec.stabilization.kind,
+        accuracy=None if spec.accuracy is None else spec.accuracy.written,
+        tolerance=settings.tolerance if settings.adaptive else None,
+        start_time_s=settings.begin,
+        simulated_s=simulated,
+        steps=clock.steps,
+        ambiguous_steps=clock.ambiguous_steps,
+        rejected_steps=clock.rejected,
+        evaluations=clock.evaluations,
+        projections=clock.projections,
+        smallest_step_s=clock.smallest_step if clock.steps else None,
+        largest_step_s=clock.largest_step if clock.steps else None,
+        error_estimate=clock.error_sum if settings.adaptive else None,
+        coupled_steps=clock.coupled_steps,
+        lowest_rank=clock.lowest_rank if clock.steps else None,
+        highest_rank=clock.highest_rank if clock.steps else None,
+        residual_max=clock.worst_residual,
+        correction_max=clock.worst_correction,
+        contact_events=None if events is None else events.count,
+        complementarity_residual=None if events is None else events.residual,
+        control_samples=None if sampling is None else clock.control_samples,
+        wall_time_s=wall,
+        compile_time_s=driver.compilation,
+        realtime_factor=simulated / wall if wall > 0.0 else None,
+    )
 
 
 def _metadata(

@@ -23,7 +23,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import FOR_STIFF_SCENES, Driver, End, where_of
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.simulation.record import open_sink, run_statistics
+from multiarm.simulation.record import RunStatistics, open_sink, run_statistics
 from multiarm.simulation.setup import (
     Run,
     Task,
@@ -35,17 +35,19 @@ from multiarm.simulation.setup import (
 MESSAGE_LENGTH = 600  # [characters], including the summary of events
 
 
-class Carried(NamedTuple):
-    """A task that was carried out.
+class FinishedRun(NamedTuple):
+    """A run that has come to its end, or as far as it could.
 
     Attributes
     ----------
     trajectory : Trajectory
     end : End
+    statistics : RunStatistics
     """
 
     trajectory: Trajectory
     end: End
+    statistics: RunStatistics
 
 
 def carry_out(
@@ -54,7 +56,7 @@ def carry_out(
     progress: Callable[[float], None] | None = None,
     tighten: float = 1.0,
     most_evaluations: float = math.inf,
-) -> Carried:
+) -> FinishedRun:
     """Run a task once.
 
     Parameters
@@ -100,18 +102,22 @@ def carry_out(
         with suppress(TrajectoryError):
             driver.flush()
         sink.finish(
-            RunStatus.FAILED, f"{where_of(run)}: {error!r}", run_statistics(driver), log.entries()
+            RunStatus.FAILED,
+            f"{where_of(run)}: {error!r}",
+            run_statistics(driver).as_dict(),
+            log.entries(),
         )
         raise
     remarks = [*_stiffness_remarks(driver), *_ambiguity_remarks(run)]
     length = len(CLAUSE_SEPARATOR.join([message, *remarks]))
     remarks += log.remarks(MESSAGE_LENGTH - length)
+    statistics = run_statistics(driver)
     trajectory = sink.finish(
-        end.status, message, run_statistics(driver), log.entries(), remarks=remarks
+        end.status, message, statistics.as_dict(), log.entries(), remarks=remarks
     )
     if end is not End.INTERRUPTED:
         interrupt.deliver()  # it came too late to end the run
-    return Carried(trajectory, end)
+    return FinishedRun(trajectory, end, statistics)
 
 
 def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:

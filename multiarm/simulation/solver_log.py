@@ -55,10 +55,10 @@ class SolverLog:
                     what = words.get(arm, ())
                     events.append(_of_arm(float(t), arm, int(lost[i]), int(self._lost[i]), what))
                 else:
-                    where = f", {_nearest(data, i)}" if in_words else ""
-                    text = f"{arm}: passed a singular posture{where}"
+                    nearest = f", {_nearest(data, i)}" if in_words else ""
+                    told = f"passed a singular posture{nearest}"
                     kind = EventKind.PASSES_SINGULAR_POSTURE
-                    events.append(RunEvent(float(t), kind, text, arm))
+                    events.append(RunEvent(float(t), kind, told, arm))
         self._lost, self._rank = lost, rank
         self._added += len(events)
         self._log.add(*events)
@@ -81,10 +81,10 @@ class SolverLog:
 def _of_arm(t: float, arm: str, now: int, before: int, words: tuple[str, ...]) -> RunEvent:
     if now > before:
         what = "; ".join(words) or f"directions of its joint lost: {now}"
-        return RunEvent(t, EventKind.LOSES_DIRECTION, f"{arm}: {what}", arm)
+        return RunEvent(t, EventKind.LOSES_DIRECTION, what, arm)
     left = f", {now} still lost" if now else ""
-    text = f"{arm}: can move along its joint's directions again{left}"
-    return RunEvent(t, EventKind.REGAINS_DIRECTION, text, arm)
+    what = f"can move along its joint's directions again{left}"
+    return RunEvent(t, EventKind.REGAINS_DIRECTION, what, arm)
 
 
 def _nearest(data: Data, i: int) -> str:

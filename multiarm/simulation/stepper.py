@@ -173,7 +173,7 @@ class Stepper:
         for block in (*self._samples.blocks, self._observe()[None]):
             sink.append(block)
         message = f"advanced to t = {self.time:.9g} s"
-        statistics, events = run_statistics(driver), driver.run.log.entries()
+        statistics, events = run_statistics(driver).as_dict(), driver.run.log.entries()
         return sink.finish(RunStatus.COMPLETED, message, statistics, events).of(task.system.scene)
 
     # --- what it does -------------------------------------------------------------------------
@@ -190,11 +190,11 @@ class Stepper:
         """
         if state is not None:
             self._task = replace(self._task, state=self._task.system.checked(state))
-        self._broken = "the start could not be evaluated"
+        self._dead_end: Ending | None = Ending(End.FAILED, "the start could not be evaluated")
         # times are multiples of equal durations, so that they do not add up roundings
         self._from, self._count, self._duration = 0.0, 0, 0.0
         self._begin(None)
-        self._broken = ""
+        self._dead_end = None
 
     def advance(self, duration: float, torques: Torques | None = None) -> State:
         """Advance by a duration [s]; returns the state at its end.
@@ -222,8 +222,8 @@ class Stepper:
             raise SolverError(
                 f"advance: the duration must be greater than 0 s, got {shown(duration)}"
             )
-        if self._broken:
-            raise SolverError(f"{self._broken}; `reset` it")
+        if self._dead_end:
+            raise SolverError(f"{self._dead_end.message}; `reset` it")
         end = self._end_after(duration)
         if torques is None:
             check_control_span(self._task.data.model, 0.0, end)
@@ -231,7 +231,7 @@ class Stepper:
         self._extend(end)
         ending = self._driver.drive()
         if ending.end is End.UNDECIDED:
-            self._broken = ending.message
+            self._dead_end = ending
         if ending.end is not End.COMPLETED:
             self._fail(ending)
         return state_of(self._run, self._layout)
@@ -307,7 +307,7 @@ class Stepper:
     def _present(self, quantity: str) -> dict[str, np.ndarray]:
         """A quantity of each arm, and of the floor where it has one, there; copies."""
         if quantity not in self._places:
-            names = channels_of((channel.name for channel in self._channels), quantity)
+            names = channels_of({channel.name: channel for channel in self._channels}, quantity)
             columns = in_sequence(self._channels)
             self._places[quantity] = {arm: columns[name] for arm, name in names.items()}
         row = self._observe()

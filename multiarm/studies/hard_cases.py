@@ -23,8 +23,10 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.plots.decimation import decimate
 from multiarm.problems import Criterion, HardCase
+from multiarm.results.energy import ENERGIES, energy_balance
 from multiarm.results.files import RunStatus
-from multiarm.results.trajectory import ENERGIES, Trajectory, plain
+from multiarm.results.outcome import plain
+from multiarm.results.trajectory import Trajectory
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import unknown
 from multiarm.simulation.simulate import simulate
@@ -239,7 +241,7 @@ def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:
     start = trajectory.energy_at_start
 
     def combine(kinetic, potential, work, *others) -> np.ndarray:
-        return np.column_stack([kinetic + potential - start - work, *others])
+        return np.column_stack([energy_balance(kinetic, potential, work, start), *others])
 
     time_, values = decimate(
         trajectory, [*ENERGIES, *recorded.values()], combine, points=HISTORY_POINTS

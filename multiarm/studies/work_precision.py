@@ -33,7 +33,8 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.files import RunStatus
-from multiarm.results.trajectory import Trajectory, plain
+from multiarm.results.outcome import plain
+from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene
 from multiarm.studies.peers import (
     PEERS,

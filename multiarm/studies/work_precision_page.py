@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from multiarm.notation import number, short
 from multiarm.plots.style import GRID, INK, PALETTE, STYLE, inline_svg
 from multiarm.reports import pages
-from multiarm.results.trajectory import plain
+from multiarm.results.outcome import plain
 from multiarm.studies.reference import QUANTITIES
 from multiarm.studies.settings import BY_ACCURACY, OURS
 from multiarm.studies.tables import (

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import Family
 from multiarm.results.event_log import Event
-from multiarm.results.limit_use import ROUNDING
+from multiarm.results.limit_use import ROUNDED_SHARE
 from multiarm.viewer.mesh import Mesh
 
 SPIKE = 3.0  # times the usual force
@@ -63,7 +63,7 @@ class Dial:
     def passed_at(self) -> tuple[float, float]:
         """Values beyond which a limit is passed: a stop that is touched is not."""
         low, high = self.limits
-        slack = ROUNDING * (high - low) / 2.0  # of the share, as in `Trajectory.limit_use`
+        slack = ROUNDED_SHARE * (high - low) / 2.0  # of the share, as in `Trajectory.limit_use`
         return low - slack, high + slack
 
 

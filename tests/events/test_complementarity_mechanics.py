@@ -50,7 +50,7 @@ def test_a_block_sticks_below_the_bound_of_friction_and_slides_above(mu, part, a
 def test_a_block_at_the_bound_of_friction_is_at_the_limit():
     """The event at which slip begins: the force is there, slip is not."""
     solution = solve(np.eye(3), [-10.0, 3.0, 4.0], [Friction(0, (1, 2), 0.5)])
-    assert solution.modes == (ContactMode.LIMIT,) and solution.active_rows == (0,)
+    assert solution.modes == (ContactMode.AT_BOUND,) and solution.active_rows == (0,)
     np.testing.assert_allclose(solution.directions, [[0.6, 0.8]], atol=EXACT)
     np.testing.assert_allclose(solution.forces, [10.0, -3.0, -4.0], atol=1e-11)
 
@@ -218,7 +218,7 @@ def test_a_pushed_box_sticks_up_to_mu_times_its_weight(push, mu):
     assert any(sticking) == (push < mu * weight - 1e-6)
     if push == 90.0:
         # what the rear corners cannot hold the front ones do
-        assert solution.modes == (ContactMode.STICKING,) * 2 + (ContactMode.LIMIT,) * 2
+        assert solution.modes == (ContactMode.STICKING,) * 2 + (ContactMode.AT_BOUND,) * 2
 
 
 def test_a_light_corner_leaves_its_tangents_to_the_others():
@@ -282,7 +282,7 @@ def test_a_box_between_two_hands_is_held_while_friction_carries_its_weight(squee
 def test_a_box_between_two_hands_that_is_turned_slips_on_one_side_first():
     modes = {torque: solve(*grip(250.0, torque, 0.5)).modes for torque in (20.0, 60.0, 100.0)}
     assert set(modes[20.0]) == {ContactMode.STICKING}
-    assert set(modes[60.0]) == {ContactMode.STICKING, ContactMode.LIMIT}
+    assert set(modes[60.0]) == {ContactMode.STICKING, ContactMode.AT_BOUND}
     assert modes[100.0] == (ContactMode.STICKING,) * 4 + (ContactMode.SLIDING,) * 4
     for torque in modes:
         D, b, units = grip(250.0, torque, 0.5)

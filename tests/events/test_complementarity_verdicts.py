@@ -8,7 +8,7 @@ from laws import box, frictions, pushes, random_rows, violation
 
 from multiarm.events.complementarity import Bounded, ContactMode, Friction, Sliding, Verdict, solve
 from multiarm.events.complementarity.problem import build
-from multiarm.events.complementarity.solution import Motion, all_solutions, judge
+from multiarm.events.complementarity.solution import Motion, all_solutions, uniqueness
 from multiarm.events.complementarity.solvers import newton
 
 
@@ -101,7 +101,7 @@ def test_corners_that_share_a_sliding_load_leave_the_motion_unique():
     D, b, units = sliding_box(np.array([0.0, 0.0, -200.0, -45.0, 70.0, 0.0]))
     problem = build(D, b, units)
     assert np.linalg.matrix_rank(problem.G) == 3
-    assert judge(problem) is Motion.UNIQUE
+    assert uniqueness(problem) is Motion.UNIQUE
     solution = solve(D, b, units)
     assert solution.verdict is Verdict.UNIQUE and not solution.forces_unique
     assert ContactMode.RESTING in solution.modes

@@ -34,8 +34,8 @@ from multiarm.plots.run_figures import MOST_ROWS, spans
 from multiarm.reports.report import SHOWN_EVENTS, render
 from multiarm.results.channels import trajectory_channels
 from multiarm.results.contact_states import RECORDED_STATES, ContactState
-from multiarm.results.event_kinds import FAMILIES, OTHER, family_of
-from multiarm.results.event_log import change, counts, grouped, timed, what, who
+from multiarm.results.event_kinds import FAMILIES, OTHER, EventKind, family_of
+from multiarm.results.event_log import RunEvent, change, counts, grouped, timed, what, who
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import load_trajectory
 
@@ -55,7 +55,8 @@ NEW_KINDS = (
 
 def event(time, kind, arm="floor", contact="corner_1", **more):
     text = f"{arm}: {contact} {kind}"
-    return {"time": time, "kind": kind, "arm": arm, "contact": contact, "text": text, **more}
+    names = {"arm": arm, "contact": contact}
+    return {"time": time, "kind": kind, "text": text, "what": kind, **names, **more}
 
 
 def bounces(count, contact="corner_1", begin=1.0, end=2.0):
@@ -192,16 +193,22 @@ def test_before_and_after_are_told_with_units(before, after, words):
 
 
 def test_whose_event_it_is_is_told_once():
-    patch = event(1.0, "leaves its patch", arm="left", contact="tip")
-    patch["text"] += " (on the object)"
-    assert (who(patch), what(patch)) == ("left: tip", "leaves its patch (on the object)")
-    joint = {"time": 1.0, "kind": "saturates", "arm": "left", "joint": "elbow",
-             "text": "left: elbow saturates"}  # fmt: skip
-    assert (who(joint), what(joint)) == ("left: elbow", "saturates")
-    rank = {"time": 1.0, "kind": "rank falls", "text": "rank falls from 9 to 8"}
-    assert (who(rank), what(rank)) == ("", "rank falls from 9 to 8")
-    bare = {"time": 1.0, "kind": "x", "arm": "left", "text": "left: "}
-    assert what(bare) == "left: "
+    patch = RunEvent(1.0, EventKind.LEAVES_PATCH, arm="left", contact="tip", body="object")
+    assert patch.text == "left: tip leaves its patch (on the object)"
+    assert patch.subject == "left: tip (on the object)"
+    entry = patch.entry()
+    assert (who(entry), what(entry)) == ("left: tip", "leaves its patch (on the object)")
+    joint = RunEvent(1.0, EventKind.SATURATES, arm="left", joint="elbow")
+    assert (joint.text, joint.subject) == ("left: elbow saturates", "left: elbow")
+    assert (who(joint.entry()), what(joint.entry())) == ("left: elbow", "saturates")
+    arm = RunEvent(1.0, EventKind.LOSES_DIRECTION, "little motion along z", "left")
+    assert arm.text == arm.subject == "left: little motion along z"
+    assert (who(arm.entry()), what(arm.entry())) == ("left", "little motion along z")
+    rank = RunEvent(1.0, EventKind.RANK_FALLS, "rank falls from 9 to 8").entry()
+    assert (who(rank), what(rank), rank["text"]) == ("", *["rank falls from 9 to 8"] * 2)
+    earlier = {"time": 1.0, "kind": "slides", "arm": "left", "text": "left: slides a little"}
+    assert what(earlier) == "slides"
+    assert what({"time": 1.0, "kind": "rank falls", "text": "rank falls to 8"}) == "rank falls to 8"
 
 
 def test_a_contact_that_bounces_often_is_told_once():

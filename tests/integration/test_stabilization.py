@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mechanics import data_of, plain_gaps, plain_system, random_state, ur5_pair
 from repository import WORKED
+from steps import state_of
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
@@ -85,6 +86,27 @@ def test_an_evaluation_right_after_a_projection_is_that_of_the_state(name, rng):
         assert evaluate(data.struct, 0.0, 0.0) == OK
         results.append([*data.arrays.accelerations.a, *data.arrays.rows.force])
     np.testing.assert_array_equal(*results)
+
+
+@pytest.mark.parametrize("name", ["bricard", "eight_welded"])
+def test_projection_of_a_state_beside_the_joints_leads_back_to_the_next_state_on_them(name, rng):
+    """Newton's method in the metric of the inertia: from a distance d across the motion, it ends
+    within d^2 of where it began.  Bricard's loop has a constraint that is independent of the others
+    off the joints only; the direction that it binds there is that of the motion itself.
+    """
+    system = ma.compile_system(HARD_CASES[name].scene())
+    data = data_of(system)
+    on_joints = ma.simulate(system, 0.2, accuracy=1e-9, output_step=0.2, certificate=False)
+    state = state_of(system, on_joints, 1)
+    M, _, W, _ = plain_system(system, state)
+    across = np.linalg.solve(M, W @ rng.standard_normal(W.shape[1]))
+    across /= np.max(np.abs(across))
+    distances, errors = np.array([1e-3, 3e-4, 1e-4]), []
+    for d in distances:
+        data.set_state(0.0, state.displaced(d * across))
+        assert project(data.struct, 1e-13) == OK
+        errors.append(np.max(np.abs(data.arrays.state.configuration - state.position)))
+    assert np.all(errors < 10.0 * distances**2), errors
 
 
 # --- drift ---------------------------------------------------------------------------------------

@@ -436,6 +436,17 @@ def test_redundant_constraints_do_not_disturb_the_stiff_method(name):
     assert np.max(found.position_drift) < 1e-12
 
 
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_a_loop_closed_once_too_often_takes_few_attempts_with_long_steps(tolerance):
+    """The rank changes where the stages are off the joints: steps go on with projected ones, which
+    count as two evaluations; a third of the steps or less begins with an attempt without."""
+    system = ma.compile_system(HARD_CASES["bricard"].scene())
+    run = ma.simulate(system, 2.0, integrator="rodas5p", tolerance=tolerance, output_step=2.0)
+    s = run.statistics
+    assert s["rejected_steps"] <= s["steps"] / 3.0 + 1.0
+    assert s["evaluations"] < 20 * s["steps"]
+
+
 def test_contacts_that_slide_do_not_disturb_the_stiff_method():
     """A box on three feet, which a damped arm drags and turns: 11 evaluations a step, few steps."""
     scene = over_floor(0.0, mu=0.2, points=FEET).scene

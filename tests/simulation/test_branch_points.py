@@ -14,13 +14,16 @@ from linkages import LINKAGES, STEP, compiled, state_on
 from mechanics import data_of
 
 import multiarm as ma
-from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.equations import evaluate_state, keeps_factors
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK
+from multiarm.integration.methods import make_stepping
 from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
+from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import choose_stage_projection
 from multiarm.problems import loops
 from multiarm.problems.postures import stretched_and_released_scene
+from multiarm.tableaus import METHODS
 
 DURATION = 1.5
 STARTS = 5
@@ -188,6 +191,23 @@ def test_acceleration_near_the_flat_position_is_interpolated_to_order_six(name, 
     bound = 50.0 * OFFSET**6 + 1e-10  # sixth derivatives by the linkage's angle, roundings
     np.testing.assert_allclose(found[:3], exact, atol=bound * scale)
     assert data_of(system).arrays.solution.margin < ZONE
+
+
+@pytest.mark.parametrize(("off", "further"), [(1e-6, 13), (0.5, 5)])
+def test_an_evaluation_near_the_flat_position_counts_as_those_that_it_takes(off, further):
+    """Six neighbours are projected, which counts as one, and evaluated; then the state again.
+    Far from it two neighbours show that the rank is lost everywhere, which before a run is unknown.
+    """
+    _, system = accelerations("four_bar", math.pi + off, 6.0, 1e-13)
+    arrays = data_of(system).arrays
+    assert keeps_factors(arrays)
+    assert arrays.interpolation.numbers.evaluations == further
+    stepping = make_stepping(data_of(system), METHODS["dop853"])
+    step = stepping.step
+    begin_chart(data_of(system).struct, step.base, step.z)
+    step.stage.projects, step.stage.gap = True, 1e-13
+    assert write_slope(stepping.struct, 0.0, step.z, step.slope) == OK
+    assert step.stage.evaluations == 2 + further
 
 
 @pytest.mark.parametrize("off", [1e-9, -1e-8])

@@ -29,7 +29,7 @@ from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import amend_file
 from multiarm.scene import AccuracySpec, RunSpec, dump_scene, parse_scene
 from multiarm.simulation import certified as attempts
-from multiarm.simulation.certificate import SAFETY, judge
+from multiarm.simulation.certificate import SAFETY, assess
 from multiarm.simulation.certified import INTERRUPTED_WORDS
 from multiarm.simulation.comparison import compare, growth_rate, rotation_apart
 from multiarm.terminal.progress import RunProgress
@@ -350,10 +350,10 @@ def test_a_fault_that_both_runs_share_is_found_in_the_run_itself(ring, channel, 
         ma.simulate(ring, integrator="dop853", tolerance=tolerance, **SHORT)
         for tolerance in (1e-8, 3e-10)
     )
-    good = judge(data_of(ring), run, finer, AccuracySpec(position=1e-6, rotation=1e-6))
+    good = assess(data_of(ring), run, finer, AccuracySpec(position=1e-6, rotation=1e-6))
     assert good.met and all(found.passed for found in good.checks.values())
     spoilt = [tampered(r, **{channel: lambda t: size * t / 0.2}) for r in (run, finer)]
-    bad = judge(data_of(ring), *spoilt, AccuracySpec(position=1e-6, rotation=1e-6))
+    bad = assess(data_of(ring), *spoilt, AccuracySpec(position=1e-6, rotation=1e-6))
     assert bad.accurate and not bad.met
     assert [name for name, found in bad.checks.items() if not found.passed] == [check]
     assert words in bad.faults[0]
@@ -365,7 +365,7 @@ def test_the_energy_bound_follows_the_accuracy_asked(ring):
         for tolerance in (1e-8, 3e-10)
     )
     bounds = [
-        judge(data_of(ring), run, finer, AccuracySpec(position=a, rotation=a))
+        assess(data_of(ring), run, finer, AccuracySpec(position=a, rotation=a))
         .checks["energy"]
         .bound
         for a in (1e-4, 1e-6)

@@ -114,8 +114,10 @@ def test_steps_rejected_steps_and_events_count(steps, rejected, stops):
         clock.t += got_on * JUDGED_STEPS
         clock.steps, clock.rejected = clock.steps + steps, clock.rejected + rejected
         event_stops += stops
-        assert bool(pace.judge(run, event_stops)) is verdict
-        assert pace.judge(run, event_stops) == "", "until as many steps have been made again"
+        stall = pace.stall(run, event_stops)
+        assert (stall is not None) is verdict
+        assert not stall or stall.steps == JUDGED_STEPS
+        assert pace.stall(run, event_stops) is None, "until as many steps have been made again"
 
 
 @pytest.mark.parametrize(
@@ -145,11 +147,10 @@ def endless_events(monkeypatch):
 
     def cross(self, run):
         t = run.clock.t
-        events = [RunEvent(t, kind, kind.word, "floor") for kind in kinds]
+        events = [RunEvent(t, kind, arm="floor") for kind in kinds]
         self._log.add(*events)
         self.count += len(events)
         run.clock.stop = t + 1e-9
-        return ""
 
     monkeypatch.setattr(EventHandler, "cross", cross)
 
@@ -232,7 +233,7 @@ def test_a_log_counts_what_it_does_not_list():
 @pytest.mark.parametrize("room", [600, 200, 0, -50])
 def test_what_happened_fits_into_the_message(room):
     log = EventLog()
-    log.add(*(RunEvent(0.0, EventKind.PULLS, f"{k}: {'tip ' * 80} pulls") for k in range(9)))
+    log.add(*(RunEvent(0.0, EventKind.PULLS, arm=f"{k}: {'tip ' * 80}") for k in range(9)))
     (summary,) = log.remarks(room)
     assert len(summary) <= max(room, 60)
     assert summary.endswith("... (see `events`)")

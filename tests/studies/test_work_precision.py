@@ -21,7 +21,8 @@ from study_samples import no_samples
 import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.results.trajectory import Outcome, Trajectory
+from multiarm.results.outcome import Outcome
+from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import rotation_apart, sample_state
 from multiarm.studies import reference as references
 from multiarm.studies import work_precision as studies

@@ -26,7 +26,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.comparison import KINDS, LENGTHS, compare, undetermined_forces
+from multiarm.simulation.comparison import LENGTHS, OUTPUT_KINDS, compare, undetermined_forces
 from multiarm.simulation.run import Task, carry_out
 from multiarm.simulation.setup import run_spec
 from multiarm.simulation.simulate import simulate
@@ -136,7 +136,7 @@ def run_trial(seed: int) -> Trial:
     reference = _reference(system, other, run)
     again = _reference(system, "dop853" if own == "dopri5" else own, run)
     usable = reference is not run and again is not run
-    nothing: dict[str, float | None] = dict.fromkeys(KINDS)
+    nothing: dict[str, float | None] = dict.fromkeys(OUTPUT_KINDS)
     return Trial(
         seed,
         run.status,
@@ -229,7 +229,7 @@ def _reference(system: System, method: str, run: Trajectory) -> Trajectory:
         settings = {"integrator": method, "tolerance": tolerance}
         with system.borrow() as data:
             task = Task(system, data, run_spec(scene, settings), None, np.inf)
-            reference, _ = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS)
+            reference = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS).trajectory
         if reference.status == "completed":
             return reference
     return run  # which decides nothing
@@ -245,7 +245,7 @@ def _apart(system: System, run: Trajectory, other: Trajectory) -> dict[str, floa
     """Worst differences of two runs, by kind."""
     with system.borrow() as data:
         comparison = compare(run, other, undetermined_forces(data, run))
-    return {kind: comparison.worst(kind) for kind in KINDS}
+    return {kind: comparison.worst(kind) for kind in OUTPUT_KINDS}
 
 
 def _dense_agrees(

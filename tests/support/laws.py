@@ -105,7 +105,7 @@ def held_motion(D, b, units, solution):
             if row not in solution.active_rows:
                 continue
             column = np.eye(b.size)[row]
-            if mode in (ContactMode.SLIDING, ContactMode.LIMIT):
+            if mode in (ContactMode.SLIDING, ContactMode.AT_BOUND):
                 assert row == unit.row
                 column[list(unit.tangents)] = -unit.mu * direction
             columns.append(column)

@@ -8,8 +8,9 @@ import numpy as np
 from commands import MACHINE
 
 from multiarm.problems import ring_of_arms
+from multiarm.results.outcome import Outcome
 from multiarm.results.sinks import MemoryStore
-from multiarm.results.trajectory import Outcome, Trajectory
+from multiarm.results.trajectory import Trajectory
 from multiarm.studies.effect_costs import (
     CANDIDATE,
     FORCE,

@@ -51,6 +51,13 @@ HARDLY_ALIGNED = 1e-3
 # starts are up to 1e-6 off; a distance of 1e-5 is the largest at which the loop still moves.
 COUPLED_RANK_TOLERANCE = 1e-6
 
+# The same at a state with gaps, which a projection closes: singular values below this part of the
+# largest gap over the lever of the contacts may be due to the gaps alone, and count as zero up to
+# the second.  A correction that closed the gap along such a direction would be longer than three
+# levers, and lead to another point of the path.  If the direction is no such one, the gap along it
+# is left to the next corrections, after which the other gaps are smaller.
+RANK_PER_GAP, MOST_RANK_TOLERANCE = 0.3, 1e-3
+
 # Singular values below this fraction are rounding errors of gaps and sums: they say nothing about
 # the distance from a loss of rank.
 ROUNDED_SIGMA = 1e-10

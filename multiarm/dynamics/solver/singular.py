@@ -31,7 +31,8 @@ as it is, and the result is continuous with that of the regular path.
 *Rank.*  Some combinations of these forces may move neither the object nor an arm (dependent
 contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
 with the object measured in unit directions and lever arms, and each arm by its own ``sigma_best``:
-combinations that move less than ``COUPLED_RANK_TOLERANCE`` of these have no force.  Since the
+combinations that move less than ``COUPLED_RANK_TOLERANCE`` of these have no force (or more, at a
+state with gaps: constraints may depend on each other only where they are closed).  Since the
 directions are orthonormal combinations of the contacts, the contact forces have the least norm in
 newtons; contradicting constraints are met in the sense of least squares.
 """
@@ -49,6 +50,8 @@ from multiarm.dynamics.solver.bounds import (
     HARDLY_ALIGNED,
     IMMOVABLE,
     IMMOVABLE_BY_OBJECT,
+    MOST_RANK_TOLERANCE,
+    RANK_PER_GAP,
     ROUNDED_SIGMA,
     SPLIT_BY_ARM,
     SPLIT_BY_OBJECT,
@@ -238,9 +241,10 @@ def lever_length(W_o):
 
 
 @kernel
-def find_rank(work, coupled, lever):
+def find_rank(work, coupled, lever, gap):
     """Write an orthonormal basis of the unknowns outside the null space, and the rank."""
     basis, status = coupled.basis, coupled.status
+    tolerance = max(COUPLED_RANK_TOLERANCE, min(RANK_PER_GAP * gap / lever, MOST_RANK_TOLERANCE))
     p, rows = status.unknowns, NODE
     for u in range(p):
         for k in range(NODE):
@@ -259,7 +263,7 @@ def find_rank(work, coupled, lever):
         size = norm(basis[r], p)
         if size > ROUNDED_SIGMA:
             status.margin = min(status.margin, size)
-        if size > COUPLED_RANK_TOLERANCE:
+        if size > tolerance:
             for u in range(p):
                 basis[rank, u] = basis[r, u] / size
             rank += 1
@@ -289,11 +293,12 @@ def image_basis(work, coupled):
 
 
 @inlined
-def couple(work, coupled, W_o, object_inertia, decompose_all=False):
+def couple(work, coupled, W_o, object_inertia, decompose_all=False, gap=0.0):
     """Factor a system with deficient arms, after
     :func:`multiarm.dynamics.solver.node.eliminate_arms`.
 
-    With ``decompose_all`` no arm is eliminated as a whole, whatever its pivots are.  Returns the
+    With ``decompose_all`` no arm is eliminated as a whole, whatever its pivots are.  ``gap`` is the
+    largest one [m] that the solution is to close: the rank is uncertain by as much.  Returns the
     smallest relative pivot of the object's inertia or of the node matrix; the factors are usable
     only when that is positive (and not NaN).
     """
@@ -305,7 +310,7 @@ def couple(work, coupled, W_o, object_inertia, decompose_all=False):
     if not pivot > COUPLED_BELOW and coupled.status.arms < work.first_joint.size - 1:
         pivot = build_node(work, coupled, W_o, object_inertia, True)
     if pivot > 0.0:
-        find_rank(work, coupled, lever_length(W_o))
+        find_rank(work, coupled, lever_length(W_o), gap)
         image_basis(work, coupled)
     return pivot
 

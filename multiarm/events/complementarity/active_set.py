@@ -52,7 +52,7 @@ from multiarm.events.complementarity.problem import (
 )
 from multiarm.events.complementarity.solvers import solve_box
 
-TIED = (ContactMode.SLIDING, ContactMode.LIMIT)
+TIED = (ContactMode.SLIDING, ContactMode.AT_BOUND)
 ACTIVE = (ContactMode.CLOSED, ContactMode.STICKING, ContactMode.HOLDING, *TIED)
 # Choices of tangents to leave out that are tried: with a dozen contacts at the cone, a few each.
 CHOICES = 64
@@ -250,7 +250,7 @@ class _Search:
             x = x + part * (choice.forces - x)
             met = {k for k in parts if parts[k] <= part + MARGIN}
             modes = tuple(
-                LawMode(ContactMode.LIMIT, self._slip_direction(k, x, choice.forces))
+                LawMode(ContactMode.AT_BOUND, self._slip_direction(k, x, choice.forces))
                 if k in met
                 else mode
                 for k, mode in enumerate(modes)

@@ -45,7 +45,7 @@ import numpy as np
 
 from multiarm.dynamics.solver.factors import rank_of
 
-ROUNDING = 1e-12
+ROUNDED_RESIDUAL = 1e-12
 """A residual below this is rounding: some thousand machine epsilons, for sums of forty terms."""
 
 RANK = 1e-10
@@ -84,7 +84,7 @@ class ContactMode(str, Enum):
     """Pushes, and the force stays inside the friction cone."""
     SLIDING = "sliding"
     """Pushes, and slips or begins to: friction at its bound against the direction of slip."""
-    LIMIT = "at the limit of friction"
+    AT_BOUND = "at the limit of friction"
     """Pushes, with friction at its bound against a direction; it does not slip yet: the bound has
     just been reached, or other rows keep it from slipping."""
     HOLDING = "holding"

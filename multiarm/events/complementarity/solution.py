@@ -46,7 +46,7 @@ from multiarm.events.complementarity.problem import (
     MARGIN,
     RANK,
     RESOLVED,
-    ROUNDING,
+    ROUNDED_RESIDUAL,
     ContactLaw,
     ContactMode,
     Problem,
@@ -181,7 +181,7 @@ class Motion(Enum):
     DOUBTFUL = "none or several are possible for some free rates"
 
 
-def judge(problem: Problem) -> Motion:
+def uniqueness(problem: Problem) -> Motion:
     """How many motions a problem can have, by its response alone."""
     if problem.convex:
         return Motion.UNIQUE
@@ -210,7 +210,7 @@ def all_solutions(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]
             z = newton(problem, z)
         # where forces can grow without changing the rates of their own laws, there is a family
         for forces in [z, *_along_family(problem, z)]:
-            if problem.residual(forces) <= 10.0 * ROUNDING and not any(
+            if problem.residual(forces) <= 10.0 * ROUNDED_RESIDUAL and not any(
                 _same_motion(problem, forces, solution) for solution in solutions
             ):
                 solutions.append(forces)
@@ -226,9 +226,9 @@ def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
         if contradiction:
             message = "no solution: the rows contradict each other, no forces keep all their rates"
             return [problem.without_force()], Verdict.NONE, message
-    motion = judge(problem)
+    motion = uniqueness(problem)
     z = iterate(problem)
-    solved = problem.residual(z) <= ROUNDING
+    solved = problem.residual(z) <= ROUNDED_RESIDUAL
     if solved and motion != Motion.DOUBTFUL:
         return [z], Verdict.UNIQUE if motion == Motion.UNIQUE else Verdict.FOUND, ""
     if _few_modes(problem):
@@ -264,7 +264,7 @@ def _alternative(problem: Problem, z: np.ndarray) -> Alternative:
 
 
 def _judge_linear(G: np.ndarray, problem: Problem | None = None) -> Motion:
-    """:func:`judge` for a response without contacts at zero slip."""
+    """:func:`uniqueness` for a response without contacts at zero slip."""
     n = G.shape[0]
     if np.linalg.eigvalsh(G + G.T)[0] > RANK:
         return Motion.UNIQUE
@@ -335,7 +335,7 @@ def _linear_modes(problem: Problem, k: int) -> list[tuple[np.ndarray, np.ndarray
 def _along_family(problem: Problem, z: np.ndarray) -> list[np.ndarray]:
     """Forces near a solution that leave the rates of their own laws as they are."""
     size = problem.size(z)
-    touching = np.flatnonzero(np.abs(problem.G @ z + problem.g) <= ROUNDING * size)
+    touching = np.flatnonzero(np.abs(problem.G @ z + problem.g) <= ROUNDED_RESIDUAL * size)
     if problem.cones or touching.size == 0:
         return []
     _, values, right = np.linalg.svd(problem.G[np.ix_(touching, touching)])

@@ -41,7 +41,7 @@ from multiarm.events.complementarity.problem import (
     CONSISTENT,
     RANK,
     RESOLVED,
-    ROUNDING,
+    ROUNDED_RESIDUAL,
     Cone,
     Problem,
 )
@@ -110,7 +110,7 @@ class _Pivoting:
         wrong = np.maximum(np.where(x < self.upper, -y, 0.0), np.where(x > self.lower, y, 0.0))
         wrong[self.inside + self.skipped] = 0.0
         row = int(np.argmax(wrong)) if wrong.size else 0
-        return row if wrong.size and wrong[row] > ROUNDING * self.size() else None
+        return row if wrong.size and wrong[row] > ROUNDED_RESIDUAL * self.size() else None
 
     def bring_in(self, row: int) -> None:
         """Let the force of one row grow until its rate is zero or a bound is met."""
@@ -148,7 +148,7 @@ class _Pivoting:
         """How far the forces can go along d, and which row ends it."""
         nearest, blocking = np.inf, rows[0]
         for row in rows:
-            if abs(d[row]) <= ROUNDING:
+            if abs(d[row]) <= ROUNDED_RESIDUAL:
                 continue
             bound = self.upper[row] if d[row] > 0.0 else self.lower[row]
             step = max((bound - self.x[row]) / d[row], 0.0)
@@ -174,7 +174,7 @@ def iterate(problem: Problem) -> np.ndarray:
         refined = newton(problem, z)
         if problem.residual(refined) < problem.residual(best):
             best = refined
-        if problem.residual(best) <= ROUNDING:
+        if problem.residual(best) <= ROUNDED_RESIDUAL:
             break
     return best
 
@@ -188,7 +188,7 @@ def newton(problem: Problem, z: np.ndarray) -> np.ndarray:
         residual = problem.residual(z)
         if not np.isfinite(residual):
             break
-        settled = residual <= ROUNDING and residual >= 0.1 * least
+        settled = residual <= ROUNDED_RESIDUAL and residual >= 0.1 * least
         if residual < least:
             best, least = z, residual
         if settled or least == 0.0:
