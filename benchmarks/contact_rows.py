@@ -30,6 +30,7 @@ from multiarm.contacts.kernel import (
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import ContactTable, is_in_closed_form, open_code, pack
+from multiarm.dynamics.references import Reference
 from multiarm.geometry.records import (
     Contact,
     cone,
@@ -126,10 +127,10 @@ def _burst(contacts: list[Contact]) -> Burst:
     answer = user_surface_callback(surfaces, search.query)
     call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
     search.user.callback = call.address
-    struct = struct_of(table, search)
+    system = Reference(struct_of(table, search), (table, search))
 
     def burst(repeats: int) -> None:
-        _write_often(repeats, struct, link, body, rows, parts)
+        _write_often(repeats, system.struct, link, body, rows, parts)
         call.reraise()
         assert np.all(np.isfinite(rows)), "the rows that are timed exist"
 
