@@ -252,7 +252,7 @@ def test_a_run_of_compiled_arms_enters_python_never(method, entered):
     data = data_of(system)
     functions = data.arrays.functions
     assert functions.pinocchio == functions.pinocchio_energy == 0 and functions.arms != 0
-    lazy = {"coupled", "decomposed", "solve_again", "near_singular", "row", "command"}
+    lazy = {"coupled", "decomposed", "solve_again", "near_singular", "general_rows", "command"}
     assert set(data.callbacks) == {"dense", *lazy}
     ma.simulate(system, 0.1, certificate=False, **METHODS[method])
     assert entered == []

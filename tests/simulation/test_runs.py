@@ -365,7 +365,7 @@ def test_memory_does_not_grow_with_the_run_when_it_is_streamed(free_block_system
 
     peak(0.1)
     block = 200_000 * 8
-    short, long = peak(2.0), peak(6.0)
+    short, long = peak(4.0), peak(14.0)
     assert long < short + block
 
 
