@@ -77,7 +77,7 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
         "decomposed",
         "near_singular",
         "solve_again",
-        "row",
+        "general_rows",
         "command",
     }
     run = ma.simulate(system, 0.02)
