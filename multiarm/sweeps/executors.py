@@ -2,8 +2,9 @@
 
 A worker that dies takes the runs with it that were under way.  On this computer all processes end
 then; half of the runs that were under way are tried again at a time, which leaves in few steps the
-one that kills its worker alone.  Dask repeats runs by itself, and names those that workers died of,
-which are tried once more.  Either way a run is tried twice at least.
+one that kills its worker alone.  Alone it is tried twice: it may never have begun before, and its
+worker may have died of something else, such as a lack of memory that others caused.  Dask repeats
+runs by itself, and names those that workers died of, which are tried once more.
 A run whose worker dies every time gets a row with status "failed".
 """
 
@@ -32,6 +33,8 @@ Job = tuple[int, dict[str, Any]]
 """Number of a run, and its values."""
 IDLE = 10.0
 """[s] after which a process without work ends."""
+TRIES_ALONE = 2
+"""Deaths of the worker of a run that is alone after which the run is lost."""
 PATIENCE = 30.0
 """[s] to wait for the scheduler of a cluster, and for its first worker."""
 # two classes in Python 3.10
@@ -54,14 +57,22 @@ def run_in_processes(context: Context, jobs: Sequence[Job], workers: int) -> Ite
 
 def _tried_again(context: Context, suspects: Sequence[Job], workers: int) -> Iterator[Row]:
     """Rows of runs that were under way when a worker died, of which half are tried at a time."""
+    if len(suspects) == 1:
+        yield from _tried_alone(context, suspects[0], workers)
+        return
     middle = len(suspects) // 2
-    for half in filter(None, (suspects[:middle], suspects[middle:])):
+    for half in (suspects[:middle], suspects[middle:]):
         waiting = iter(half)
         while fewer := (yield from _until_a_worker_dies(context, waiting, workers)):
-            if len(half) == 1:
-                yield lost_run(half[0][0])
-            else:
-                yield from _tried_again(context, fewer, workers)
+            yield from _tried_again(context, fewer, workers)
+
+
+def _tried_alone(context: Context, job: Job, workers: int) -> Iterator[Row]:
+    """The row of a run that is tried with no other under way."""
+    for _ in range(TRIES_ALONE):
+        if not (yield from _until_a_worker_dies(context, iter([job]), workers)):
+            return
+    yield lost_run(job[0])
 
 
 def _until_a_worker_dies(

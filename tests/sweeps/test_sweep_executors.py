@@ -39,6 +39,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import multiarm as ma
 from multiarm.errors import SweepError
+from multiarm.sweeps import executors
 from multiarm.sweeps import run as runs
 from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
@@ -249,6 +250,29 @@ def test_a_single_run_whose_worker_died_is_tried_once_more(scene, tmp_path):
     ended = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 1))
     assert (tmp_path / "died").exists()
     assert ended[1][0] == "completed"
+
+
+@pytest.mark.parametrize(
+    "deaths, lost", [({}, []), ({2: 2}, []), ({2: 9}, [2]), ({1: 9, 4: 2}, [1])]
+)
+def test_a_run_is_lost_when_its_worker_dies_twice_alone(plan, monkeypatch, deaths, lost):
+    """The first death may be that of the processes in which it waited behind another run."""
+    left = dict(deaths)
+
+    def until_a_worker_dies(context, jobs, workers):
+        under_way = [*jobs]
+        for job in under_way:
+            if left.get(job[0], 0):
+                left[job[0]] -= 1
+                return under_way[under_way.index(job) :]
+            yield {"run": job[0], "status": "completed", "message": ""}
+        return []
+
+    monkeypatch.setattr(executors.advance, "is_cached", lambda: True)
+    monkeypatch.setattr(executors, "_until_a_worker_dies", until_a_worker_dies)
+    ended = statuses(run_in_processes(Context.of(plan), jobs_of(plan), 2))
+    assert [run for run in sorted(ended) if ended[run][0] == "failed"] == lost
+    assert set(ended) == {number for number, _ in jobs_of(plan)}
 
 
 def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
