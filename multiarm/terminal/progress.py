@@ -58,8 +58,8 @@ class TimeWatcher:
 LINES, SLOWEST, SHARE = 5.0, 30.0, 0.1
 """Where there is no terminal, a line comes after so long [s] at least and at most; between the two
 after such a share of the time so far."""
-CLOCK_TIMES = 90.0
-"""Where more time is left [s], the end is given as a time of day too."""
+CLOCK_TIMES, CALENDAR = 90.0, 365.0 * 86400.0
+"""Where the time left [s] is between the two, the end is given as a time of day too."""
 COMPILING = "compiling kernels (only the first time on this machine)"
 
 
@@ -151,7 +151,7 @@ class _Display:
         seconds = self._bar.left
         if seconds is None:
             return ""
-        if seconds < CLOCK_TIMES:
+        if not CLOCK_TIMES <= seconds <= CALENDAR:
             return f"about {span(seconds)} left"
         ends = datetime.now() + timedelta(seconds=seconds)
         return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
@@ -261,9 +261,11 @@ class SweepProgress(_Display):
 
 
 def span(seconds: float) -> str:
-    """``40 s``, ``12 min``, ``3 h 20 min``."""
+    """``40 s``, ``12 min``, ``3 h 20 min``, ``1,200 days``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
+    if seconds > CALENDAR:
+        return f"{seconds / 86400:,.0f} days"
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min"
 

@@ -339,6 +339,16 @@ def test_the_time_left_follows_parts_of_the_work_that_take_longer_than_those_bef
     assert lines[12].startswith("working, 12 of 16, about 4 min left, ends ")
 
 
+def test_work_that_crawls_ends_beyond_all_calendars(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr("multiarm.terminal.bar.process_running_time", lambda: clock[0])
+    progress = Progress()
+    for done in range(4):
+        progress(done, 1e12, "working")
+        clock[0] += 60.0
+    assert progress._line() == "working, 3 of 1000000000000, about 694,444,444 days left"
+
+
 @pytest.mark.parametrize("solver", ["node", "dense"])
 def test_an_arm_with_too_few_joints_runs(tmp_path, solver):
     changes = {"arms": {"left": {"robot": "planar_2r", "tip": "tip", "posture": [0.3, 0.8]}}}
