@@ -401,7 +401,12 @@ def changes(system: System, run: Trajectory, variant: Trajectory) -> dict[str, C
 
 
 def last_changes(_system: System, run: Trajectory, variant: Trajectory) -> dict[str, Change]:
-    """Differences of the object's pose at the end of two runs, whatever they recorded before."""
+    """Differences of the object's pose at the end of two runs, whatever they recorded before.
+
+    There are none where the second one ends earlier.
+    """
+    if variant.status != RunStatus.COMPLETED:
+        return {}
     time = float(run.time[-1])
     moved = np.linalg.norm(run.object_position[-1] - variant.object_position[-1])
     turned = rotation_apart(run.object_quaternion_xyzw[-1:], variant.object_quaternion_xyzw[-1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import commands
 import numpy as np
@@ -155,6 +156,18 @@ def test_recording_and_stabilization_do_not_move_what_they_are_about(found):
     for name in ("recording", "stabilization"):
         assert entry_of(found, name).changes[PATH].value < 1e-7
     assert found.can_go(entry_of(found, "recording")) is False, "only effects can go"
+
+
+def test_ends_at_different_times_are_not_compared():
+    run, failed = (
+        SimpleNamespace(
+            status=status, time=np.array([0.0, end]), object_position=np.full((2, 3), end),
+            object_quaternion_xyzw=np.array([[0.0, 0.0, 0.0, 1.0]] * 2),
+        )
+        for status, end in (("completed", 1.0), ("failed", 0.5))
+    )  # fmt: skip
+    assert effect_costs.last_changes(None, run, run)[PATH].value == 0.0
+    assert effect_costs.last_changes(None, run, failed) == {}
 
 
 def test_an_effect_named_like_a_setting_is_compared_at_all_times():
