@@ -23,7 +23,7 @@ from peer_solvers import Solver, memory_needed
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.errors import MultiarmError
+from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.plots.style import BLUE
 from multiarm.simulation.comparison import sample_state
@@ -100,10 +100,18 @@ class Answer:
 
 
 def state_at(system: System, time: float) -> tuple[float, State]:
-    """The time [s] and the state at the end of our own run to that time."""
+    """The time [s] and the state at the end of our own run to that time.
+
+    Raises
+    ------
+    SolverError
+        The run ends earlier.
+    """
     if time == 0.0:
         return time, system.initial_state()
     run = simulate(system, duration=time, output_step=time, certificate=False)
+    if run.status != "completed":
+        raise SolverError(f"our own run to {time:g} s {run.status}: {run.message}")
     return float(run.time[-1]), sample_state(system.model.layout, run, len(run) - 1)
 
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multiarm.errors import SolverError
 from multiarm.results.files import RunStatus
 
 if TYPE_CHECKING:
@@ -168,14 +169,27 @@ def distance_from(
 def reference_run(
     build: Callable[..., Scene], *arguments: Any, solver: str | None = None
 ) -> Trajectory:
-    """The run of the scene ``build(*arguments)``, by another solver if one is named; made once."""
+    """The run of the scene ``build(*arguments)``, by another solver if one is named; made once.
+
+    Raises
+    ------
+    SolverError
+        It fails.
+    KeyboardInterrupt
+        Ctrl-C ends it, and what asks for it.
+    """
     from multiarm.assembly.compilation import compile_system
     from multiarm.simulation.simulate import simulate
 
     scene = build(*arguments)
     if solver is not None:
         scene = scene.replace(run=scene.run.model_copy(update={"solver": solver}))
-    return simulate(compile_system(scene), certificate=False)
+    run = simulate(compile_system(scene), certificate=False)
+    if run.status == RunStatus.INTERRUPTED:
+        raise KeyboardInterrupt
+    if run.status != RunStatus.COMPLETED:
+        raise SolverError(f"the run to compare with, '{scene.name}', {run.status}: {run.message}")
+    return run
 
 
 def largest(values: np.ndarray) -> float:

@@ -10,6 +10,7 @@ import pytest
 from repository import ROOT
 
 import multiarm as ma
+from multiarm.errors import SolverError
 from multiarm.problems import (
     HARD_CASES,
     Criterion,
@@ -21,7 +22,14 @@ from multiarm.problems import (
     spinning,
 )
 from multiarm.problems.building import own_urdf
-from multiarm.problems.case import apart, completed, energy_error, largest, turned_apart
+from multiarm.problems.case import (
+    apart,
+    completed,
+    energy_error,
+    largest,
+    reference_run,
+    turned_apart,
+)
 from multiarm.problems.linkages import Body, OneFreedom, planar
 
 # Starts are written to closed form: what is left are the roundings of some coordinates of metres;
@@ -390,3 +398,15 @@ def test_fingers_hold_the_weight_of_the_block(count):
     weight = closure.MASS * np.array(scene.gravity)
     np.testing.assert_allclose(forces @ normals, -weight, atol=1e-12)
     np.testing.assert_allclose(forces @ np.cross(points, normals), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "status, raised", [("interrupted", KeyboardInterrupt), ("failed", SolverError)]
+)
+def test_a_run_that_does_not_end_is_nothing_to_compare_with(monkeypatch, status, raised):
+    def run(*_, **__):
+        return SimpleNamespace(status=status, message="no further")
+
+    monkeypatch.setattr("multiarm.simulation.simulate.simulate", run)
+    with pytest.raises(raised):
+        reference_run(lambda: HARD_CASES["light_object"].scene())
