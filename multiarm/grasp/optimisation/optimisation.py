@@ -36,14 +36,16 @@ from multiarm.errors import GraspError
 from multiarm.grasp.arguments import numbers_of
 from multiarm.grasp.body.body_class import as_polyhedron
 from multiarm.grasp.body.face import across, frame_of
+from multiarm.grasp.closure.form_closure import is_form_closure
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face_contacts import Gripper
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.face_search import Limits, Search
 from multiarm.grasp.optimisation.placements import face_choices, touch_regions
 from multiarm.terminal.progress import Progress, displayed
 
 if TYPE_CHECKING:
     from multiarm.grasp.body.polyhedron import Polyhedron
-    from multiarm.grasp.grasp import Grasp
 
 # Choices of faces that are bounded before the search gives up, by default.
 NODES = 300
@@ -222,10 +224,6 @@ def _grasp(
     body: Polyhedron, search: Search, where: np.ndarray, fingers: tuple[int, int]
 ) -> tuple[Grasp, float]:
     """The grasp with its grippers, and its conditioning."""
-    from multiarm.grasp.closure.form_closure import is_form_closure
-    from multiarm.grasp.face_contacts import Gripper
-    from multiarm.grasp.grasp import Grasp
-
     assert search.best is not None
     touches, y = search.best
     points = touches.points(y) * search.size + search.middle
