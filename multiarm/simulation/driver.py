@@ -398,7 +398,12 @@ def failure_of(run: Run, reason: int) -> Ending:
         except USER_FAULTS as error:
             fault = f"a callback raised {type(error).__name__}: {error}"
             return Ending(End.FAILED, f"{where}: {fault}")
-    if reason == STEP_TOO_SMALL:
+    if reason == STEP_TOO_SMALL and not run.settings.adaptive:
+        fault = (
+            f"steps of {run.clock.step:.2g} s are lost in the roundings of this time; take a "
+            f"longer `step`, or an earlier `start_time`"
+        )
+    elif reason == STEP_TOO_SMALL:
         fault = (
             f"the step became too small ({run.clock.h:.2g} s) for the required accuracy; loosen "
             f"`accuracy`, or look for a discontinuous controller or a singular posture there"
