@@ -167,6 +167,11 @@ class MemoryStore:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "metadata": self.metadata, "_metadata": {}}
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if self._rows is not None:
+            self._rows.flags.writeable = False
+
 
 class Hdf5Sink(Sink):
     """Writes the samples to a file that can be loaded up to the last checkpoint after a kill.

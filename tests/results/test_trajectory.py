@@ -375,7 +375,10 @@ def test_what_a_run_in_memory_does_not_show_is_not_made():
 
 def test_a_run_in_memory_is_pickled_with_its_origin():
     run = record(MemorySink(), metadata=lambda: provenance(SCENE))
-    assert_same(pickle.loads(pickle.dumps(run)), run)
+    again = pickle.loads(pickle.dumps(run))
+    assert_same(again, run)
+    with pytest.raises(ValueError, match="read-only"):
+        again.read("time")[0] = 1.0
 
 
 def test_an_unknown_status_is_refused():
