@@ -35,7 +35,7 @@ from multiarm.errors import SolverError
 from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.event_detection import touching_constraints
 from multiarm.events.modes import Modes
-from multiarm.events.transition import Decision, Transition
+from multiarm.events.transition import Decision, Participants, Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
 SLOW = 1e-9
@@ -84,11 +84,11 @@ def enter_mode_at(data: Data, t: float, state: State) -> Modes:
     """The modes of a Data, with that of a state entered and evaluated there."""
     modes = modes_of(data, SLOW)
     touching, off_patch, _ = touching_constraints(modes, t, state)
+    participants = Participants(touching, off_patch=off_patch)
     forget_forces(modes.guards)
 
     def decide(ahead: float) -> Decision:
-        transition = Transition(modes, touching, 0.0, off_patch=off_patch, ahead=ahead)
-        return transition.decide(with_impacts=False)
+        return Transition(modes, participants, ahead=ahead).decide(with_impacts=False)
 
     decision, holds = enter_consistent_mode(modes, decide)
     if decision.undecided:

@@ -19,7 +19,7 @@ The result is a :class:`Decision`, whose events :mod:`multiarm.events.decision_e
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from multiarm.dynamics.solver.bounds import (
     NO_ACCELERATION,
     ROUNDED_ENERGY,
     SAME_MOTION,
-    UNLOADED,
 )
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import (
@@ -47,24 +46,13 @@ from multiarm.events.event_detection import below_patch_constraints
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes, set_constraint_forces
 from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
+from multiarm.events.states_by_forces import StatesByForces
 from multiarm.results.contact_states import ContactState
 
 NO_SIDES = (
     "contacts that hold both ways find no motion with their friction: wherever one pushes it would "
     "have to pull, and the other way round; lessen 'mu'"
 )
-
-_STATES = {
-    ContactMode.OPEN: ContactState.OPEN,
-    ContactMode.RESTING: ContactState.RESTING,
-    ContactMode.CLOSED: ContactState.TOUCHING,
-    ContactMode.STICKING: ContactState.STICKING,
-    ContactMode.SLIDING: ContactState.SLIDING,
-    ContactMode.AT_BOUND: ContactState.AT_BOUND,
-    ContactMode.HOLDING: ContactState.STICKING,
-    ContactMode.AT_LOWER: ContactState.FORWARD,
-    ContactMode.AT_UPPER: ContactState.BACKWARD,
-}
 
 
 @dataclass(frozen=True)
@@ -132,24 +120,39 @@ class Decision:
     rested: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class Participants:
+    """The constraints of an event.
+
+    Attributes
+    ----------
+    touching : set of int
+        Those that touch: contacts and limits with closed gaps, compliant contacts that push.
+    at_rest : mapping
+        By constraint whose slip has just come to rest: speeds up to which it is at rest
+        [m/s, rad/s].
+    unloaded : set of int
+        Those whose force has just become zero: they open if they can.
+    off_patch : frozenset of int
+        Those beyond the edge of their patch, see
+        :func:`~multiarm.events.event_detection.off_patch_constraints`.
+    """
+
+    touching: Set[int]
+    at_rest: Mapping[int, float] = field(default_factory=dict)
+    unloaded: Set[int] = frozenset()
+    off_patch: frozenset[int] = frozenset()
+
+
 class Transition:
     """The transition at the state in the data, whose velocities an impact changes.
 
     Parameters
     ----------
     modes : Modes
-    touching : set of int
-        Constraints that touch: contacts and limits with closed gaps, compliant contacts that push.
+    participants : Participants
     rest_height : float
         Bounces lower than this are not simulated [m, rad].
-    at_rest : mapping, optional
-        By constraint whose slip has just come to rest: speeds up to which it is at rest
-        [m/s, rad/s].
-    unloaded : set of int
-        Constraints whose force has just become zero: they open if they can.
-    off_patch : set of int
-        Constraints beyond the edge of their patch, see
-        :func:`~multiarm.events.event_detection.off_patch_constraints`.
     ahead : float
         Accelerations are taken so much later [s].  At the very instant at which a bound is reached
         both sides of it are solutions; a little later only one is.
@@ -158,19 +161,17 @@ class Transition:
     def __init__(
         self,
         modes: Modes,
-        touching: set[int],
-        rest_height: float,
-        at_rest: Mapping[int, float] | None = None,
-        unloaded: Set[int] = frozenset(),
-        off_patch: Set[int] = frozenset(),
+        participants: Participants,
+        rest_height: float = 0.0,
         ahead: float = 0.0,
-    ):
+    ) -> None:
         self._modes, self._constraints, self._ahead = modes, modes.unilateral.constraints, ahead
         self._rows = RowDynamics(modes)
+        touching, self._off_patch = participants.touching, participants.off_patch
         self._pressed = {u for u in touching if self._constraints[u].compliant}
-        self._touching = sorted(touching - self._pressed - off_patch)
-        self._rest_height, self._at_rest = rest_height, at_rest or {}
-        self._unloaded, self._off_patch = unloaded, frozenset(off_patch)
+        self._touching = sorted(touching - self._pressed - self._off_patch)
+        self._rest_height, self._at_rest = rest_height, participants.at_rest
+        self._unloaded = participants.unloaded
         self._residual = 0.0
 
     def decide(self, with_impacts: bool = True) -> Decision:
@@ -282,27 +283,20 @@ class Transition:
         rows = [constraints[u].row for u in involved]
         rows += [t for u in involved if u not in unable_to_slip for t in constraints[u].tangents]
         at = {row: k for k, row in enumerate(rows)}
-        solution, response, pulling = self._solve(involved, rows, slips, fixed)
+        solution, response, pulling = self._solve(involved, at, slips, fixed)
         self._residual = max(self._residual, solution.residual)
-        directions = dict(slips)
-        for k, u in enumerate(involved):
-            touches = u in unable_to_slip
-            states[u] = ContactState.TOUCHING if touches else _STATES[solution.modes[k]]
-            if states[u] in (ContactState.SLIDING, ContactState.AT_BOUND) and u not in directions:
-                directions[u] = solution.directions[k]
-        self._let_slip(involved, at, states, directions, solution, response)
-        dropped = self._drop_unloaded(involved, rows, states, solution, response)
-        active = [
-            k
-            for k in solution.active_rows
-            if k < len(rows) and k not in dropped and rows[k] not in fixed
-        ]
-        self._keep_closed(involved, at, states, directions, active, solution, response)
-        held = tuple(sorted(rows[k] for k in active))
+        by_forces = StatesByForces(
+            {u: constraints[u] for u in involved}, at, solution, response, slips
+        )
+        by_forces.release(self._unloaded)
+        by_forces.keep_closed(fixed)
+        for u, state in by_forces.states.items():
+            states[u] = state
+        held = tuple(sorted(rows[k] for k in by_forces.held))
         every = [*rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
         normals = [at[constraints[u].row] for u in involved]
-        mode = self._mode(states, held, pulling, directions)
+        mode = self._mode(states, held, pulling, by_forces.directions)
         return mode, forces, _undecided(solution, normals)
 
     def _states_by_rates(self) -> tuple[list[ContactState], list[int], dict[int, np.ndarray]]:
@@ -329,26 +323,6 @@ class Transition:
                 if constraint.tangents and speed > still:
                     slips[u] = slip / speed
         return states, involved, slips
-
-    def _let_slip(
-        self,
-        involved: list[int],
-        at: dict[int, int],
-        states: list[ContactState],
-        directions: dict[int, np.ndarray],
-        solution: ComplementaritySolution,
-        response: np.ndarray,
-    ) -> None:
-        """Let contacts at the bound of friction slide where the closed rows allow it."""
-        constraints = self._constraints
-        closed = {at[constraints[u].row] for u in involved if constraints[u].bilateral}
-        closed |= set(solution.active_rows)
-        for u in involved:
-            if states[u] == ContactState.AT_BOUND:
-                slip = np.zeros(len(response))
-                slip[[at[t] for t in constraints[u].tangents]] = directions[u]
-                if can_move(response, slip, sorted(closed)):
-                    states[u] = ContactState.SLIDING
 
     def _mode(
         self,
@@ -380,74 +354,10 @@ class Transition:
             if not can_move(response, slip, held)
         }
 
-    def _keep_closed(
-        self,
-        involved: list[int],
-        at: dict[int, int],
-        states: list[ContactState],
-        directions: dict[int, np.ndarray],
-        held: list[int],
-        solution: ComplementaritySolution,
-        response: np.ndarray,
-    ) -> None:
-        """Hold bilateral contacts without force that other rows do not keep closed.
-
-        Writes the states, the directions of those that begin to slip, and the held rows.
-        """
-        for u in involved:
-            constraint = self._constraints[u]
-            unloaded = states[u] in (ContactState.OPEN, ContactState.RESTING)
-            if not (constraint.bilateral and unloaded):
-                continue
-            normal = at[constraint.row]
-            if not can_move(response, np.eye(len(response))[normal], held):
-                continue
-            held.append(normal)
-            slip = solution.rates[[at[t] for t in constraint.tangents]]
-            size = float(np.linalg.norm(slip))
-            if u not in directions and size > NO_ACCELERATION:
-                directions[u] = slip / size
-            states[u] = ContactState.SLIDING if u in directions else ContactState.TOUCHING
-
-    def _drop_unloaded(
-        self,
-        involved: list[int],
-        rows: list[int],
-        states: list[ContactState],
-        solution: ComplementaritySolution,
-        response: np.ndarray,
-    ) -> set[int]:
-        """Where a force has just become zero, release all unloaded constraints; their rows.
-
-        Those that other rows do not keep closed are open.
-        """
-        at = {row: k for k, row in enumerate(rows)}
-        dropped: set[int] = set()
-        none = UNLOADED * np.max(np.abs(solution.forces), initial=0.0)
-        released = [
-            u
-            for u in involved
-            if self._constraints[u].kind != DRY_JOINT
-            and not self._constraints[u].bilateral
-            and states[u] != ContactState.OPEN
-            and solution.forces[at[self._constraints[u].row]] <= none
-        ]
-        if not self._unloaded & set(released):
-            return dropped
-        for u in released:
-            constraint = self._constraints[u]
-            dropped |= {at[row] for row in (constraint.row, *constraint.tangents)}
-        for u in released:
-            held = [k for k in solution.active_rows if k not in dropped]
-            normal = np.eye(len(response))[at[self._constraints[u].row]]
-            opens = can_move(response, normal, held)
-            states[u] = ContactState.OPEN if opens else ContactState.RESTING
-        return dropped
-
     def _solve(
         self,
         involved: list[int],
-        rows: list[int],
+        at: dict[int, int],
         slips: dict[int, np.ndarray],
         fixed: set[int],
     ) -> tuple[ComplementaritySolution, np.ndarray, frozenset[int]]:
@@ -456,7 +366,7 @@ class Transition:
         There is no friction along the ``fixed`` tangents.  Where minimum-norm forces depend on the
         bilateral rows too, these follow the given rows.
         """
-        constraints, at = self._constraints, {row: k for k, row in enumerate(rows)}
+        constraints, rows = self._constraints, list(at)
         laws = [_law(constraints[u], at, slips.get(u)) for u in involved]
         jacobian = self._rows.jacobian(rows)
         free = self._free(rows)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import CARRYING, open_data, open_system
+from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.force_derivatives import ForceDifferences, torques_are_held
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.solution import WHOLE
@@ -45,6 +46,8 @@ class ArmBlocks(NamedTuple):
     shared: Int  # unknowns that all arms share: accelerations of the object, six more of s
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
+    # (n, P + 2 o + 1 + u) column of each one of ``derivatives`` among those of forces; -1: none
+    sources: Ints2
     powers: Ints1  # (effects that are called,) the place of each one's power, -1 without
     # struct of multiarm.dynamics.equation_derivatives, for all arms; its K has the factors of each
     equations: Ints1
@@ -124,26 +127,24 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     m, works = max(layout.contact_counts), step.z.size - step.tolerance.size
     owned: list[list[int]] = [[] for _ in range(n)]
     if effects.local:
-        joints = [joint for own in effects.kernels for joint in own.state_joints]
-        for state, joint in enumerate(joints):
+        state_joints = [joint for effect in effects.kernels for joint in effect.state_joints]
+        for state, joint in enumerate(state_joints):
             owned[layout.arm_of_joint(joint)].append(state)
     e = max(map(len, owned))
-    states = np.full((n, e), -1, dtype=np.int64)
-    for row, own in zip(states, owned, strict=True):
-        row[: len(own)] = own
     own_columns, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants
     shares = len(constants.control) > 0 and constants.control_reach == CARRYING
     u, of_object = (2 if shares else 1) * frames, 2 * frames + 1
-    return ArmBlocks(
+    blocks = ArmBlocks(
         d=d,
         m=m,
         e=e,
         works=works,
         frames=frames,
         shared=u,
-        counts=np.array([len(own) for own in owned], dtype=np.int64),
-        states=states,
+        counts=np.array(list(map(len, owned)), dtype=np.int64),
+        states=np.full((n, e), -1, dtype=np.int64),
+        sources=np.full((n, own_columns + of_object + u), -1, dtype=np.int64),
         powers=effects.powers,
         equations=equations,
         differences=ForceDifferences(local=1, laws=len(constants.control) - shares, order=1),
@@ -164,6 +165,18 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         rates=np.zeros(2 * frames),
         unknowns=np.zeros((n, d + e)),
     )
+    at = block_columns(blocks)
+    of_forces = columns_of_forces(layout.nv, layout.joints, effects.states)
+    for i, states in enumerate(owned):
+        joints, columns = np.arange(layout.joints)[layout.joints_of(i)], blocks.sources[i]
+        blocks.states[i, : len(states)] = states
+        columns[: joints.size] = of_forces.positions + joints
+        columns[at.rates : at.rates + joints.size] = of_forces.rates + joints
+        columns[at.states : at.states + len(states)] = np.add(of_forces.states, states)
+        columns[at.pose : at.time] = range(2 * frames)
+        columns[at.time] = of_forces.time
+        columns[at.share : at.end] = range(of_forces.share, of_forces.share + u - frames)
+    return blocks
 
 
 @kernel

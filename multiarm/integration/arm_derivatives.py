@@ -83,7 +83,7 @@ def differentiate_arms(step, blocks, t, h):
     step.stage.evaluations += differences.evaluations
     if status != OK:
         return status
-    gather_share(blocks, data, work)
+    gather_share(blocks, data)
     return OK if usable and solve_arms(blocks, work) else NOT_FINITE
 
 
@@ -135,44 +135,32 @@ def gather(blocks, data, work, power, of_drives):
     See :func:`multiarm.dynamics.force_derivatives.differentiate_forces`.
     """
     total, frames = blocks.works - 1, blocks.frames
-    of_forces, places, at = force_columns(data), chart_places(data), block_columns(blocks)
+    places, at = chart_places(data), block_columns(blocks)
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     slopes = data.slopes.torque if of_drives else data.slopes.force
     force, first = (data.control.torque, 0) if of_drives else (data.forces.f_j, places.joints)
     for i in range(blocks.counts.size):
-        A, d0, d1 = blocks.derivatives[i], work.first_joint[i], work.first_joint[i + 1]
-        joints, states = d1 - d0, blocks.counts[i]
-        for c in range(2 * joints + states + 2 * frames + 1 + blocks.shared - frames):
-            if c < joints:
-                source, column = of_forces.positions + d0 + c, c
-            elif c < 2 * joints:
-                k = c - joints
-                source, column = of_forces.rates + d0 + k, at.rates + k
-            elif c < 2 * joints + states:
-                k = c - 2 * joints
-                source, column = of_forces.states + blocks.states[i, k], at.states + k
-            elif c < 2 * joints + states + 2 * frames:
-                source = c - 2 * joints - states
-                column = at.pose + source
-            else:
-                k = c - 2 * joints - states - 2 * frames
-                source = of_forces.time + k
-                column = at.time if k == 0 else at.share + k - 1
+        A, d0, sources = blocks.derivatives[i], work.first_joint[i], blocks.sources[i]
+        joints = work.first_joint[i + 1] - d0
+        for c in range(at.end):
+            source = sources[c]
+            if source < 0:
+                continue
             power_slope = 0.0
             for j in range(joints):
                 slope = slopes[first + d0 + j, source]
-                A[j, column] -= slope
+                A[j, c] -= slope
                 power_slope += slope * data.state.joint_rates[d0 + j]
-            if joints <= c < 2 * joints:
-                power_slope += force[d0 + c - joints]
-            for k in range(0 if of_drives else states):
-                A[rates + k, column] += slopes[places.velocity + blocks.states[i, k], source]
+            if at.rates <= c < at.rates + joints:
+                power_slope += force[d0 + c - at.rates]
+            for k in range(0 if of_drives else blocks.counts[i]):
+                A[rates + k, c] += slopes[places.velocity + blocks.states[i, k], source]
             if power >= 0:
-                A[powers + total, column] += power_slope
+                A[powers + total, c] += power_slope
             if 0 <= power < total:
-                A[powers + power, column] += power_slope
+                A[powers + power, c] += power_slope
     for c in range(0 if of_drives else 2 * frames + 1):
-        source = c if c < 2 * frames else of_forces.time
+        source = blocks.sources[0, at.pose + c]
         power_slope = data.forces.f_o[c - frames] if frames <= c < 2 * frames else 0.0
         for l in range(frames):
             slope = slopes[l, source]
@@ -185,7 +173,7 @@ def gather(blocks, data, work, power, of_drives):
 
 
 @kernel
-def gather_share(blocks, data, work):
+def gather_share(blocks, data):
     """Add the derivatives of the equations of what arms share by a law."""
     of_forces, at, o = force_columns(data), block_columns(blocks), blocks.frames
     for l in range(blocks.shared - o):
@@ -195,10 +183,10 @@ def gather_share(blocks, data, work):
         for c in range(blocks.shared - o):
             blocks.S[o + l, o + c] += slopes[of_forces.share + c]
         for i in range(blocks.counts.size):
-            d0 = work.first_joint[i]
-            for j in range(work.first_joint[i + 1] - d0):
-                blocks.on_object[i, o + l, j] += slopes[of_forces.positions + d0 + j]
-                blocks.on_object[i, o + l, at.rates + j] += slopes[of_forces.rates + d0 + j]
+            for c in range(at.states):
+                source = blocks.sources[i, c]
+                if source >= 0:
+                    blocks.on_object[i, o + l, c] += slopes[source]
 
 
 # --- solution for the derivatives ----------------------------------------------------------------

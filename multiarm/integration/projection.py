@@ -117,7 +117,8 @@ def project_positions(
             further -= 1
         if not math.isfinite(worst):
             return PROJECTION_FAILED
-        if worst > 0.5 * before and worst <= 1e4 * tolerance and lacks_rank(struct):
+        slow = worst > 0.5 * before and worst <= 1e4 * tolerance
+        if slow and data.solution.dependent > 0:
             return OK  # small gaps that no motion closes to first order
         before = worst
         clear(data.forces.f)
@@ -144,12 +145,6 @@ def project_positions(
 def near_loss(solution):
     """Whether the constraints of a solution are near a loss of rank."""
     return solution.margin < NEAR_LOSS
-
-
-@kernel
-def lacks_rank(struct):
-    """Whether some constraints of the last solution depended on others."""
-    return open_data(struct).solution.dependent > 0
 
 
 @kernel

@@ -23,7 +23,14 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, Columns, first_fault, in_sequence, recordable
+from multiarm.results.channels import (
+    Channel,
+    Columns,
+    first_fault,
+    in_sequence,
+    recordable,
+    width_of,
+)
 from multiarm.results.files import CLOSED, RunStatus
 from multiarm.results.outcome import Outcome, plain
 from multiarm.results.trajectory import Trajectory
@@ -46,7 +53,7 @@ class Sink:
             The folder of a file is missing, or the path cannot be written or holds another file.
         """
         self._channels, self._metadata = tuple(channels), metadata
-        self._width = sum(channel.width for channel in self._channels)
+        self._width = width_of(self._channels)
         self._begin()
 
     def append(self, rows: np.ndarray) -> None:
@@ -159,6 +166,11 @@ class MemoryStore:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "metadata": self.metadata, "_metadata": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if self._rows is not None:
+            self._rows.flags.writeable = False
 
 
 class Hdf5Sink(Sink):

@@ -169,7 +169,7 @@ class TrajectoryReader(StoredFile):
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
-        stop = self.samples if stop is None else min(stop, self.samples)
+        start, stop, _ = slice(start, stop).indices(self.samples)
         if self._identity is None:
             if not self.file:  # closed
                 raise TrajectoryError(CLOSED)

@@ -274,7 +274,7 @@ class Attempts:
             return None
         target = self.out.expanduser().resolve()
         path = target.with_name(f".{target.name}.check{number}")
-        path.unlink(missing_ok=True)  # left by a run that was killed
+        self._remove(path)  # left by a run that was killed
         return path
 
     def _drop(self, attempt: Attempt) -> None:
@@ -337,12 +337,8 @@ def _excess(finding: Finding) -> float:
     if finding.growth is None or not parted.size or not lengths:
         return excess
     left = float(comparison.time[-1] - comparison.time[parted[0]])
-    return max(excess, SAFETY * PARTED * _grown(finding.growth, left) / min(lengths))
-
-
-def _grown(rate: float | None, time: float) -> float:
-    """Factor by which errors grow in a time."""
-    return math.exp(min((rate or 0.0) * time, 700.0))
+    grown = math.exp(min(finding.growth * left, 700.0))
+    return max(excess, SAFETY * PARTED * grown / min(lengths))
 
 
 def _most(coarser: Attempt, tolerance: float) -> float:

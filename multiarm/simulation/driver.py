@@ -53,7 +53,7 @@ from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
 from multiarm.results.files import RunStatus
 from multiarm.scene import RunSpec
-from multiarm.simulation.event_handling import EventFailure, EventHandler
+from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
 from multiarm.simulation.setup import Run, Task, control_end
 from multiarm.tableaus import METHODS
@@ -109,12 +109,12 @@ class Return(NamedTuple):
     ----------
     reason : int
         A status, see :mod:`multiarm.dynamics.status`.
-    failure : EventFailure or None
-        Of the event at which it has returned.
+    event_fault : str
+        Why the run cannot go on past the event at which it has returned; empty where it can.
     """
 
     reason: int
-    failure: EventFailure | None = None
+    event_fault: str = ""
 
 
 class Driver:
@@ -204,14 +204,14 @@ class Driver:
 
     def advance(self, budget: int) -> Return:
         """Call the loop with a budget of evaluations, and act where it has returned."""
-        run, events, failure = self.run, self.events, None
+        run, events, event_fault = self.run, self.events, ""
         reason = advance(run.stepping.struct, run.clock.struct, self._settings, run.block, budget)
         if self._span is not None and run.clock.t > self._span.end:
             run.log.add(control_end(self._span))
             self._span = None
         if events is not None and reason in (EVENT, STOPPED):
             self.event_stops += 1
-            failure = events.handle(run, reason == STOPPED)
+            event_fault = events.handle(run, reason == STOPPED)
             reason = BUDGET_USED
         if reason == STIFF:
             self.switch.begin_trial(run)
@@ -225,7 +225,7 @@ class Driver:
             log_reports(run.data, run.stepping, run.clock, run.log)
             if run.data.arrays.status.failed:
                 reason = CALLBACK_FAILED
-        return Return(reason, failure)
+        return Return(reason, event_fault)
 
     def observe(self, row: np.ndarray) -> int:
         """Evaluate where the run is, and write it as a row of samples; returns a status."""
@@ -243,8 +243,8 @@ class Driver:
             return Ending(End.INTERRUPTED, f"stopped by the user {where}")
         if returned.reason not in GOES_ON:
             return failure_of(run, returned.reason)
-        if returned.failure:
-            return Ending(End.UNDECIDED, f"{where}: {returned.failure.message}")
+        if returned.event_fault:
+            return Ending(End.UNDECIDED, f"{where}: {returned.event_fault}")
         if run.clock.evaluations > most_evaluations:
             return Ending(End.STALLED, f"{where}: {TOO_MANY}")
         if stall := self._pace.stall(run, self.event_stops):
@@ -398,7 +398,12 @@ def failure_of(run: Run, reason: int) -> Ending:
         except USER_FAULTS as error:
             fault = f"a callback raised {type(error).__name__}: {error}"
             return Ending(End.FAILED, f"{where}: {fault}")
-    if reason == STEP_TOO_SMALL:
+    if reason == STEP_TOO_SMALL and not run.settings.adaptive:
+        fault = (
+            f"steps of {run.clock.step:.2g} s are lost in the roundings of this time; take a "
+            f"longer `step`, or an earlier `start_time`"
+        )
+    elif reason == STEP_TOO_SMALL:
         fault = (
             f"the step became too small ({run.clock.h:.2g} s) for the required accuracy; loosen "
             f"`accuracy`, or look for a discontinuous controller or a singular posture there"

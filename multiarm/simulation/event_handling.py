@@ -8,8 +8,7 @@ continues with the same step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from enum import Enum, auto
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -37,7 +36,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import Modes
-from multiarm.events.transition import Decision, Transition
+from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project
@@ -61,39 +60,6 @@ class Pending:
 
     time: float
     guards: list[int]
-
-
-class EventFault(Enum):
-    """Why a run cannot go on past an event."""
-
-    ERROR = auto()  # the state there cannot be evaluated, or put on the contacts
-    UNDECIDED = auto()  # no mode follows, or more than one
-    TOO_MANY = auto()  # events at one time
-
-
-@dataclass(frozen=True)
-class EventFailure:
-    """An event that a run cannot go on past.
-
-    Attributes
-    ----------
-    fault : EventFault
-    message : str
-        The fault in a sentence, with the remedy.
-    """
-
-    fault: EventFault
-    message: str
-
-
-@dataclass(frozen=True)
-class _Participants:
-    """Constraints of an event: arguments of :class:`multiarm.events.transition.Transition`."""
-
-    touching: set[int]
-    at_rest: dict[int, float] = field(default_factory=dict)
-    unloaded: set[int] = field(default_factory=set)
-    off_patch: frozenset[int] = frozenset()
 
 
 class EventHandler:
@@ -136,7 +102,7 @@ class EventHandler:
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
-        decision = self._enter_mode(time, _Participants(touching, off_patch=off_patch))
+        decision = self._enter_mode(time, Participants(touching, off_patch=off_patch))
         self._log_decision(time, decision, Mode((), ()))
         if decision.undecided:
             raise SolverError(f"at the start: {decision.undecided.message}")
@@ -145,17 +111,17 @@ class EventHandler:
 
     # --- events -----------------------------------------------------------------------------------
 
-    def handle(self, run: Run, stopped: bool) -> EventFailure | None:
+    def handle(self, run: Run, stopped: bool) -> str:
         """Locate an event, or decide the next mode where the run has ``stopped`` at one.
 
-        Returns why the run must end; None where it continues.
+        Returns why the run cannot go on past it, with the remedy; empty where it goes on.
         """
         try:
             return self.cross(run) if stopped else self.locate(run)
         except MultiarmError as error:
-            return EventFailure(EventFault.ERROR, str(error))
+            return str(error)
 
-    def locate(self, run: Run) -> EventFailure | None:
+    def locate(self, run: Run) -> str:
         """Locate the first event in the last step, and let the loop stop there."""
         numbers, guards, t = self.modes.numbers, self.modes.guards, run.clock.t
         begin, end = numbers.begin, numbers.end
@@ -165,7 +131,7 @@ class EventHandler:
         theta, changed = first_event(probe, guards.result.copy(), guards.level.copy())
         numbers.muted = True
         if not changed:  # no root: the step is repeated and accepted
-            return None
+            return ""
         self._last_length = end - begin
         self._usual_length = max(self._usual_length, end - begin)
         time = begin + theta * (end - begin)
@@ -173,20 +139,20 @@ class EventHandler:
         if time - t <= max(1e-13, shortest_step(t)):
             return self.cross(run)
         run.clock.stop = time
-        return None
+        return ""
 
     def forget_pending(self) -> None:
         """Forget the event that was located: the run does not come to it."""
         self._pending, self.modes.numbers.muted = None, False
 
-    def cross(self, run: Run) -> EventFailure | None:
+    def cross(self, run: Run) -> str:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
         assert self._pending is not None, "the run stops at an event"
         pending, self._pending = self._pending, None
         t, before = run.clock.t, self.modes.mode
         self._load(run)
         fired = [self.modes.watched[g] for g in pending.guards]
-        participants = _Participants(
+        participants = Participants(
             self._touching(fired),
             self._at_rest(fired),
             _constraints(fired, PushingForce),
@@ -195,15 +161,14 @@ class EventHandler:
         decision = self._enter_mode(t, participants, ended=before)
         self._log_decision(t, decision, before)
         if decision.undecided:
-            return EventFailure(EventFault.UNDECIDED, decision.undecided.message)
+            return decision.undecided.message
         if self._count_simultaneous(t) > MOST_SIMULTANEOUS:
-            return EventFailure(
-                EventFault.TOO_MANY,
+            return (
                 f"{self._simultaneous} events at one time: contacts open and close without the "
-                f"motion getting on; lessen restitution or friction, or start elsewhere",
+                f"motion getting on; lessen restitution or friction, or start elsewhere"
             )
         self._continue(run, decision)
-        return None
+        return ""
 
     def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
@@ -219,7 +184,7 @@ class EventHandler:
         return speeds
 
     def _enter_mode(
-        self, t: float, participants: _Participants, ended: Mode | None = None
+        self, t: float, participants: Participants, ended: Mode | None = None
     ) -> Decision:
         """Decide, and enter the next mode."""
         decision, _ = enter_consistent_mode(
@@ -256,12 +221,9 @@ class EventHandler:
         near = closed_constraints(self.modes, max(TOUCHING * self._size, HIT_SHARE * depth))
         return near | closing | closed | pressed
 
-    def _decide(self, t: float, participants: _Participants, ahead: float) -> Decision:
+    def _decide(self, t: float, participants: Participants, ahead: float) -> Decision:
         self.modes.full.arrays.time.now = t
-        decision = Transition(
-            self.modes, participants.touching, self._rest_height, participants.at_rest,
-            participants.unloaded, participants.off_patch, ahead,
-        ).decide()  # fmt: skip
+        decision = Transition(self.modes, participants, self._rest_height, ahead).decide()
         self.residual = max(self.residual, decision.residual)
         return decision
 

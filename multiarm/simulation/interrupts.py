@@ -29,10 +29,11 @@ def deferred_interrupt(interrupt: Interrupt | None = None) -> Iterator[Interrupt
     Ctrl-C raises as usual.
     """
     interrupt = Interrupt() if interrupt is None else interrupt
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupt  # signals reach the main thread only
-        return
     before = signal.getsignal(signal.SIGINT)
+    # signals reach the main thread only; a handler that is not Python's could not be put back
+    if threading.current_thread() is not threading.main_thread() or before is None:
+        yield interrupt
+        return
 
     def note(_number: int, _frame: FrameType | None) -> None:
         interrupt.pressed = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -72,8 +73,6 @@ class Task:
                 f"the start does not satisfy the joints (gaps {gaps}), and the system was compiled "
                 "with `assemble=False`: give a `state` that does, or compile it with assembly"
             )
-        if not np.isfinite(self.begin):
-            raise SceneError(f"'start_time' must be a finite time [s], got {self.begin!r}")
         if times is not None and (times[0] < self.begin or times[-1] > self.end + rounding):
             raise SceneError(
                 f"'output_times' are from {times[0]:.9g} to {times[-1]:.9g} s, the run from "
@@ -146,6 +145,19 @@ def run_spec(written: RunSpec, settings: Mapping[str, Any]) -> RunSpec:
             for fault in error.faults
         ]
         raise SceneError(faults) from None
+
+
+def finite_time(value: Any, name: str) -> float:
+    """A time that a caller gives under a name [s].
+
+    Raises
+    ------
+    SceneError
+        When it is no finite number.
+    """
+    if not isinstance(value, Real) or not math.isfinite(value):
+        raise SceneError(f"{name!r} must be a finite time [s], got {shown(value)}")
+    return float(value)
 
 
 def increasing_times(values: ArrayLike, name: str = "output_times") -> np.ndarray:

@@ -16,7 +16,7 @@ from multiarm.results.files import RunStatus, resolved
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
-from multiarm.simulation.setup import Task, increasing_times, run_spec
+from multiarm.simulation.setup import Task, finite_time, increasing_times, run_spec
 from multiarm.terminal.progress import RunProgress, RunWatcher, TimeWatcher, displayed
 
 
@@ -99,9 +99,9 @@ def simulate(
     certificate : bool
         Check a run of some ``accuracy`` against a rerun with smaller tolerances, and repeat it if
         it is not accurate enough; ``trajectory.certificate`` tells the estimated errors. False:
-        one run, unchecked. The reruns call user callbacks again from t = 0 on: one that depends on
-        earlier calls may return other values then, and should be run unchecked. Runs by ``step`` or
-        ``tolerance`` are never checked.
+        one run, unchecked. The reruns call user callbacks again from the start on: one that depends
+        on earlier calls may return other values then, and should be run unchecked. Runs by ``step``
+        or ``tolerance`` are never checked.
 
     Returns
     -------
@@ -122,14 +122,14 @@ def simulate(
     """
     system = require_system(system, "ma.simulate(system)")
     state = None if state is None else system.checked(state)
-    times = None
-    if output_times is not None:
-        if output_step is not None:
-            raise SceneError("'output_times' and 'output_step' exclude each other; keep one")
-        times = increasing_times(output_times)
-        if duration is None and not times[-1] > start_time:
+    start_time = finite_time(start_time, "start_time")
+    if output_times is not None and output_step is not None:
+        raise SceneError("'output_times' and 'output_step' exclude each other; keep one")
+    times = None if output_times is None else increasing_times(output_times)
+    if times is not None and duration is None:
+        duration = times[-1] - start_time
+        if not duration > 0.0:
             raise SceneError("the last of 'output_times' must be after 'start_time'")
-        duration = times[-1] - start_time if duration is None else duration
     spec = run_spec(
         system.scene.run,
         {

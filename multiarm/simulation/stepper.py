@@ -18,6 +18,7 @@ from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
+from multiarm.integration.step_control import shortest_step
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of, in_sequence
 from multiarm.results.files import RunStatus
@@ -25,7 +26,7 @@ from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.scene.faults import shown
-from multiarm.simulation.driver import Driver, End, Ending, failure_of, state_of
+from multiarm.simulation.driver import End, Ending, failure_of, state_of
 from multiarm.simulation.record import open_sink, run_statistics
 from multiarm.simulation.run import begin
 from multiarm.simulation.setup import Run, Task, check_control_span, run_spec
@@ -170,8 +171,10 @@ class Stepper:
         about = {"control": "torques given to a stepper"} if self._driven else {}
         open_sink(sink, task.system, spec, task.state is not None, **about)
         driver.flush()
-        for block in (*self._samples.blocks, self._observe()[None]):
+        for block in self._samples.blocks:
             sink.append(block)
+        if not self._is_at_sample(self._run.clock.sample - 1):  # the last one that was recorded
+            sink.append(self._observe()[None])
         message = f"advanced to t = {self.time:.9g} s"
         statistics, events = run_statistics(driver).as_dict(), driver.run.log.entries()
         return sink.finish(RunStatus.COMPLETED, message, statistics, events).of(task.system.scene)
@@ -188,12 +191,13 @@ class Stepper:
         SolverError, ControlError
             When the start cannot be evaluated.
         """
+        task = self._task
         if state is not None:
-            self._task = replace(self._task, state=self._task.system.checked(state))
+            task = replace(task, state=task.system.checked(state))
         self._dead_end: Ending | None = Ending(End.FAILED, "the start could not be evaluated")
         # times are multiples of equal durations, so that they do not add up roundings
         self._from, self._count, self._duration = 0.0, 0, 0.0
-        self._begin(None)
+        self._begin(task, None)
         self._dead_end = None
 
     def advance(self, duration: float, torques: Torques | None = None) -> State:
@@ -224,7 +228,12 @@ class Stepper:
             )
         if self._dead_end:
             raise SolverError(f"{self._dead_end.message}; `reset` it")
-        end = self._end_after(duration)
+        t, end = self.time, self._end_after(duration)
+        if not end - t > shortest_step(t):
+            raise SolverError(
+                f"advance: {duration:.2g} s are lost in the roundings of t = {t:.9g} s; advance by "
+                f"more than {shortest_step(t):.1g} s"
+            )
         if torques is None:
             check_control_span(self._task.data.model, 0.0, end)
         self._control(torques)
@@ -236,9 +245,9 @@ class Stepper:
             self._fail(ending)
         return state_of(self._run, self._layout)
 
-    def _begin(self, torques: np.ndarray | None) -> None:
-        """Bring the task to its start, where ``torques`` are held, or those of its own control."""
-        task, samples = self._task, MemorySink()
+    def _begin(self, task: Task, torques: np.ndarray | None) -> None:
+        """Bring a task to its start, where ``torques`` are held, or those of its own control."""
+        samples = MemorySink()
         task.data.hold(torques)
         self._held = torques is not None
         driver = begin(task, samples)
@@ -246,7 +255,7 @@ class Stepper:
         run = driver.run
         if torques is not None:
             run.clock.hold_control()
-        self._driver: Driver = driver
+        self._task, self._driver = task, driver
         self._run: Run = run
         self._samples, self._driven = samples, self._held
         self._row = np.zeros(run.block.shape[1])
@@ -272,7 +281,7 @@ class Stepper:
         self._torques[:] = 0.0
         fill_by_arm("torques", self._by_arm, torques, ControlError)
         if run.clock.steps == 0:  # the start, and the first step, are those under these torques
-            self._begin(self._torques)
+            self._begin(self._task, self._torques)
             return
         run.data.hold(self._torques)
         self._held = self._driven = True
@@ -282,16 +291,19 @@ class Stepper:
         """Move the end of the run on; samples at its new end belong to the next call."""
         count = 0
         if self._records:
-            step = self._run.settings.sample_step
-            self._record_present(step)
-            count = math.ceil(end / step - SAME_TIME)
+            self._record_present()
+            count = math.ceil(end / self._run.settings.sample_step - SAME_TIME)
         self._run.clock.extend(end, count)
 
-    def _record_present(self, step: float) -> None:
+    def _record_present(self) -> None:
         """Record the present if a sample is due, with the torques that act from now on."""
-        clock = self._run.clock
-        if abs(clock.sample * step - clock.t) <= SAME_TIME * step:
+        if self._is_at_sample(self._run.clock.sample):
             self._driver.write_sample(self._observe())
+
+    def _is_at_sample(self, k: int) -> bool:
+        """Whether the present is the time of sample ``k``."""
+        step = self._run.settings.sample_step
+        return abs(k * step - self._run.clock.t) <= SAME_TIME * step
 
     def _fail(self, ending: Ending) -> NoReturn:
         """Raise why the run cannot go on; the next call begins with a usual step again."""

@@ -260,6 +260,16 @@ def test_ctrl_c_is_noted_where_raising_would_lose_it():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_a_handler_of_a_program_around_python_stays(monkeypatch):
+    """It could not be put back."""
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(signal, "getsignal", lambda number: None)
+    with deferred_interrupt() as interrupt:
+        pass
+    monkeypatch.undo()
+    assert not interrupt.pressed and signal.getsignal(signal.SIGINT) is before
+
+
 @pytest.mark.slow
 def test_a_pipe_gets_a_plain_line_every_few_seconds(monkeypatch):
     pipe = StringIO()

@@ -571,6 +571,14 @@ def test_a_chosen_repetition_takes_the_place_of_the_file(ring, tmp_path, monkeyp
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
+def test_a_rerun_without_a_place_for_its_samples_leaves_the_run_uncertified(ring, tmp_path):
+    (tmp_path / ".run.h5.check1").mkdir()
+    run = ma.simulate(ring, accuracy=1e-6, out=tmp_path / "run.h5", **SHORT)
+    assert run.status == "completed" and len(run) == 11
+    assert run.certificate["reason"] == "failed rerun"
+    assert ".run.h5.check1" in run.certificate["text"]
+
+
 KILLED = """
 import os, signal, sys, types
 import multiarm as ma

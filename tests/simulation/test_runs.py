@@ -339,6 +339,12 @@ def test_fixed_steps_go_on_at_times_whose_rounding_is_larger_than_that_of_a_step
     np.testing.assert_allclose(run.time, start + 10.0 * step * np.arange(6), rtol=1e-12)
 
 
+def test_fixed_steps_that_roundings_of_the_time_swallow_are_told(free_block_system):
+    run = ma.simulate(free_block_system, 0.1, integrator="rk4", step=1e-3, start_time=1e10)
+    assert run.status == "failed" and "`start_time`" in run.message
+    assert "`accuracy`" not in run.message  # a fixed step has none
+
+
 def test_an_output_time_that_a_rounding_puts_after_the_end_is_taken_there(free_block_system):
     times = [0.0, 0.005, 0.01 + 5e-13]
     run = ma.simulate(free_block_system, 0.01, integrator="rk4", step=1e-4, output_times=times)
@@ -402,6 +408,8 @@ def test_a_streamed_run_is_the_run(free_block_system, tmp_path):
         {"output_times": [0.0, 0.5], "duration": 0.2},
         {"output_times": [0.1], "start_time": 0.2},
         {"start_time": math.inf},
+        {"start_time": "0.1"},
+        {"start_time": None, "output_times": [0.1]},
     ],
 )
 def test_contradicting_settings_are_refused(free_block_system, settings):

@@ -227,6 +227,18 @@ def test_reset_repeats_everything(ur5_system):
     np.testing.assert_allclose(stepper.state.position, other.position, atol=1e-12)
 
 
+def test_a_state_that_cannot_be_evaluated_is_not_where_it_began_last(ur5_system):
+    stepper = ma.Stepper(ur5_system)
+    start = stepper.state
+    apart = ur5_system.state(object_position=start.object_position + 100.0)
+    with pytest.raises(ma.MultiarmError):
+        stepper.reset(apart)
+    with refused(SolverError, "`reset`"):
+        stepper.advance(T, {})
+    stepper.reset()
+    np.testing.assert_array_equal(stepper.state.position, start.position)
+
+
 def test_a_trajectory_grows_and_can_be_stored(ur5_system, tmp_path, monkeypatch):
     monkeypatch.setattr("multiarm.simulation.setup.BLOCK_NUMBERS", 1)  # 16 samples a block
     stepper = ma.Stepper(ur5_system, record=True, output_step=1e-3)
@@ -316,6 +328,20 @@ def test_a_start_that_fails_under_torques_leaves_the_recording(tmp_path):
     np.testing.assert_allclose(stepper.trajectory().time, 1e-3 * np.arange(11), atol=1e-15)
 
 
+def test_a_recording_has_the_present_once_where_the_next_step_failed(tmp_path):
+    def wind(t, state):
+        if t > 0.02:
+            raise ValueError("the wind tunnel is off")
+        return np.zeros(6)
+
+    scene = cart_with_box(tmp_path, {"external_wrenches": [{"on": "object", "function": wind}]})
+    stepper = ma.Stepper(ma.compile_system(parse_scene(scene)), record=True, output_step=0.01)
+    stepper.advance(0.02)
+    with refused(SolverError, "external_wrenches[0]"):
+        stepper.advance(0.02)
+    np.testing.assert_allclose(stepper.trajectory().time, [0.0, 0.01, 0.02], atol=1e-15)
+
+
 def test_a_run_that_hardly_gets_on_is_ended(ur5_system, monkeypatch):
     monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", 3)
     monkeypatch.setattr("multiarm.simulation.driver.SHORT_SHARE", 1.0)
@@ -354,6 +380,15 @@ def test_a_duration_is_positive(ur5_system, duration):
     with refused(SolverError, "advance: "):
         stepper.advance(duration, {})
     assert stepper.time == 0.0
+
+
+def test_a_duration_that_roundings_of_the_time_swallow_is_refused(ur5_system):
+    stepper = ma.Stepper(ur5_system)
+    stepper.advance(T, {})
+    with refused(SolverError, "roundings"):
+        stepper.advance(1e-17, {})
+    stepper.advance(T, {})
+    assert stepper.time == 2 * T
 
 
 @pytest.mark.parametrize(
