@@ -44,6 +44,7 @@ import numpy as np
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics.coordinates import arm_columns, column_of_state, equation_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
     solve_by_arms,
@@ -54,7 +55,6 @@ from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
 from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives

@@ -124,7 +124,7 @@ class EffectKernel:
         ``PASSIVE``, ``ACTUATOR`` or ``APPLIED``.
     arrays : NamedTuple
         Numbers, and contiguous arrays of float64 or int64: values at the start of a run.  Every
-        :class:`multiarm.dynamics.model.Data` has its own copies.
+        :class:`multiarm.dynamics.data.Data` has its own copies.
     works : bool
         The kernel calls :func:`set_power` at every call, with the power of its forces: derivatives
         of powers are taken from those of forces.

@@ -48,8 +48,8 @@ from multiarm.dynamics.coordinates import (
     column_of_state,
     equation_columns,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import TWIST
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (

@@ -31,12 +31,13 @@ import numpy as np
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.control_laws import NO_CONTROL
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time

@@ -24,6 +24,7 @@ import numpy as np
 from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import column_of_state, equation_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     columns_of_arm,
     equation_work,
@@ -31,7 +32,6 @@ from multiarm.dynamics.equation_derivatives import (
     open_links,
     write_load_derivatives,
 )
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection
 from multiarm.dynamics.sliding import friction_of_unit_force, slides_of
 from multiarm.dynamics.status import OK

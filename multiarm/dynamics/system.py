@@ -1,6 +1,6 @@
 """A compiled scene for its user: the scene, its Model, and the start.
 
-An evaluation borrows a :class:`multiarm.dynamics.model.Data` of the
+An evaluation borrows a :class:`multiarm.dynamics.data.Data` of the
 :class:`multiarm.dynamics.model.Model`, so that any number of threads can use one :class:`System`.
 """
 
@@ -20,8 +20,9 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.dynamics.callbacks import ControlFunction, PythonControl
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.held_control import Sampling
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
 from multiarm.dynamics.tips import Kinematics, kinematics_of
 from multiarm.errors import ControlError, ModelError
@@ -192,7 +193,7 @@ class System:
         try:
             data = self._free_data.pop()
         except IndexError:
-            data = self.model.data()
+            data = Data(self.model)
         try:
             yield data
         finally:

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import CARRYING, open_data, open_system
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.force_derivatives import ForceDifferences, torques_are_held
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.integration.step import Step
 from multiarm.jit.kernels import kernel, plain

@@ -56,6 +56,7 @@ from multiarm.dynamics.coordinates import (
     equation_columns,
     force_columns,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
     columns_of_arm,
@@ -76,7 +77,6 @@ from multiarm.dynamics.force_derivatives import (
     clear_table,
     differentiate_forces,
 )
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.open_motion import solve_open_motion
 from multiarm.dynamics.sliding import slides_of
 from multiarm.dynamics.sliding_derivatives import (
