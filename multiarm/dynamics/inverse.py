@@ -117,8 +117,8 @@ def inverse_dynamics(
     desired = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(system.model, relative_acceleration or {})
     posture = _posture_accelerations(system.model, posture_acceleration or {})
-    with system.borrow() as own:
-        data = _uncontrolled(own)
+    with system.borrow() as controlled:
+        data = _uncontrolled(controlled)
         ev = evaluate(data, t, state)
         return _solve(data, ev, desired, relative, posture, internal_forces, basis)
 
@@ -205,8 +205,8 @@ def _contact_forces(
     """Contact forces (N,) for a wrench on the object, world axes, and internal forces."""
     R = quaternion_to_matrix(ev.state.object_quaternion_xyzw)
     form = ev.internal_forces(basis) if isinstance(basis, str) else basis
-    own = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
-    return distribute(ev.W_o, own, coordinates, form)
+    in_object_axes = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
+    return distribute(ev.W_o, in_object_axes, coordinates, form)
 
 
 def _nearest(

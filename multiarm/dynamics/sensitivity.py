@@ -212,14 +212,15 @@ def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
 
     In the order of the columns of :class:`Derivatives`.
     """
-    constraints = np.stack([own.constraint for own in motions])
+    constraints = np.stack([motion.constraint for motion in motions])
     lengths = np.linalg.norm(constraints, axis=2, keepdims=True)
     constraints /= np.where(lengths > 0.0, lengths, 1.0)
-    if all(own.independent for own in motions):
+    if all(motion.independent for motion in motions):
         whole = np.linalg.qr(constraints.transpose(0, 2, 1), mode="complete").Q
         return list(whole[:, :, constraints.shape[1] :])
     return [
-        null_space(own[np.any(own, axis=1)], COUPLED_RANK_TOLERANCE).basis for own in constraints
+        null_space(matrix[np.any(matrix, axis=1)], COUPLED_RANK_TOLERANCE).basis
+        for matrix in constraints
     ]
 
 

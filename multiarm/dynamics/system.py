@@ -126,26 +126,26 @@ class StartReport:
 
     def lines(self) -> list[str]:
         """The corrections, and joints at or outside limits, in words."""
-        found = []
+        lines = []
         if self.joint_change > 0.0 or not self.object_held:
             arms = ", ".join(f"{arm} {change:.3g}" for arm, change in self.joint_changes.items())
             body = "held"
             if not self.object_held:
                 body = f"moved by {self.object_shift:.3g} m and {self.object_turn:.3g} rad"
-            found.append(f"joints moved by up to {arms} (rad or m), the object was {body}")
+            lines.append(f"joints moved by up to {arms} (rad or m), the object was {body}")
         if self.velocity_change > 0.0:
-            found.append(
+            lines.append(
                 f"velocities changed: object {self.object_velocity_change:.3g} m/s and "
                 f"{self.object_spin_change:.3g} rad/s, joints up to "
                 f"{self.joint_velocity_change:.3g} rad/s or m/s; {self.energy_lost:.3g} J were lost"
             )
         if self.at_limit:
-            found.append(f"at a limit: {', '.join(self.at_limit)}")
+            lines.append(f"at a limit: {', '.join(self.at_limit)}")
         if self.outside_limits:
-            found.append(
+            lines.append(
                 f"written outside its limits, and left there: {', '.join(self.outside_limits)}"
             )
-        return found
+        return lines
 
 
 @dataclass(frozen=True, eq=False, repr=False)

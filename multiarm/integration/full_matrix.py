@@ -66,7 +66,7 @@ from multiarm.dynamics.equation_derivatives import (
     separate_dependent_rows,
     solve_at_once,
     solve_by_arms,
-    stack_equations,
+    stack_matrix,
     write_derivatives,
 )
 from multiarm.dynamics.force_derivatives import (
@@ -302,7 +302,7 @@ def differentiate_projection(struct, full):
     Y = full.projection
     size, nv, joints = Y.shape[0], full.turned.shape[1], chart_places(data).joints
     K, pivots = np.zeros((size, size)), np.zeros(size, np.int64)
-    stack_equations(struct, full.equations, K, full.solution)
+    stack_matrix(struct, full.equations, K)
     for i in range(size):
         clear(Y[i])
     for i in range(system.first_joint.size - 1):
