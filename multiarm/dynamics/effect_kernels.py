@@ -191,6 +191,11 @@ class EffectKernel:
         for kernel in filter(None, (self.kernel, self.derivative)):
             if not isinstance(kernel, Kernel) or not kernel.is_called_by_address:
                 raise ModelError(f"{who} returned a kernel that is no `multiarm.jit.kernels.cfunc`")
+        if self.phase not in (PASSIVE, ACTUATOR, APPLIED):
+            raise ModelError(
+                f"{who} returned a kernel of the phase {self.phase!r}; phases are PASSIVE, "
+                f"ACTUATOR and APPLIED of multiarm.effects"
+            )
         fault = misfit(self.arrays)
         if fault:
             raise ModelError(f"{who} returned a kernel with wrong arrays: {fault}")

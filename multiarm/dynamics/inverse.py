@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,7 @@ from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.notation import count_of
+from multiarm.scene.faults import shown
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -115,8 +117,12 @@ def inverse_dynamics(
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
     t, state = require_time(t), system.checked(state)
     desired = checked_vector("object_acceleration", object_acceleration, 6)
-    relative = _relative_accelerations(system.model, relative_acceleration or {})
-    posture = _posture_accelerations(system.model, posture_acceleration or {})
+    relative = _relative_accelerations(
+        system.model, {} if relative_acceleration is None else relative_acceleration
+    )
+    posture = _posture_accelerations(
+        system.model, {} if posture_acceleration is None else posture_acceleration
+    )
     with system.borrow() as controlled:
         data = _uncontrolled(controlled)
         ev = evaluate(data, t, state)
@@ -249,7 +255,9 @@ def _posture_accelerations(model: Model, given: Mapping[str, np.ndarray]) -> dic
     }
 
 
-def _require_arms(model: Model, what: str, given: Mapping[str, object]) -> None:
+def _require_arms(model: Model, what: str, given: Any) -> None:
+    if not isinstance(given, Mapping):
+        raise ModelError(f"{what}: must be a dict with numbers by arm, got {shown(given)}")
     for arm in given:
         if arm not in model.arms:
             names = ", ".join(model.arm_names)

@@ -89,15 +89,26 @@ def require_control(
     ------
     ControlError
     """
-    if control is not None and not callable(control):
-        raise ControlError(
-            f"control: must be a function f(t, state) -> (arm: torques), got {shown(control)}; "
-            "kinds of control by name belong into the scene"
-        )
-    if control is None and (sample_time is not None or sample_delay):
+    if control is not None:
+        require_function(control)
+    elif sample_time is not None or sample_delay:
         raise ControlError(
             "sample_time: belongs to a `control` that is given with it; in a scene write "
             "`control: {kind: ..., sample_time: ...}`"
+        )
+
+
+def require_function(control: Any) -> None:
+    """Refuse a controller that is no function.
+
+    Raises
+    ------
+    ControlError
+    """
+    if not callable(control):
+        raise ControlError(
+            f"control: must be a function f(t, state) -> (arm: torques), got {shown(control)}; "
+            "kinds of control by name belong into the scene"
         )
 
 
@@ -344,8 +355,10 @@ class System:
         Raises
         ------
         ControlError
-            When ``sample_time`` is not a positive number, or missing although there is a delay.
+            When ``control`` is no function, ``sample_time`` is not a positive number, or missing
+            although there is a delay.
         """
+        require_function(control)
         if sample_time is None and sample_delay:
             raise ControlError("sample_delay: a delay of one sample needs `sample_time` [s]")
         sampling = None if sample_time is None else Sampling(sample_time, sample_delay)
