@@ -63,6 +63,7 @@ from timing import (
 )
 
 from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.node import make_work
 from multiarm.dynamics.status import OK
@@ -201,7 +202,7 @@ def _measure(count: int, rounds: int) -> dict[str, float]:
     state = moving_state(system, seed=count)
     s = build(system, state)
     matrix, right = assemble(s)
-    data = system.model.data()
+    data = Data(system.model)
     data.set_state(0.0, state)
     parts = data.arrays.functions
     bursts: dict[str, Burst] = {

@@ -36,6 +36,7 @@ from timing import (
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.start import project_velocity
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.events.evaluation import evaluate
@@ -170,7 +171,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
             "lcaba": Lcaba(system).evaluation(state, torque),
         }
         accelerations |= {name: call()[: torque.size].copy() for name, call in peers.items()}
-    ours, copies, dense = (each.model.data() for each in (system, compiled, dense_system))
+    ours, copies, dense = (Data(each.model) for each in (system, compiled, dense_system))
     for data in (ours, copies, dense):
         data.set_state(0.0, state)
     bursts = {

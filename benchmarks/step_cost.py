@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from timing import calls_a_burst, slope_burst
 
 from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.plots.style import BLUE
@@ -98,7 +99,7 @@ def step_costs(arms: Sequence[int], rounds: int) -> pandas.DataFrame:
 
 def step_cost(system: System, integrator: str, rounds: int) -> StepCost:
     """The cheapest of some runs, and the cheapest evaluations measured between them."""
-    data = system.model.data()
+    data = Data(system.model)
     data.set_state(0.0, moving_state(system, seed=len(system.arm_names)))
     evaluations = slope_burst(data)
     calls, cost, best, runs, spent = calls_a_burst(evaluations), math.inf, math.inf, 0, 0.0

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.dynamics.coordinates import chart_places
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step

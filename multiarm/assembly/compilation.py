@@ -23,7 +23,7 @@ from multiarm.assembly.start import (
 from multiarm.control.laws import control_program
 from multiarm.control.program import ControlContext, ControlProgram, JointPath
 from multiarm.dynamics.callbacks import ControlFunction
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System, require_control
 from multiarm.errors import ModelError, SceneError
@@ -95,7 +95,7 @@ def compile_system(
     joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too
     backends = arm_backends(scene, robots, like)  # Pinocchio or compiled copies
-    data = uncontrolled_model(scene, robots, joints, rows, backends).data()
+    data = Data(uncontrolled_model(scene, robots, joints, rows, backends))
     written = written_start(scene, robots, rows.layout)
     data = with_contacts_located(data, closed_at_start(data) if assemble else data, written)
     if assemble:
@@ -146,7 +146,7 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
     robots = load_robots(scene, seek=start is None)
     joints = scene_joints(scene, robots)
     rows = contact_rows(scene, robots, joints)
-    data = uncontrolled_model(scene, robots, joints, rows, arm_backends(scene, robots)).data()
+    data = Data(uncontrolled_model(scene, robots, joints, rows, arm_backends(scene, robots)))
     written = System(scene, data.model, StartReport(), written_start(scene, robots, rows.layout))
     state = written.state(**start or {})
     return System(scene, with_contacts_located(data, data, state).model, StartReport(), state)

@@ -18,8 +18,8 @@ from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
 from multiarm.contacts.table import PackedContacts, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System

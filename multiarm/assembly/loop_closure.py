@@ -44,10 +44,10 @@ from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retract
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.dynamics.model import Data
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.jit.rows import fields_of
 

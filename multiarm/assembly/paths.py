@@ -14,9 +14,9 @@ import numpy as np
 from multiarm.assembly.loop_closure import Linkage, close_gaps, projection_tolerance
 from multiarm.control.object_path import pose_of, quintic, route
 from multiarm.control.program import JointPath
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System

@@ -42,10 +42,10 @@ from multiarm.assembly.robots import Robots
 from multiarm.assembly.start_faults import cannot_close, inside, too_far
 from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import locate_pairs, patch_margin, place_state
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import lost_contact, require_ok
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System

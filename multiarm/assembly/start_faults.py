@@ -16,7 +16,7 @@ from multiarm.assembly.loop_closure import (
 )
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, Constraint
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.values import SURROUNDINGS

@@ -38,9 +38,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.references import Reference, References
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR

@@ -43,11 +43,11 @@ from multiarm.dynamics.arrays import CARRYING, open_system
 from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
 from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import cfunc, clear, copy, inlined, kernel

@@ -8,7 +8,7 @@ import numpy as np
 
 from multiarm.control.command_derivatives import PreparedDerivatives
 from multiarm.dynamics.control_laws import view_of_law, view_of_work
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Ints1
 
 

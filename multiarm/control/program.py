@@ -12,8 +12,9 @@ from multiarm.arms.arm import Arm
 from multiarm.dynamics.arrays import COUPLED
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.control_laws import ControlLaw
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.held_control import Sampling
-from multiarm.dynamics.model import ControlSpan, Data
+from multiarm.dynamics.model import ControlSpan
 from multiarm.dynamics.state import State
 from multiarm.scene import Scene, gain_vector
 

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.forces.internal_forces import decompose, pressing_forces
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.model import Model
 from multiarm.errors import ControlError, GraspError
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of

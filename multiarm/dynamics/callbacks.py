@@ -29,8 +29,15 @@ from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.solution import DENSE, write_solution
 from multiarm.dynamics.state import State, fill_by_arm
+from multiarm.dynamics.status import (
+    ARM_INERTIA,
+    ARM_NOT_FINITE,
+    NOT_FINITE,
+    OBJECT_INERTIA,
+    OK,
+)
 from multiarm.dynamics.variables import Variables
-from multiarm.errors import USER_FAULTS, ControlError, MultiarmError, SolverError
+from multiarm.errors import USER_FAULTS, ControlError, MultiarmError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import PythonCallback, address_of, call_python
 from multiarm.jit.structs import struct_at
@@ -199,6 +206,8 @@ class Solved(Protocol):
 class DenseSolver:
     """Solves for ``a_o, a_j, force`` in a Data by the dense solver, when it is called.
 
+    How it is called, and what it returns, is in the Data: ``arrays.dense``.
+
     Attributes
     ----------
     reactions : tuple of ndarray, optional
@@ -217,7 +226,10 @@ class DenseSolver:
         dofs = work.first_joint
         arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.bodies.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
-        _require_usable(inertias, (b.forces.f_j, b.rows.c, b.forces.f_o, work.W))
+        terms = b.bodies.object_inertia, b.rows.W_o, work.W, b.rows.c, b.forces.f
+        b.dense.status, b.status.arm = _status_of(b.bodies.object_inertia, inertias, terms)
+        if b.dense.status != OK:
+            return
         W_o, W = _by_arm(work, b.rows.W_o, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
@@ -232,6 +244,7 @@ class DenseSolver:
             c=[b.rows.c[work.first_contact[i] : work.first_contact[i + 1]] for i in arms],
             reaction_o=reaction_o,
             reaction=reaction,
+            tolerance=b.dense.tolerance,
         )
         b.accelerations.a_o[:] = solution.object_acceleration
         b.accelerations.a_j[:] = np.concatenate(solution.joint_accelerations)
@@ -250,14 +263,16 @@ def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple
     return [on_object[first:end].T for first, end in bounds], blocks
 
 
-def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -> None:
-    if not all(np.all(np.isfinite(term)) for term in (*terms, *inertias)):
-        raise SolverError(
-            "the equations of motion are not finite; take smaller steps, or check the controller"
-        )
-    for number, inertia in enumerate(inertias, start=1):
+def _status_of(
+    object_inertia: np.ndarray, inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]
+) -> tuple[int, int]:
+    """Why the equations cannot be solved, and the arm of ``ARM_INERTIA, ARM_NOT_FINITE``."""
+    if not np.all(np.diag(object_inertia) > 0.0):
+        return OBJECT_INERTIA, 0
+    for i, inertia in enumerate(inertias):
+        if not np.all(np.isfinite(inertia)):
+            return ARM_NOT_FINITE, i
         if not np.all(np.diag(inertia) > 0.0):
-            raise SolverError(
-                f"a joint of arm {number} moves links without mass or inertia; give them some in "
-                f"the URDF, or lock the joint"
-            )
+            return ARM_INERTIA, i
+    finite = all(np.all(np.isfinite(term)) for term in terms)
+    return (OK if finite else NOT_FINITE), 0

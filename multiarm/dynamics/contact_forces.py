@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.jit.kernels import clear, kernel
 
 

@@ -28,10 +28,11 @@ from multiarm.contacts.motion import BodyMotion, open_body, open_relative, write
 from multiarm.contacts.table import PAIR, Code, ContactGeometry, open_code
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
-from multiarm.dynamics.model import Data, Evaluated, Model
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK

@@ -48,7 +48,7 @@ derivatives of its torques at fixed s, and those by s, to ``data.slopes.torque``
 derivatives of :math:`F_s` to ``data.slopes.share`` (6, columns).
 
 *Its work*, where it has any, is a ``NamedTuple`` of arrays that it writes.  Each
-:class:`multiarm.dynamics.model.Data` has its own, made by the classmethod ``of(data)``; they follow
+:class:`multiarm.dynamics.data.Data` has its own, made by the classmethod ``of(data)``; they follow
 the numbers in the struct, and the law opens them by :func:`view_of_work`.
 
 Effects are built in the same way (:mod:`multiarm.dynamics.effect_kernels`).

@@ -44,17 +44,18 @@ import numpy as np
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics.coordinates import arm_columns, column_of_state, equation_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
     solve_by_arms,
-    stack_equations,
+    stack_derivatives,
+    stack_matrix,
     write_derivatives,
 )
 from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
 from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
@@ -71,7 +72,7 @@ CONSISTENT = 1e-7
 
 
 def differentiate(
-    data: Data, found: Evaluation, closed_loop: bool, parameters: bool
+    data: Data, evaluation: Evaluation, closed_loop: bool, parameters: bool
 ) -> Derivatives:
     """The derivatives of an evaluation of the data, right after it.
 
@@ -83,9 +84,11 @@ def differentiate(
     layout, states = data.model.layout, data.arrays.effects.states.size
     rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
     equations = _Equations(data, parameters, columns)
-    independent, message = found.rank == layout.contacts, ""
+    dependent, message = layout.contacts - evaluation.rank, ""
+    independent = dependent == 0
     on_ground = layout.surroundings.start < layout.contacts
-    by_arms = independent and not (found.coupled_arms or data.model.constants.dense or on_ground)
+    coupled = evaluation.coupled_arms or data.model.constants.dense or on_ground
+    by_arms = independent and not coupled
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     solved = matrix[: rows["effect_state_rates"].start]
     motions = equations.motions(independent)
@@ -101,17 +104,17 @@ def differentiate(
         by_force = np.hstack([solved[:, equations.wrench], solved[:, columns["torques"]]])
         solved[:, of_state] += by_force @ applied[: layout.nv]
     if not independent:
-        unique = np.concatenate(list(found.contact_forces_unique.values()))
+        unique = np.concatenate(list(evaluation.contact_forces_unique.values()))
         matrix[rows["contact_forces"]][~unique] = np.nan
         message = (
-            f"constraints that repeat others: {layout.contacts - found.rank} of {layout.contacts}; "
+            f"constraints that repeat others: {dependent} of {layout.contacts}; "
             "displacements are projected on those that keep the joints closed, and forces that are "
             "not unique have no derivatives"
         )
         if parameters:
             message += "; placements that would contradict the others have none either"
-    matrix = matrix[:, : max(own.stop for own in columns.values())]
-    return Derivatives(found, matrix, rows, columns, layout, message, motions)
+    matrix = matrix[:, : max(part.stop for part in columns.values())]
+    return Derivatives(evaluation, matrix, rows, columns, layout, message, motions)
 
 
 def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives) -> np.ndarray:
@@ -121,16 +124,16 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     """
     matrix, columns, layout = derivatives.matrix, derivatives.columns, derivatives.layout
     equations = _Equations(data, "placements" in columns, columns)
-    states = columns["torques"].start
+    states, of_all = columns["torques"].start, equation_columns(data.arrays)
     normal = matrix[derivatives.rows["contact_forces"]][slides.row]
     turns = np.zeros((len(slides.row), matrix.shape[1]))
     for turn, angle, i in zip(turns, equations.friction.angle, slides.arm, strict=True):
-        d0, own = layout.first_joint[i], arm_columns(layout.joint_counts[i], False)
-        at = equation_columns(data.arrays)
-        turn[[column_of_state(at, own, d0, c) for c in range(own.end)]] = angle[: own.end]
+        d0, of_arm = layout.first_joint[i], arm_columns(layout.joint_counts[i], False)
+        places = [column_of_state(of_all, of_arm, d0, c) for c in range(of_arm.end)]
+        turn[places] = angle[: of_arm.end]
         if "placements" in columns and i < len(layout.names):
             first = columns["placements"].start + 6 * i
-            turn[first : first + 6] = angle[own.end : own.end + 6]
+            turn[first : first + 6] = angle[of_arm.end : of_arm.end + 6]
     if not derivatives.motions.independent:
         turns[:, :states] = turns[:, :states] @ derivatives.motions.admissible()
     friction = np.array([friction_of_unit_force(slides, s) for s in range(slides.row.size)])
@@ -154,7 +157,7 @@ class _Equations:
 
     def __init__(self, data: Data, parameters: bool, columns: Mapping[str, slice]) -> None:
         self._data, self._parameters, self._columns = data, parameters, columns
-        end = max(own.stop for own in columns.values())
+        end = max(part.stop for part in columns.values())
         self.wrench = columns.get("object_wrench", slice(end, end + 6))
         self.width = max(end, self.wrench.stop)
         placements = columns["placements"].start if parameters else -1
@@ -184,16 +187,16 @@ class _Equations:
             When the rank of the constraints changes with these displacements.
         """
         layout, size = self._data.model.layout, self._data.model.layout.nv
-        K, dF = self._stacked()
+        K, right = self._stacked()
         states = self._columns["torques"].start
         if admissible is not None:
-            dF[:, :states] = dF[:, :states] @ admissible
+            right[:, :states] = right[:, :states] @ admissible
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
         scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
         u, singular, vt = np.linalg.svd(scale[:, None] * K * scale)
         rank = rank_of(singular, SYSTEM_TOLERANCE)
-        right = u.T @ (scale[:, None] * dF)
+        right = u.T @ (scale[:, None] * right)
         left = np.abs(right[rank:]).max(axis=0, initial=0.0)
         contradictory = left > CONSISTENT * np.abs(right).max()
         if self._parameters:
@@ -206,14 +209,14 @@ class _Equations:
                 "derivatives: the rank of the constraints changes at this state, so that "
                 "accelerations are not differentiable there; take a state beside it"
             )
-        return -scale[:, None] * (vt[:rank].T @ (right[:rank] / singular[:rank, None]))
+        return scale[:, None] * (vt[:rank].T @ (right[:rank] / singular[:rank, None]))
 
     def motions(self, independent: bool) -> Callable[[], Motions]:
         """What makes the inertia and the derivatives of the gaps, when they are needed."""
-        b, own = self._data.arrays, self._work
+        b, work = self._data.arrays, self._work
         arrays = (
             part.copy()
-            for part in (b.bodies.object_inertia, own.M, self._data.work.W, b.rows.W_o, own.rates)
+            for part in (b.bodies.object_inertia, work.M, self._data.work.W, b.rows.W_o, work.rates)
         )
         table = self._data.model.constants.contacts
         codes = fields_of(Code, table.codes[: len(b.rows.W_o)])
@@ -242,12 +245,13 @@ class _Equations:
             dF_o[3:, first + k] = unit @ turning + np.cross(spin, unit @ spin)
 
     def _stacked(self) -> tuple[np.ndarray, np.ndarray]:
-        """The matrix and the derivatives of all equations."""
+        """The matrix of all equations, and the right-hand sides: minus their derivatives."""
         layout = self._data.model.layout
         size = layout.nv + layout.contacts
-        K, dF = np.zeros((size, size)), np.zeros((size, self._work.dF_o.shape[1]))
-        stack_equations(self._data.struct, self._struct, K, dF)
-        return K, dF
+        K, right = np.zeros((size, size)), np.zeros((size, self._work.dF_o.shape[1]))
+        stack_matrix(self._data.struct, self._struct, K)
+        stack_derivatives(self._data.struct, self._struct, -1.0, right)
+        return K, right
 
 
 def _motions(

@@ -24,7 +24,7 @@ import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
-from multiarm.dynamics.model import Evaluated
+from multiarm.dynamics.data import Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.geometry.records import Contact

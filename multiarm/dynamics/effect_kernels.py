@@ -124,7 +124,7 @@ class EffectKernel:
         ``PASSIVE``, ``ACTUATOR`` or ``APPLIED``.
     arrays : NamedTuple
         Numbers, and contiguous arrays of float64 or int64: values at the start of a run.  Every
-        :class:`multiarm.dynamics.model.Data` has its own copies.
+        :class:`multiarm.dynamics.data.Data` has its own copies.
     works : bool
         The kernel calls :func:`set_power` at every call, with the power of its forces: derivatives
         of powers are taken from those of forces.
@@ -191,6 +191,11 @@ class EffectKernel:
         for kernel in filter(None, (self.kernel, self.derivative)):
             if not isinstance(kernel, Kernel) or not kernel.is_called_by_address:
                 raise ModelError(f"{who} returned a kernel that is no `multiarm.jit.kernels.cfunc`")
+        if self.phase not in (PASSIVE, ACTUATOR, APPLIED):
+            raise ModelError(
+                f"{who} returned a kernel of the phase {self.phase!r}; phases are PASSIVE, "
+                f"ACTUATOR and APPLIED of multiarm.effects"
+            )
         fault = misfit(self.arrays)
         if fault:
             raise ModelError(f"{who} returned a kernel with wrong arrays: {fault}")

@@ -48,12 +48,13 @@ from multiarm.dynamics.coordinates import (
     column_of_state,
     equation_columns,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import TWIST
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
     INTS,
+    NUMBER,
     TABLE,
     allocating,
     clear,
@@ -106,6 +107,8 @@ class EquationWork(NamedTuple):
     pivots: Ints1
 
 
+# First rows of the moment on the object in ``dF_o``, first columns of its turn and of its spin.
+MOMENT, TURN, SPIN = 3, 3, TWIST + 3
 # A twist and an acceleration.
 AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -152,7 +155,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
 def equation_work(
     data: Data, columns: int, placements: int = -1, *, masses: bool = True, weights: bool = True
 ) -> tuple[EquationWork, np.ndarray]:
-    """The arrays for derivatives with a number of columns, and the struct ``own`` of the kernels.
+    """The arrays for derivatives with a number of columns, and their struct for the kernels.
 
     The data keep them.  ``placements`` is the first of their columns, -1 without.  Without
     ``masses``, those for :func:`write_load_derivatives`; without ``weights``, gravity is left out.
@@ -173,20 +176,20 @@ def equation_work(
 
 
 @kernel
-def write_derivatives(struct: INTS, own: INTS):
+def write_derivatives(struct: INTS, equations: INTS):
     """Write the derivatives of all equations at the solution in the data; returns a status.
 
-    Without friction (:mod:`multiarm.dynamics.sliding_derivatives`).  ``own`` is the struct of
+    Without friction (:mod:`multiarm.dynamics.sliding_derivatives`).  ``equations`` is the struct of
     :func:`equation_work`.
     """
-    data, work = open_data(struct), open_equations(own)
+    data, work = open_data(struct), open_equations(equations)
     copy(data.state.joint_rates, work.v)
     copy(data.accelerations.a_j, work.a_j)
     copy(data.rows.force, work.force)
     for k in range(data.rows.W_o.shape[0]):
         copy(data.rows.W_o[k], work.Wr_o[k])
     write_body(data, data.state.object_twist, data.accelerations.a_o, work)
-    status = differentiate_bodies(struct, own)
+    status = differentiate_bodies(struct, equations)
     add_object_equation(
         data.bodies.object_inertia, data.state.object_twist, data.accelerations.a_o, work
     )
@@ -194,42 +197,42 @@ def write_derivatives(struct: INTS, own: INTS):
 
 
 @kernel
-def write_derivatives_at_rest(struct, own, twist):
+def write_derivatives_at_rest(struct, equations, twist):
     """Write the derivatives of what holds the arms at rest under ``work.force``; returns a status.
 
     At rest but for the accelerations ``work.a_j``.  They are the rows of joints in ``dF``; ``dF_o``
     has those of the opposite wrench on the object, and ``rates`` those of the gap rates while the
     object moves with a twist (6,).
     """
-    data, work = open_data(struct), open_equations(own)
+    data, work = open_data(struct), open_equations(equations)
     clear(work.v)
     write_body(data, twist, AT_REST, work)
-    return differentiate_bodies(struct, own)
+    return differentiate_bodies(struct, equations)
 
 
 @kernel
-def write_load_derivatives(struct, own):
+def write_load_derivatives(struct, equations):
     """Write the derivatives of what contacts do to the bodies, with ``data.rows.static_force``.
 
-    ``own`` has massless links.  The rows of joints in ``dF``, and ``dF_o``, are those of
+    ``equations`` has massless links.  The rows of joints in ``dF``, and ``dF_o``, are those of
     ``-W force`` and ``-W_o force``; ``rates`` those of the gap rates.  Returns a status.
     """
-    data, work = open_data(struct), open_equations(own)
+    data, work = open_data(struct), open_equations(equations)
     copy(data.state.joint_rates, work.v)
     clear(work.a_j)
     copy(data.rows.static_force, work.force)
     write_body(data, data.state.object_twist, AT_REST, work)
-    return differentiate_bodies(struct, own)
+    return differentiate_bodies(struct, equations)
 
 
 @kernel
-def differentiate_bodies(struct, own):
+def differentiate_bodies(struct, equations):
     """Write the derivatives of all arms and their wrenches on the object; returns a status.
 
     At the motion and the contact forces in ``work.body, v, a_j, force``.
     """
     model, data, system = open_system(struct)
-    links, work = open_links(own), open_equations(own)
+    links, work = open_links(equations), open_equations(equations)
     for l in range(work.dF_o.shape[0]):
         clear(work.dF_o[l])
     for i in range(system.first_joint.size - 1):
@@ -264,8 +267,8 @@ def add_object_equation(inertia, twist, acceleration, work):
         by_turn = add_cross(sub(times(I, cross(alpha, e)), cross(torque, e)), w, gyroscopic)
         by_spin = add_cross(cross(w, times(I, e)), e, spin)
         for k in range(3):
-            work.dF_o[3 + k, 3 + axis] += by_turn[k]
-            work.dF_o[3 + k, 9 + axis] += by_spin[k]
+            work.dF_o[MOMENT + k, TURN + axis] += by_turn[k]
+            work.dF_o[MOMENT + k, SPIN + axis] += by_spin[k]
 
 
 @kernel
@@ -330,13 +333,13 @@ def write_matrix_of_arm(i, first, m, n, data, system, work):
 
 
 @kernel
-def add_drift_feedback(struct, own, alpha, beta):
+def add_drift_feedback(struct, equations, alpha, beta):
     """Add the derivatives of the feedback on the drift to those of ``F_phi``.
 
     After :func:`write_derivatives`; ``alpha, beta`` [1/s] are the gains.
     """
     model, data, system = open_system(struct)
-    links, work = open_links(own), open_equations(own)
+    links, work = open_links(equations), open_equations(equations)
     for i in range(system.first_joint.size - 1):
         n, first = system.first_joint[i + 1] - system.first_joint[i], system.first_contact[i]
         columns, W = columns_of_arm(i, n, links, work), system.W[i]
@@ -365,27 +368,22 @@ def gap_weight(model, row):
 
 
 @kernel
-def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
-    """Add the matrix of all equations to ``K``, and their derivatives to ``dF``.
+def stack_matrix(struct: INTS, equations: INTS, K: TABLE):
+    """Add the matrix of all equations to ``K``.
 
-    Their rows are those of the object, of the joints and of the contacts, 6 + n + N.
+    Its rows are those of the object, of the joints and of the contacts, 6 + n + N.
     """
     _, data, system = open_system(struct)
-    links, work = open_links(own), open_equations(own)
-    places, of_all = chart_places(data), equation_columns(data)
+    work, places = open_equations(equations), chart_places(data)
     for l in range(places.joints):
-        for c in range(dF.shape[1]):
-            dF[l, c] += work.dF_o[l, c]
         for c in range(places.joints):
             K[l, c] += data.bodies.object_inertia[l, c]
     for i in range(system.first_joint.size - 1):
         d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
         first, last = system.first_contact[i], system.first_contact[i + 1]
-        columns = columns_of_arm(i, n, links, work)
         joints, contacts = places.joints + d0, places.velocity + first - n
         for a in range(n + last - first):
             row = a + (joints if a < n else contacts)
-            subtract_own(-1.0, work.dF[i, a], i, d0, n, columns, of_all, work, dF[row])
             for b in range(n + last - first):
                 K[row, b + (joints if b < n else contacts)] += work.K[i, a, b]
         for k in range(first, last):
@@ -394,8 +392,27 @@ def stack_equations(struct: INTS, own: INTS, K: TABLE, dF: TABLE):
                 K[places.velocity + k, l] += data.rows.W_o[k, l]
 
 
+@kernel
+def stack_derivatives(struct: INTS, equations: INTS, weight: NUMBER, dF: TABLE):
+    """Add the derivatives of all equations, times a weight, to ``dF``; rows as in ``K``."""
+    _, data, system = open_system(struct)
+    links, work = open_links(equations), open_equations(equations)
+    places, of_all = chart_places(data), equation_columns(data)
+    for l in range(places.joints):
+        for c in range(dF.shape[1]):
+            dF[l, c] += weight * work.dF_o[l, c]
+    for i in range(system.first_joint.size - 1):
+        d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
+        first, last = system.first_contact[i], system.first_contact[i + 1]
+        columns = columns_of_arm(i, n, links, work)
+        joints, contacts = places.joints + d0, places.velocity + first - n
+        for a in range(n + last - first):
+            row = dF[a + (joints if a < n else contacts)]
+            add_arm_columns(weight, work.dF[i, a], i, d0, n, columns, of_all, work, row)
+
+
 @allocating
-def solve_at_once(struct, own, matrix):
+def solve_at_once(struct, equations, matrix):
     """Solve for ``dy`` where some arm cannot be solved on its own; returns a status.
 
     ``matrix`` (6 + n + N, columns) is written; of forces that are not unique it has one of many
@@ -405,15 +422,12 @@ def solve_at_once(struct, own, matrix):
     K, pivots = np.zeros((size, size)), np.zeros(size, dtype=np.int64)
     for i in range(size):
         clear(matrix[i])
-    stack_equations(struct, own, K, matrix)
+    stack_matrix(struct, equations, K)
+    stack_derivatives(struct, equations, -1.0, matrix)
     data = open_data(struct)
     separate_dependent_rows(K, data.state.velocity.size, data.solution.dependent)
     if not factor_lu(K, size, pivots) > 0.0:
         return SINGULAR
-    for i in range(size):
-        row = matrix[i]
-        for c in range(row.size):
-            row[c] = -row[c]
     solve_rows(K, size, pivots, matrix)
     return OK
 
@@ -444,14 +458,14 @@ def separate_dependent_rows(K, nv, dependent):
 
 
 @kernel
-def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
+def solve_by_arms(struct: INTS, equations: INTS, matrix: TABLE):
     """Solve for ``dy``, each arm on its own and then the object; returns a status.
 
     ``matrix`` (6 + n + N, columns) is written; matrices and derivatives in the work are used up.
     The result is ``SINGULAR`` where an arm, or the object, cannot be solved so.
     """
     _, data, system = open_system(struct)
-    links, work = open_links(own), open_equations(own)
+    links, work = open_links(equations), open_equations(equations)
     S, places, of_all = work.S, chart_places(data), equation_columns(data)
     of_frames = S.shape[0]
     for l in range(of_frames):
@@ -470,7 +484,9 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
         for k in range(first, last):
             forces = X[n + k - first]
             for l in range(of_frames):
-                subtract_own(work.Wr_o[k, l], forces, i, d0, n, columns, of_all, work, matrix[l])
+                add_arm_columns(
+                    -work.Wr_o[k, l], forces, i, d0, n, columns, of_all, work, matrix[l]
+                )
                 for c in range(of_frames):
                     S[l, c] += work.Wr_o[k, l] * forces[C + n + c]
     if not factor_lu(S, of_frames, work.pivots) > 0.0:
@@ -492,20 +508,20 @@ def solve_by_arms(struct: INTS, own: INTS, matrix: TABLE):
                 weight, of_object = X[C + n + l], matrix[l]
                 for c in range(row.size):
                     row[c] -= weight * of_object[c]
-            subtract_own(1.0, X, i, d0, n, columns, of_all, work, row)
+            add_arm_columns(-1.0, X, i, d0, n, columns, of_all, work, row)
     return OK
 
 
 @inlined
-def subtract_own(weight, values, i, d0, n, columns, of_all, work, row):
-    """Subtract an arm's own columns, times a weight, from a row of all columns."""
+def add_arm_columns(weight, values, i, d0, n, columns, of_all, work, row):
+    """Add the columns of an arm, times a weight, to a row of all columns."""
     at = of_all
     for c in range(columns.twists):
-        row[c] -= weight * values[c]
-        row[at.twists + c] -= weight * values[columns.twists + c]
+        row[c] += weight * values[c]
+        row[at.twists + c] += weight * values[columns.twists + c]
     for k in range(n):
-        row[at.positions + d0 + k] -= weight * values[columns.positions + k]
-        row[at.rates + d0 + k] -= weight * values[columns.rates + k]
-        row[at.torques + d0 + k] -= weight * values[columns.end + k]
+        row[at.positions + d0 + k] += weight * values[columns.positions + k]
+        row[at.rates + d0 + k] += weight * values[columns.rates + k]
+        row[at.torques + d0 + k] += weight * values[columns.end + k]
     for k in range(columns.end - columns.placement):
-        row[work.placements + 6 * i + k] -= weight * values[columns.placement + k]
+        row[work.placements + 6 * i + k] += weight * values[columns.placement + k]

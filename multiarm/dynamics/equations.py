@@ -44,7 +44,12 @@ from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
 from multiarm.dynamics.solver.node import eliminate_arms
-from multiarm.dynamics.solver.singular import couple, solve_coupled
+from multiarm.dynamics.solver.singular import (
+    couple,
+    lever_length,
+    rank_tolerance,
+    solve_coupled,
+)
 from multiarm.dynamics.solver.solution import SPLIT, WHOLE, write_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
@@ -276,9 +281,7 @@ def solve(address, size, gap, _b):
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.dense:
-        call_python(data.functions.dense)
-        data.solution.imbalance = imbalance(data, data.rows.W_o)
-        return CALLBACK_FAILED if data.status.failed else OK
+        return call_dense_solver(data.functions.dense, data, data.rows.W_o, gap)
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     result = solve_batched(
         work, rows.W_o, data.bodies.object_inertia, forces.f_o, forces.f_j, rows.c,
@@ -290,6 +293,18 @@ def solve(address, size, gap, _b):
         if data.solution.imbalance <= IMBALANCE_BOUND:
             return OK
     return call_cfunc(data.functions.coupled, struct, gap, 0.0)
+
+
+@kernel
+def call_dense_solver(function, data, W_o, gap):
+    """Solve by the dense solver at an address; forces act along ``W_o`` (N, 6).
+
+    ``gap`` [m] as in :func:`solve_frictionless`.  Returns a status.
+    """
+    data.dense.tolerance = rank_tolerance(gap, lever_length(W_o))
+    call_python(function)
+    data.solution.imbalance = imbalance(data, W_o)
+    return CALLBACK_FAILED if data.status.failed else data.dense.status
 
 
 @cfunc

@@ -30,12 +30,12 @@ from multiarm.dynamics.contact_geometry import (
     points_and_normals,
     relative_motion,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.diagnosis import lost_motions
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.failures import ambiguity_text, contradiction_text, require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.status import (
     ARM_INERTIA,
     ARM_NOT_FINITE,
@@ -31,10 +31,7 @@ def require_ok(data: Data, status: int) -> None:
     """
     if status == OK:
         return
-    try:
-        data.reraise()
-    except SolverError as error:  # of the dense solver, which does not know the contacts
-        raise SolverError(lost_contact_text(data) or str(error)) from error
+    data.reraise()
     raise SolverError(failure_text(data, status))
 
 

@@ -42,6 +42,7 @@ from multiarm.dynamics.coordinates import (
     place_in_chart,
     retract_into,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import (
     command_torques,
     control_torques,
@@ -52,7 +53,6 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.held_control import without_samples
 from multiarm.dynamics.kinematics import object_terms
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import HELD
 from multiarm.geometry.stencils import CENTRAL_4, FORWARD_1, FORWARD_2

@@ -25,23 +25,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.control_laws import NO_CONTROL
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.notation import count_of
+from multiarm.scene.faults import shown
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -114,10 +117,14 @@ def inverse_dynamics(
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
     t, state = require_time(t), system.checked(state)
     desired = checked_vector("object_acceleration", object_acceleration, 6)
-    relative = _relative_accelerations(system.model, relative_acceleration or {})
-    posture = _posture_accelerations(system.model, posture_acceleration or {})
-    with system.borrow() as own:
-        data = _uncontrolled(own)
+    relative = _relative_accelerations(
+        system.model, {} if relative_acceleration is None else relative_acceleration
+    )
+    posture = _posture_accelerations(
+        system.model, {} if posture_acceleration is None else posture_acceleration
+    )
+    with system.borrow() as controlled:
+        data = _uncontrolled(controlled)
         ev = evaluate(data, t, state)
         return _solve(data, ev, desired, relative, posture, internal_forces, basis)
 
@@ -204,8 +211,8 @@ def _contact_forces(
     """Contact forces (N,) for a wrench on the object, world axes, and internal forces."""
     R = quaternion_to_matrix(ev.state.object_quaternion_xyzw)
     form = ev.internal_forces(basis) if isinstance(basis, str) else basis
-    own = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
-    return distribute(ev.W_o, own, coordinates, form)
+    in_object_axes = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
+    return distribute(ev.W_o, in_object_axes, coordinates, form)
 
 
 def _nearest(
@@ -248,7 +255,9 @@ def _posture_accelerations(model: Model, given: Mapping[str, np.ndarray]) -> dic
     }
 
 
-def _require_arms(model: Model, what: str, given: Mapping[str, object]) -> None:
+def _require_arms(model: Model, what: str, given: Any) -> None:
+    if not isinstance(given, Mapping):
+        raise ModelError(f"{what}: must be a dict with numbers by arm, got {shown(given)}")
     for arm in given:
         if arm not in model.arms:
             names = ", ".join(model.arm_names)

@@ -32,7 +32,11 @@ import numpy as np
 
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import equation_columns
-from multiarm.dynamics.equation_derivatives import stack_equations, write_derivatives
+from multiarm.dynamics.equation_derivatives import (
+    stack_derivatives,
+    stack_matrix,
+    write_derivatives,
+)
 from multiarm.dynamics.sliding_derivatives import add_friction
 from multiarm.dynamics.solver.bounds import OPEN_MOTION_PIVOT
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
@@ -53,7 +57,8 @@ def solve_open_motion(struct, equations, of_friction, matrix):
     K, pivots, by_null = np.zeros((size, size)), np.zeros(size, np.int64), np.zeros(matrix.shape)
     for i in range(size):
         clear(matrix[i])
-    stack_equations(struct, equations, K, matrix)
+    stack_matrix(struct, equations, K)
+    stack_derivatives(struct, equations, -1.0, matrix)
     Q, N = np.zeros((dependent, size)), np.zeros((dependent, size))
     write_null_vectors(K, nv, Q, N)
     for v in range(dependent):
@@ -62,10 +67,6 @@ def solve_open_motion(struct, equations, of_friction, matrix):
                 K[a, b] += Q[v, a] * N[v, b]
     if not factor_lu(K, size, pivots) > OPEN_MOTION_PIVOT:
         return SINGULAR
-    for i in range(size):
-        row = matrix[i]
-        for c in range(row.size):
-            row[c] = -row[c]
     for v in range(dependent):
         status = differentiate_null_vector(struct, equations, of_friction, N[v], by_null)
         if status != OK:
@@ -87,7 +88,6 @@ def differentiate_null_vector(struct, equations, of_friction, N, by_null):
     data = open_data(struct)
     nv, torques, status = data.state.velocity.size, equation_columns(data).torques, OK
     a, force = data.accelerations.a.copy(), data.rows.force.copy()
-    unused = np.zeros((N.size, N.size))
     for i in range(N.size):
         clear(by_null[i])
     for side in (-1.0, 1.0):
@@ -99,13 +99,9 @@ def differentiate_null_vector(struct, equations, of_friction, N, by_null):
             status = write_derivatives(struct, equations)
         if status == OK:
             status = add_friction(struct, equations, of_friction)
-        for i in range(N.size):
-            for c in range(by_null.shape[1]):
-                by_null[i, c] = -by_null[i, c]
-        stack_equations(struct, equations, unused, by_null)
+        stack_derivatives(struct, equations, 0.5 * side, by_null)
     for i in range(N.size):
-        for c in range(by_null.shape[1]):
-            by_null[i, c] *= 0.5 if c < torques else 0.0
+        clear(by_null[i, torques:])
     for l in range(nv):
         data.accelerations.a[l] = a[l]
     for k in range(force.size):

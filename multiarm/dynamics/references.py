@@ -1,16 +1,16 @@
 """The kinds of Data of a scene, and how compiled code gets from one to another.
 
-A *view* of a Data (:meth:`multiarm.dynamics.model.Data.view`) has its state, the motion of its
+A *view* of a Data (:meth:`multiarm.dynamics.data.Data.view`) has its state, the motion of its
 bodies, its effects, and **its forces and accelerations**: whatever assembles ``forces.f`` or solves
-in one of them replaces what the others have (:class:`multiarm.dynamics.model.SharedData`).  The
+in one of them replaces what the others have (:class:`multiarm.dynamics.data.SharedData`).  The
 addresses of functions and the work of control laws are a view's own; so are rows, their sample and
-the workspace of the solver where it has other rows (:class:`multiarm.dynamics.model.RowData`), and
+the workspace of the solver where it has other rows (:class:`multiarm.dynamics.data.RowData`), and
 the samples of a control that is sampled otherwise.
 
 ==================  ==================================  ============================================
 Data                rows of W                           made by, and for
 ==================  ==================================  ============================================
-``full``            all                                 ``Model.data()``: evaluations and runs; with
+``full``            all                                 ``Data(model)``: evaluations and runs; with
                                                         unilateral contacts: gaps and guards
 ``closed``          those of the joints, all closed     ``Data.closed``: what control laws
                                                         evaluate; inverse dynamics

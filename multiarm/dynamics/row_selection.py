@@ -26,7 +26,8 @@ from multiarm.contacts.table import (
     select_rows,
 )
 from multiarm.dynamics.arrays import Constants, Shapes, open_system, row_places
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.data import Data
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.node import (
     NodeWork,
     group_order,
@@ -123,7 +124,7 @@ class Room(NamedTuple):
 
 
 class SelectedRows:
-    """A :class:`~multiarm.dynamics.model.RowData` of selected rows, made as it is asked for.
+    """A :class:`~multiarm.dynamics.data.RowData` of selected rows, made as it is asked for.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from typing import NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
-from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.evaluation import Evaluation, rows_by_owner
 from multiarm.dynamics.layout import STATE, Layout
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
@@ -212,14 +212,15 @@ def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
 
     In the order of the columns of :class:`Derivatives`.
     """
-    constraints = np.stack([own.constraint for own in motions])
+    constraints = np.stack([motion.constraint for motion in motions])
     lengths = np.linalg.norm(constraints, axis=2, keepdims=True)
     constraints /= np.where(lengths > 0.0, lengths, 1.0)
-    if all(own.independent for own in motions):
+    if all(motion.independent for motion in motions):
         whole = np.linalg.qr(constraints.transpose(0, 2, 1), mode="complete").Q
         return list(whole[:, :, constraints.shape[1] :])
     return [
-        null_space(own[np.any(own, axis=1)], COUPLED_RANK_TOLERANCE).basis for own in constraints
+        null_space(matrix[np.any(matrix, axis=1)], COUPLED_RANK_TOLERANCE).basis
+        for matrix in constraints
     ]
 
 
@@ -261,32 +262,28 @@ class Derivatives:
     @property
     def object_acceleration(self) -> Sensitivity:
         """Of the object's acceleration, six rows."""
-        return self._sensitivity(self.rows["object_acceleration"])
+        return self._sensitivity(self.matrix[self.rows["object_acceleration"]])
 
     @cached_property
     def joint_accelerations(self) -> Mapping[str, Sensitivity]:
         """Of the joint accelerations, by arm."""
-        return self._by_arm("joint_accelerations", self.layout.first_joint)
+        matrix = self.matrix[self.rows["joint_accelerations"]]
+        blocks = (matrix[self.layout.joints_of(i)] for i in range(len(self.layout.names)))
+        return dict(zip(self.layout.names, map(self._sensitivity, blocks), strict=True))
 
     @cached_property
     def contact_forces(self) -> Mapping[str, Sensitivity]:
-        """Of the contact forces, by arm."""
-        return self._by_arm("contact_forces", self.layout.first_contact)
+        """Of the contact forces, by arm; those with a floor have the key ``floor``."""
+        blocks = rows_by_owner(self.layout, self.matrix[self.rows["contact_forces"]])
+        return {owner: self._sensitivity(block) for owner, block in blocks.items()}
 
     @property
     def effect_state_rates(self) -> Sensitivity:
         """Of the rates of the states of effects, such as the torques of lagging drives."""
-        return self._sensitivity(self.rows["effect_state_rates"])
+        return self._sensitivity(self.matrix[self.rows["effect_state_rates"]])
 
-    def _sensitivity(self, rows: slice) -> Sensitivity:
-        return Sensitivity(self.matrix[rows], self.layout, self.columns)
-
-    def _by_arm(self, quantity: str, bounds: tuple[int, ...]) -> dict[str, Sensitivity]:
-        first = self.rows[quantity].start
-        return {
-            name: self._sensitivity(slice(first + a, first + b))
-            for name, a, b in zip(self.layout.names, bounds, bounds[1:], strict=False)
-        }
+    def _sensitivity(self, block: np.ndarray) -> Sensitivity:
+        return Sensitivity(block, self.layout, self.columns)
 
     def __repr__(self) -> str:
         rows, columns = self.matrix.shape

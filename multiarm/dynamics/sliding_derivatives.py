@@ -24,6 +24,7 @@ import numpy as np
 from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import column_of_state, equation_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     columns_of_arm,
     equation_work,
@@ -31,7 +32,6 @@ from multiarm.dynamics.equation_derivatives import (
     open_links,
     write_load_derivatives,
 )
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection
 from multiarm.dynamics.sliding import friction_of_unit_force, slides_of
 from multiarm.dynamics.status import OK
@@ -72,7 +72,7 @@ def friction_derivatives(
 
 
 @kernel
-def add_friction(struct: INTS, own: INTS, of_friction: INTS):
+def add_friction(struct: INTS, equations: INTS, of_friction: INTS):
     """Add sliding friction to the derivatives of all equations; returns a status.
 
     After :func:`multiarm.dynamics.equation_derivatives.write_derivatives`, in a mode in which some
@@ -92,18 +92,22 @@ def add_friction(struct: INTS, own: INTS, of_friction: INTS):
         sideways.rows.static_force[t + 1] = normal * second
     status = write_load_derivatives(tangents, friction.equations)
     if status == OK:
-        add_loads(struct, own, friction)
+        add_loads(struct, equations, friction)
         for s in range(slides.row.size):
-            differentiate_slip(s, struct, own, friction)
-            add_reactions(s, struct, own)
+            differentiate_slip(s, struct, equations, friction)
+            add_reactions(s, struct, equations)
     return status
 
 
 @kernel
-def add_loads(struct, own, friction):
+def add_loads(struct, equations, friction):
     """Add what the friction at fixed forces does to the bodies."""
     _, _, system = open_system(struct)
-    links, work, sideways = open_links(own), open_equations(own), open_equations(friction.equations)
+    links, work, sideways = (
+        open_links(equations),
+        open_equations(equations),
+        open_equations(friction.equations),
+    )
     for l in range(work.dF_o.shape[0]):
         for c in range(work.dF_o.shape[1]):
             work.dF_o[l, c] += sideways.dF_o[l, c]
@@ -115,10 +119,14 @@ def add_loads(struct, own, friction):
 
 
 @kernel
-def differentiate_slip(s, struct, own, friction):
+def differentiate_slip(s, struct, equations, friction):
     """Write the derivatives of the slip of a contact, and add what its turning does."""
     _, data, system = open_system(struct)
-    links, work, sideways = open_links(own), open_equations(own), open_equations(friction.equations)
+    links, work, sideways = (
+        open_links(equations),
+        open_equations(equations),
+        open_equations(friction.equations),
+    )
     _, sliding, tangents = open_system(referenced(data.modes.tangents))
     slides, at = slides_of(data), equation_columns(data)
     i, t, slow = slides.arm[s], slides.tangent[s], slides.numbers.slow
@@ -157,10 +165,10 @@ def differentiate_slip(s, struct, own, friction):
 
 
 @kernel
-def add_reactions(s, struct, own):
+def add_reactions(s, struct, equations):
     """Add the friction of a unit normal force to the columns of the normal force."""
     _, data, system = open_system(struct)
-    work, slides = open_equations(own), slides_of(data)
+    work, slides = open_equations(equations), slides_of(data)
     _, sliding, tangents = open_system(referenced(data.modes.tangents))
     i, t, row = slides.arm[s], slides.tangent[s], slides.row[s]
     n, column = system.first_joint[i + 1] - system.first_joint[i], t - tangents.first_contact[i]

@@ -79,16 +79,29 @@ class State:
         """A copy moved by a shift [m] and a turn [rad] of the object and by joints, (6 + n,).
 
         World axes; the velocities stay as they are.
+
+        Raises
+        ------
+        ModelError
+            A wrong shape, or a number that is not finite.
         """
         from multiarm.dynamics.coordinates import retract  # with Numba, which takes long
 
+        displacement = checked_vector("displacement", displacement, self.layout.nv)
         position = retract(self.layout, self.position, displacement)
         return State(position, self.velocity.copy(), self.layout)
 
     def displacement_to(self, other: State) -> np.ndarray:
-        """The displacement, as of :meth:`displaced`, that leads to another state, (6 + n,)."""
+        """The displacement, as of :meth:`displaced`, that leads to another state, (6 + n,).
+
+        Raises
+        ------
+        ModelError
+            For a state of a system with other arms.
+        """
         from multiarm.dynamics.coordinates import difference  # as above
 
+        require_same_joints(other, self.layout)
         return difference(self.layout, self.position, other.position)
 
     @property

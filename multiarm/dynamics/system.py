@@ -1,6 +1,6 @@
 """A compiled scene for its user: the scene, its Model, and the start.
 
-An evaluation borrows a :class:`multiarm.dynamics.model.Data` of the
+An evaluation borrows a :class:`multiarm.dynamics.data.Data` of the
 :class:`multiarm.dynamics.model.Model`, so that any number of threads can use one :class:`System`.
 """
 
@@ -20,8 +20,9 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.dynamics.callbacks import ControlFunction, PythonControl
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.held_control import Sampling
-from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
 from multiarm.dynamics.tips import Kinematics, kinematics_of
 from multiarm.errors import ControlError, ModelError
@@ -88,15 +89,26 @@ def require_control(
     ------
     ControlError
     """
-    if control is not None and not callable(control):
-        raise ControlError(
-            f"control: must be a function f(t, state) -> (arm: torques), got {shown(control)}; "
-            "kinds of control by name belong into the scene"
-        )
-    if control is None and (sample_time is not None or sample_delay):
+    if control is not None:
+        require_function(control)
+    elif sample_time is not None or sample_delay:
         raise ControlError(
             "sample_time: belongs to a `control` that is given with it; in a scene write "
             "`control: {kind: ..., sample_time: ...}`"
+        )
+
+
+def require_function(control: Any) -> None:
+    """Refuse a controller that is no function.
+
+    Raises
+    ------
+    ControlError
+    """
+    if not callable(control):
+        raise ControlError(
+            f"control: must be a function f(t, state) -> (arm: torques), got {shown(control)}; "
+            "kinds of control by name belong into the scene"
         )
 
 
@@ -125,26 +137,26 @@ class StartReport:
 
     def lines(self) -> list[str]:
         """The corrections, and joints at or outside limits, in words."""
-        found = []
+        lines = []
         if self.joint_change > 0.0 or not self.object_held:
             arms = ", ".join(f"{arm} {change:.3g}" for arm, change in self.joint_changes.items())
             body = "held"
             if not self.object_held:
                 body = f"moved by {self.object_shift:.3g} m and {self.object_turn:.3g} rad"
-            found.append(f"joints moved by up to {arms} (rad or m), the object was {body}")
+            lines.append(f"joints moved by up to {arms} (rad or m), the object was {body}")
         if self.velocity_change > 0.0:
-            found.append(
+            lines.append(
                 f"velocities changed: object {self.object_velocity_change:.3g} m/s and "
                 f"{self.object_spin_change:.3g} rad/s, joints up to "
                 f"{self.joint_velocity_change:.3g} rad/s or m/s; {self.energy_lost:.3g} J were lost"
             )
         if self.at_limit:
-            found.append(f"at a limit: {', '.join(self.at_limit)}")
+            lines.append(f"at a limit: {', '.join(self.at_limit)}")
         if self.outside_limits:
-            found.append(
+            lines.append(
                 f"written outside its limits, and left there: {', '.join(self.outside_limits)}"
             )
-        return found
+        return lines
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -192,7 +204,7 @@ class System:
         try:
             data = self._free_data.pop()
         except IndexError:
-            data = self.model.data()
+            data = Data(self.model)
         try:
             yield data
         finally:
@@ -343,8 +355,10 @@ class System:
         Raises
         ------
         ControlError
-            When ``sample_time`` is not a positive number, or missing although there is a delay.
+            When ``control`` is no function, ``sample_time`` is not a positive number, or missing
+            although there is a delay.
         """
+        require_function(control)
         if sample_time is None and sample_delay:
             raise ControlError("sample_delay: a delay of one sample needs `sample_time` [s]")
         sampling = None if sample_time is None else Sampling(sample_time, sample_delay)

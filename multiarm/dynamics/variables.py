@@ -39,6 +39,13 @@ class Status(Numbers):
     potential_energy: Float  # of Pinocchio's arms [J], at samples only
 
 
+class DenseCall(Numbers):
+    """The last call of the dense solver, which is Python's."""
+
+    tolerance: Float  # part of the largest singular value below which others count as zero
+    status: Int  # that it returned
+
+
 class Check(Numbers):
     """Largest residuals of a result, see :mod:`multiarm.dynamics.residuals`."""
 
@@ -305,6 +312,7 @@ class Variables(NamedTuple):
     accelerations: Accelerations
     solution: Solution
     deficient: DeficientArms
+    dense: DenseCall
     check: Check
     last_step: StepEnd
     this_step: StepEnd  # which becomes the last one when it is accepted
@@ -373,6 +381,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
         deficient=DeficientArms(
             coupled=np.zeros(arms, dtype=np.int64), undetermined=np.zeros(arms, dtype=np.int64)
         ),
+        dense=DenseCall(),
         check=Check(),
         last_step=last_step,
         this_step=make_step_end(arms, pairs),

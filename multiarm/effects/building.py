@@ -12,6 +12,7 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.effect_kernels import (
     APPLIED,
     EffectKernel,
@@ -20,7 +21,6 @@ from multiarm.dynamics.effect_kernels import (
     view_of_effect,
 )
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python

@@ -32,6 +32,7 @@ from multiarm.dynamics.coordinates import (
     equation_columns,
     force_columns,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
@@ -39,7 +40,6 @@ from multiarm.dynamics.equation_derivatives import (
     write_load_derivatives,
 )
 from multiarm.dynamics.equations import update_rows
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.references import Reference, References
 from multiarm.jit.kernels import cfunc, copy, inlined, kernel
 from multiarm.jit.structs import Floats1, Int, Ints1, referenced, struct_at

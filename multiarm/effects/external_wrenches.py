@@ -31,8 +31,8 @@ from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
 from multiarm.dynamics.coordinates import chart_places, force_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.piecewise import polynomial, row_at
 from multiarm.dynamics.state import checked_vector
 from multiarm.effects.building import BuildContext

@@ -2,7 +2,7 @@ r"""Unilateral contacts that open, close, stick and slip: a hybrid system.
 
 Which of the rows of a scene's unilateral constraints (:mod:`multiarm.contacts.unilateral`) are
 active is a *mode*.  In one mode the motion is smooth and is integrated like that of any scene.  All
-modes have one :class:`multiarm.dynamics.model.Data`, in which the active rows are selected where a
+modes have one :class:`multiarm.dynamics.data.Data`, in which the active rows are selected where a
 mode is entered (:mod:`multiarm.dynamics.row_selection`, :mod:`multiarm.events.modes`).
 
 *Guards* (:mod:`multiarm.dynamics.guards`) check after every step whether the mode still holds: gaps

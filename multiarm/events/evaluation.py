@@ -15,6 +15,7 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import of_unit_length, scaled_force_directions
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.evaluation import (
     Evaluation,
@@ -25,7 +26,6 @@ from multiarm.dynamics.evaluation import (
 )
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guards import forget_forces
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.sliding import friction_of_unit_force
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space

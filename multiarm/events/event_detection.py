@@ -14,11 +14,11 @@ from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.contact_geometry import patch_margin
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import spring_length
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD

@@ -19,7 +19,7 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.contact_forces import add_contact_forces, write_wrenches
-from multiarm.dynamics.equations import update_rows
+from multiarm.dynamics.equations import call_dense_solver, update_rows
 from multiarm.dynamics.guards import (
     SHARED,
     Guards,
@@ -50,7 +50,7 @@ from multiarm.dynamics.solver.solution import FRICTION, write_solution
 from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.jit.kernels import INTS, cfunc, copy, kernel
-from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import (
     Flag,
     Float,
@@ -189,16 +189,13 @@ def solve_sliding(address, size, _a, _b):
     if mode.numbers.stressed:
         add_prestress(mode, mode.Wr_o, reactions.Wr, data, work)
     if model.dense:
-        call_python(data.functions.dense_with_friction)
-        if data.status.failed:
-            return CALLBACK_FAILED
-        data.solution.imbalance = imbalance(data, mode.Wr_o)
+        status = call_dense_solver(data.functions.dense_with_friction, data, mode.Wr_o, 0.0)
     else:
         status = solve_reactions(data, work, mode, reactions, False)
         if status == OK and not data.solution.imbalance <= IMBALANCE_BOUND:
             status = solve_reactions(data, work, mode, reactions, True)
-        if status != OK:
-            return status
+    if status != OK:
+        return status
     if mode.numbers.stressed:
         take_prestress(mode, data)
     power = friction_power(slides, data.rows.force)

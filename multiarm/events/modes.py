@@ -16,7 +16,7 @@ import numpy as np
 
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.callbacks import DenseSolver
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.references import Reference
 from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginnings
 from multiarm.dynamics.sliding import FrictionNumbers, Slides

@@ -13,6 +13,7 @@ import numpy as np
 
 from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import retract
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import (
     evaluate_state,
     solve_frictionless,
@@ -21,7 +22,6 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.bounds import DEPENDENT, HELD_RESPONSE, MOVABLE
 from multiarm.events.complementarity.problem import RANK
 from multiarm.events.modes import Modes

@@ -22,8 +22,8 @@ import numpy as np
 
 from multiarm.dynamics.arrays import CARRYING, open_data, open_system
 from multiarm.dynamics.coordinates import columns_of_forces
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.force_derivatives import ForceDifferences, torques_are_held
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.integration.step import Step
 from multiarm.jit.kernels import kernel, plain

@@ -56,6 +56,7 @@ from multiarm.dynamics.coordinates import (
     equation_columns,
     force_columns,
 )
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
     columns_of_arm,
@@ -65,7 +66,7 @@ from multiarm.dynamics.equation_derivatives import (
     separate_dependent_rows,
     solve_at_once,
     solve_by_arms,
-    stack_equations,
+    stack_matrix,
     write_derivatives,
 )
 from multiarm.dynamics.force_derivatives import (
@@ -76,7 +77,6 @@ from multiarm.dynamics.force_derivatives import (
     clear_table,
     differentiate_forces,
 )
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.open_motion import solve_open_motion
 from multiarm.dynamics.sliding import slides_of
 from multiarm.dynamics.sliding_derivatives import (
@@ -302,7 +302,7 @@ def differentiate_projection(struct, full):
     Y = full.projection
     size, nv, joints = Y.shape[0], full.turned.shape[1], chart_places(data).joints
     K, pivots = np.zeros((size, size)), np.zeros(size, np.int64)
-    stack_equations(struct, full.equations, K, full.solution)
+    stack_matrix(struct, full.equations, K)
     for i in range(size):
         clear(Y[i])
     for i in range(system.first_joint.size - 1):

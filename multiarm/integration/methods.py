@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.data import Data
 from multiarm.integration.explicit import explicit_step, semi_implicit_step
 from multiarm.integration.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integration.step import Coefficients, Step, coefficients, make_step

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 
 from multiarm.dynamics.arrays import open_reports, open_system
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import (
@@ -24,7 +25,6 @@ from multiarm.dynamics.guard_functions import (
 )
 from multiarm.dynamics.guards import FORCES, Guard, count_events, judge_guards, write_values
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.geometry.records import Contact
 from multiarm.jit.kernels import INTS, cfunc, kernel

@@ -39,9 +39,9 @@ import numpy as np
 
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.coordinates import chart_places, equation_columns
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.force_derivatives import prepare_derivatives
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import NOT_FINITE, OK, SINGULAR
 from multiarm.integration.arm_blocks import ArmBlocks, acts_locally, is_regular, make_arm_blocks
 from multiarm.integration.arm_derivatives import differentiate_arms, write_time_slope

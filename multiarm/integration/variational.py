@@ -48,8 +48,8 @@ from multiarm.contacts.table import TANGENT, open_code
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract_into
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import finite, solve_frictionless, update_kinematics
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_CONVERGED, OK
 from multiarm.integration.step import METHOD_WORK, Step, open_step

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SolverError
 from multiarm.linear.linearisation import LinearSystem
@@ -64,7 +65,7 @@ def modes_trajectory(
     end = len(chosen) * (SWING + PAUSE) - PAUSE
     system, events, sink = linear.system, [], MemorySink()
     spec = system.scene.run.model_copy(update={"duration": end})
-    task = Task(system, system.model.data(), spec, rest, math.inf)
+    task = Task(system, Data(system.model), spec, rest, math.inf)
     open_sink(sink, system, spec, True)
     for place, number in enumerate(chosen):
         mode, first = linear.modes[number - 1], place * (SWING + PAUSE)

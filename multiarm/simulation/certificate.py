@@ -45,9 +45,9 @@ from typing import Any
 import numpy as np
 
 from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import potential_energy, update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.dynamics.control_laws import NO_CONTROL
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data

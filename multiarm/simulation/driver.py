@@ -44,7 +44,7 @@ from multiarm.dynamics.status import (
     STIFF,
     STOPPED,
 )
-from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
+from multiarm.errors import USER_FAULTS, MultiarmError, TrajectoryError
 from multiarm.integration.methods import stepping_of
 from multiarm.integration.time_loop import advance, observe
 from multiarm.jit.compilation import compile_time, running_time
@@ -391,8 +391,6 @@ def failure_of(run: Run, reason: int) -> Ending:
             run.data.reraise()
         except KeyboardInterrupt:
             return Ending(End.INTERRUPTED, f"stopped by the user {where}")
-        except SolverError as error:
-            return Ending(End.FAILED, f"{where}: {lost_contact_text(run.data) or error}")
         except MultiarmError as error:
             return Ending(End.FAILED, f"{where}: {error}")
         except USER_FAULTS as error:

@@ -16,11 +16,11 @@ import numpy as np
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.coordinates import chart_places, load_chart
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.failures import failure_text, require_ok
 from multiarm.dynamics.guard_functions import JointSpeed, PatchDepth, PushingForce, Slip
 from multiarm.dynamics.guards import Guard
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError

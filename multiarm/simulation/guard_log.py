@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.guard_functions import (
     ON_OBJECT,
     DriveMargin,
@@ -17,7 +18,6 @@ from multiarm.dynamics.guard_functions import (
     RangeDepth,
 )
 from multiarm.dynamics.guards import FIRED, QUIET, turn_round
-from multiarm.dynamics.model import Data
 from multiarm.integration.event_location import GuardValues, sign_changes
 from multiarm.integration.methods import Stepping
 from multiarm.integration.reporting_guards import write_reports

@@ -23,6 +23,7 @@ import numpy as np
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.contacts.joint import JointFrame, limits_of, write_relative
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import (
     ContactTerms,
@@ -32,7 +33,6 @@ from multiarm.dynamics.evaluation import (
     contact_terms,
 )
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.system import StartReport, System
 from multiarm.events.evaluation import evaluate
@@ -223,7 +223,7 @@ def _not_looked_at(code: NamedCode) -> str:
 def count_freedom(data: Data) -> Freedom:
     """Degrees of freedom, constraints, their rank and the mobility at the kinematics in ``data``.
 
-    All rows are closed, see :meth:`multiarm.dynamics.model.Data.closed`.
+    All rows are closed, see :meth:`multiarm.dynamics.data.Data.closed`.
     """
     matrix = constraint_matrix(data)  # (6 + n, N)
     space = null_space(matrix)

@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 
 from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.model import ControlSpan, Data, Model
+from multiarm.dynamics.model import ControlSpan, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import StartReport, System

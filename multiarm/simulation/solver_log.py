@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.diagnosis import describe, lost_motions
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.results.event_kinds import EventKind

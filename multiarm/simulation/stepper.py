@@ -14,6 +14,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system
@@ -97,7 +98,7 @@ class Stepper:
         if max_step is None:
             max_step = spec.output_step if system.model.calls_user else math.inf
         held = replace(system, model=system.model.with_held_control())
-        self._task = Task(held, held.model.data(), spec, state, max_step)
+        self._task = Task(held, Data(held.model), spec, state, max_step)
         self._records = record
         self._layout, self._channels = system.model.layout, held.channels
         self._places: dict[str, dict[str, slice]] = {}  # quantity -> arm -> columns of samples

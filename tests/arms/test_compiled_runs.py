@@ -26,6 +26,7 @@ from repository import SCENES
 
 import multiarm as ma
 from multiarm.arms.compiled import backend as compiled_backend
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import potential_energy
 from multiarm.errors import ModelError, SceneError
 from multiarm.jit.pointers import PythonCallback
@@ -336,7 +337,7 @@ def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
     own, theirs = data_of(system), data_of(whole)
     energy = potential_energy(theirs.struct)
     assert potential_energy(own.struct) == pytest.approx(energy, rel=1e-12)
-    other = system.model.data()
+    other = Data(system.model)
     assert other.arrays.bodies.pointers.shape == own.arrays.bodies.pointers.shape
     assert not set(other.arrays.bodies.pointers[:, 0]) & set(
         own.arrays.bodies.pointers[:, 0].tolist()

@@ -17,6 +17,7 @@ import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.errors import MultiarmError, SceneError
@@ -169,7 +170,7 @@ def test_a_start_closes_rates_along_directions_that_are_almost_lost(rng):
     """The projection of a run takes these for dependent and leaves 1e-8 of them."""
     scene = HARD_CASES["nearly_sliding_fingers"].scene()
     system = ma.compile_system(scene)
-    state, data = system.initial_state(), system.model.data()
+    state, data = system.initial_state(), Data(system.model)
     state.velocity[:] += rng.normal(size=state.velocity.size)
     start, report = project_start(data, scene, state)
     assert max(report.gap_rates.values()) > 0.1

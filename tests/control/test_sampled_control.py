@@ -341,6 +341,8 @@ def test_samples_need_a_control_and_a_delay_needs_samples(tmp_path):
             call(sample_time=1e-3)
     with refused(ControlError, "`sample_time`"):
         ma.simulate(system, 0.1, control=pull, sample_delay=True)
+    with pytest.raises(ControlError, match="control: must be a function"):
+        system.with_control("pull")
     with refused(SceneError, "'sample_delay'"):
         cart(tmp_path, spring(sample_delay=True))
     with refused(SceneError, "'sample_time'"):

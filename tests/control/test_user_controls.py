@@ -24,6 +24,7 @@ from multiarm.control import (
 )
 from multiarm.control.gravity_compensation import carrying_laws
 from multiarm.control.laws import PROGRAMS
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.effect_kernels import keep_forces
 from multiarm.dynamics.status import BLOCK_FULL, CALLBACK_FAILED, KERNEL_FAILED, OK
 from multiarm.errors import SolverError
@@ -296,7 +297,7 @@ def test_every_data_has_its_own_instance_and_threads_give_the_numbers_of_one():
     ma.register_control(Pull)
     scene = scene_of({"kind": "pull", "stiffness": 5.0}, run={**RUN, "arms": "compiled"})
     system = ma.compile_system(scene)
-    first, second = system.model.data(), system.model.data()
+    first, second = Data(system.model), Data(system.model)
     owners = {id(data.callbacks["control"].function.__self__) for data in (first, second)}
     assert len(owners) == 2 and id(scene.control) not in owners
     values = [{"control.stiffness": k} for k in (5.0, 2.0, 5.0)]

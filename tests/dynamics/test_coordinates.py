@@ -17,7 +17,9 @@ from multiarm.dynamics.coordinates import (
     write_new_chart,
 )
 from multiarm.dynamics.layout import STATE, Layout
+from multiarm.dynamics.state import State
 from multiarm.dynamics.variables import stacked_vectors
+from multiarm.errors import ModelError
 
 LAYOUTS = [
     Layout(("arm",), (0, 3), (0, 2)),
@@ -65,6 +67,18 @@ def test_difference_is_the_inverse_of_retraction(layout):
     rng = np.random.default_rng(2)
     start, u = random_configuration(layout, rng), rng.uniform(-1.5, 1.5, size=layout.nv)
     assert np.allclose(difference(layout, start, retract(layout, start, u)), u, atol=ROUNDING)
+
+
+def test_displacements_of_another_length_or_system_are_refused(rng):
+    first, second = (
+        State(random_configuration(layout, rng), np.zeros(layout.nv), layout)
+        for layout in LAYOUTS[:2]
+    )
+    for size in (5, 12):
+        with pytest.raises(ModelError, match=r"displacement: expected shape \(9,\)"):
+            first.displaced(np.zeros(size))
+    with pytest.raises(ModelError, match="belongs to a system with arms left, right"):
+        first.displacement_to(second)
 
 
 @layouts

@@ -586,6 +586,8 @@ def test_closed_contacts_stay_closed():
     assert closed.sum() == 4 and "constraints that repeat others: 1 of 7" in found.message
     assert np.isnan(found.matrix[-8:][closed]).all() and not found.matrix[-8:][~closed].any()
     assert np.isfinite(found.matrix[:-8]).all()
+    assert list(found.contact_forces) == list(found.evaluation.contact_forces) == ["arm", "floor"]
+    np.testing.assert_array_equal(found.contact_forces["floor"].matrix, found.matrix[-8:])
 
     def pushed(torque):
         system_with = system.with_control(lambda t, s: {"arm": torque})

@@ -263,6 +263,8 @@ def test_a_wrench_that_the_contacts_cannot_exert_is_refused_with_the_rest():
         (np.zeros(5), None, "six finite numbers"),
         (np.full(6, np.nan), None, "six finite numbers"),
         (np.zeros(6), [1.0, 2.0], "3 internal coordinates; got 2"),
+        (np.zeros(6), [1.0, np.nan, 2.0], "internal forces: a number is not finite"),
+        (np.zeros(6), [[1.0, 2.0, 3.0]], r"internal forces: expected shape \(3,\)"),
     ],
 )
 def test_what_cannot_be_distributed_is_told_in_words(wrench, internal, message):
@@ -273,6 +275,8 @@ def test_what_cannot_be_distributed_is_told_in_words(wrench, internal, message):
 def test_forces_of_another_number_of_contacts_are_refused():
     with pytest.raises(GraspError, match="6 contacts"):
         decompose(half_pressed(), np.zeros(5))
+    with pytest.raises(GraspError, match="forces: a number is not finite"):
+        decompose(half_pressed(), np.full(6, np.nan))
     with pytest.raises(GraspError, match=r"shape \(5, 2\)"):
         internal_forces(np.zeros((5, 2)))
 
@@ -306,6 +310,8 @@ def test_with_a_length_forces_are_measured_in_newtons(rng):
     wrench = rng.standard_normal(6)
     expected = np.linalg.pinv(W / newtons) @ wrench / newtons
     np.testing.assert_allclose(distribute(W, wrench, length=0.5), expected, atol=1e-12)
+    with pytest.raises(GraspError, match="length: a lever arm"):
+        distribute(W, wrench, length=0.0)
     parts = decompose(W, expected + internal_forces(W).basis[:, 0], length=0.5)
     np.testing.assert_allclose(parts.moving, expected, atol=1e-12)
     assert np.max(np.abs(expected - distribute(W, wrench))) > 0.01

@@ -245,6 +245,8 @@ def test_a_wrench_that_the_contacts_cannot_carry_is_refused():
         ({"object_acceleration": [np.nan] * 6}, "not finite"),
         ({"relative_acceleration": {"one": [1.0]}}, r"relative_acceleration\['one'\].*\(2,\)"),
         ({"relative_acceleration": {"oen": None}}, "unknown arm 'oen'; arms are one, two"),
+        ({"relative_acceleration": [0.0, 0.0]}, "relative_acceleration: must be a dict"),
+        ({"posture_acceleration": np.zeros(6)}, "posture_acceleration: must be a dict"),
         ({"posture_acceleration": {"two": "fast"}}, r"posture_acceleration\['two'\]: expected 6"),
     ],
 )

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics.contact_geometry import contact_terms
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.diagnosis import (
     LITTLE,
     LONGEST,
@@ -42,7 +43,7 @@ HEALTHY = [0.2, -1.0, 1.2, 0.5, 1.0, 0.4]
 def placed(scene):
     """A Data with the kinematics of the scene's start."""
     system = ma.compile_system(scene)
-    data = system.model.data()
+    data = Data(system.model)
     data.set_state(0.0, system.initial_state())
     assert update_kinematics(data.struct) == OK
     return data

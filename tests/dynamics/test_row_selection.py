@@ -8,8 +8,8 @@ from event_scenes import arm, scene
 
 import multiarm as ma
 from multiarm.contacts.table import JOINT, PAIR, TANGENT, Code
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.row_selection import RowSelection
 from multiarm.dynamics.status import OK
 from multiarm.jit.rows import fields_of
@@ -46,7 +46,7 @@ def held_box():
 @pytest.fixture(scope="module")
 def full() -> Data:
     system = ma.compile_system(held_box(), assemble=False)
-    data = system.model.data()
+    data = Data(system.model)
     rng = np.random.default_rng(5)
     state = system.initial_state()
     state.velocity[:] = rng.uniform(-1.0, 1.0, state.velocity.size)

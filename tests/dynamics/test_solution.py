@@ -16,7 +16,7 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.solution import Elimination, Solution
 from multiarm.dynamics.solver_monitor import accept_solution
-from multiarm.dynamics.status import OK
+from multiarm.dynamics.status import NOT_FINITE, OK
 from multiarm.events.evaluation import enter_mode_at
 from multiarm.jit.pointers import function_at
 
@@ -64,6 +64,13 @@ def written_after(data, solve, before: int) -> dict[str, float]:
     solution.struct[:] = before
     assert solve(data.struct) == OK
     return {name: getattr(solution, name) for name in Solution._fields if name not in OF_MONITOR}
+
+
+def test_numbers_that_are_not_finite_are_a_status_of_the_dense_solver():
+    """No exception of Python: a method with variable steps tries a shorter one."""
+    data = data_at_start("regular", "dense")
+    data.arrays.state.joint_rates[0] = np.inf
+    assert evaluate_state(data.struct, 0.0, 0.0) == NOT_FINITE
 
 
 @pytest.mark.parametrize(("scene", "solver"), CASES)

@@ -11,8 +11,8 @@ from event_scenes import box, on_floor
 from repository import SCENES
 
 import multiarm as ma
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.variables import ALWAYS, ONCE
 
@@ -23,7 +23,7 @@ def system() -> ma.System:
 
 
 def test_a_view_shares_the_state_and_has_rows_functions_and_results_in_them_of_its_own(system):
-    data = system.model.data()
+    data = Data(system.model)
     alike, some = data.view(system.model), data.view(system.model.select([0, 2, 3]))
     for view in (alike, some):
         assert view.shared is data.shared
@@ -35,7 +35,7 @@ def test_a_view_shares_the_state_and_has_rows_functions_and_results_in_them_of_i
 
 
 def test_a_view_with_sampled_control_leaves_the_samples_of_the_data_as_they_are(system):
-    data = system.model.data()
+    data = Data(system.model)
     sampled = system.with_control(lambda t, state: {}, sample_time=0.01)
     view = data.view(sampled.model)
     assert view.arrays.control.sampling.mode == ONCE
@@ -46,7 +46,7 @@ def test_a_view_with_sampled_control_leaves_the_samples_of_the_data_as_they_are(
 
 def test_an_exception_of_one_view_is_raised_by_every_view_once():
     """As laws are evaluated, and can fail, in data with other rows than those of the run."""
-    full = ma.compile_system(on_floor(box(), 0.5, 0.4)).model.data()
+    full = Data(ma.compile_system(on_floor(box(), 0.5, 0.4)).model)
     mode = full.view(replace(full.model.select([0, 1, 2]), unilateral=None))
     for view, failing in ((mode, full.closed), (full, mode), (full.closed, full)):
         failing.callbacks["dense"].error = LookupError("a row")
@@ -65,7 +65,7 @@ def test_a_view_outlives_the_data_of_which_it_is_one(system):
     def view_of(data: Data) -> Data:
         return data.view(dense.model)
 
-    view, data = view_of(dense.model.data()), dense.model.data()
+    view, data = view_of(Data(dense.model)), Data(dense.model)
     gc.collect()
     accelerations = []
     for each in (view, data):

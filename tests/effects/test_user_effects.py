@@ -422,8 +422,17 @@ PLACES, POINTS = np.zeros(2, dtype=np.int64), np.zeros(3)
         EffectKernel("push", overload, APPLIED, Nested(Table(PLACES, POINTS))),
         EffectKernel("push", lambda *arguments: 0, APPLIED),
         EffectKernel("push", overload, APPLIED, derivative=kernel(lambda *arguments: 0)),
+        EffectKernel("push", overload, APPLIED + 1),
     ],
-    ids=["floats for integers", "two axes", "strided", "nested", "Python", "not by address"],
+    ids=[
+        "floats for integers",
+        "two axes",
+        "strided",
+        "nested",
+        "Python",
+        "not by address",
+        "no phase",
+    ],
 )
 def test_kernels_and_arrays_of_users_are_what_compiled_code_expects(kernel):
     effect_of(lambda t, s: None, build=lambda self, site: [kernel])

@@ -10,6 +10,7 @@ import pytest
 from event_scenes import ball, box, on_floor
 
 import multiarm as ma
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.row_selection import MOST_RECENT
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
@@ -77,7 +78,7 @@ def test_memory_does_not_grow_with_the_events(monkeypatch):
 
 def test_memory_does_not_grow_with_the_modes():
     """That after 1000 modes of which each is new is that after 64, with the same ones in caches."""
-    modes, rng = Modes(tumbling_box().model.data(), 1e-3), np.random.default_rng(1)
+    modes, rng = Modes(Data(tumbling_box().model), 1e-3), np.random.default_rng(1)
     first = modes.mode
     states = (ContactState.OPEN, ContactState.STICKING, ContactState.SLIDING)
     constraints = [one for one in modes.unilateral.constraints if one.tangents]
@@ -117,7 +118,7 @@ def test_memory_does_not_grow_with_the_modes():
 
 def test_the_signs_of_determinants_do_not_outlive_their_rows():
     """A posture is not singular because the rows of an arm have changed."""
-    modes = Modes(tumbling_box().model.data(), 1e-3)
+    modes = Modes(Data(tumbling_box().model), 1e-3)
     contact = next(c for c in modes.unilateral.constraints if c.tangents)
     states = [ContactState.OPEN] * len(modes.unilateral.constraints)
     states[modes.unilateral.constraints.index(contact)] = ContactState.STICKING
@@ -130,7 +131,7 @@ def test_the_signs_of_determinants_do_not_outlive_their_rows():
 
 @pytest.mark.parametrize("speed", [1e-9, 1e-3])
 def test_fixed_selections_have_the_rows_that_their_names_say(speed):
-    modes = Modes(tumbling_box().model.data(), speed)
+    modes = Modes(Data(tumbling_box().model), speed)
     unilateral = modes.unilateral
     fixed = modes.bilateral, modes.unconstrained
     counts = [data.model.layout.contacts for data in (modes.closed, *fixed)]

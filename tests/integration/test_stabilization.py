@@ -88,14 +88,17 @@ def test_an_evaluation_right_after_a_projection_is_that_of_the_state(name, rng):
     np.testing.assert_array_equal(*results)
 
 
+@pytest.mark.parametrize("solver", ["node", "dense"])
 @pytest.mark.parametrize("name", ["bricard", "eight_welded"])
-def test_projection_of_a_state_beside_the_joints_leads_back_to_the_next_state_on_them(name, rng):
+def test_projection_of_a_state_beside_the_joints_leads_back_to_the_next_state_on_them(
+    name, solver, rng
+):
     """Newton's method in the metric of the inertia: from a distance d across the motion, it ends
     within d^2 of where it began.  Bricard's loop has a constraint that is independent of the others
     off the joints only; the direction that it binds there is that of the motion itself.
     """
     system = ma.compile_system(HARD_CASES[name].scene())
-    data = data_of(system)
+    data = data_of(system.with_solver(solver))
     on_joints = ma.simulate(system, 0.2, accuracy=1e-9, output_step=0.2, certificate=False)
     state = state_of(system, on_joints, 1)
     M, _, W, _ = plain_system(system, state)

@@ -16,6 +16,7 @@ from mechanics import (
 
 import multiarm as ma
 from multiarm.arms.terms import TermAddresses
+from multiarm.dynamics.data import Data
 from multiarm.jit.rows import offset_of
 from multiarm.jit.structs import Numbers
 
@@ -214,7 +215,7 @@ def where_terms_are(data) -> set[int]:
 
 
 def test_data_of_one_model_share_no_array_that_is_written(system):
-    both = system.model.data(), system.model.data()
+    both = Data(system.model), Data(system.model)
     own, others = map(written_arrays, both)
     assert own.keys() == others.keys() and len(own) > 50
     shared = [n for n in own for other in others.values() if np.shares_memory(own[n], other)]

@@ -35,6 +35,7 @@ from multiarm.dynamics.forces.distribution import (
     pressed,
     smallest_load,
 )
+from multiarm.dynamics.state import checked_vector
 from multiarm.errors import GraspError
 from multiarm.geometry.screws import (
     COUPLE_TOLERANCE,
@@ -192,7 +193,8 @@ def distribute(
     Raises
     ------
     GraspError
-        When the contacts cannot exert the wrench, or ``internal`` has another length.
+        When the contacts cannot exert the wrench, or ``internal`` has another length or a number
+        that is not finite.
     """
     W_o, wrench = wrench_matrix(W_o, "W_o"), np.asarray(wrench, dtype=float)
     if wrench.shape != (6,) or not np.all(np.isfinite(wrench)):
@@ -212,15 +214,14 @@ def distribute(
     force = _minimum_norm(W_o, screws.dependencies, some, length)
     if internal is None:
         return force
-    A = basis or internal_forces(W_o)
-    mu_I = np.atleast_1d(np.asarray(internal, dtype=float))
+    A, mu_I = basis or internal_forces(W_o), np.atleast_1d(internal)
     if A.basis.shape != (W_o.shape[1], mu_I.size):
         raise GraspError(
             f"{count_of(W_o.shape[1], 'contact')} of rank {screws.rank}, so "
             f"{count_of(W_o.shape[1] - screws.rank, 'internal coordinate')}; got {mu_I.size} "
             f"of them and a basis of shape {A.basis.shape}"
         )
-    return force + A.basis @ mu_I
+    return force + A.basis @ checked_vector("internal forces", mu_I, mu_I.size, GraspError)
 
 
 def decompose(
@@ -245,13 +246,14 @@ def decompose(
     Raises
     ------
     GraspError
-        When the number of forces is not that of the contacts.
+        When the number of forces is not that of the contacts, or one of them is not finite.
     """
     W_o, forces = wrench_matrix(W_o, "W_o"), np.asarray(forces, dtype=float)
     if forces.shape != (W_o.shape[1],):
         raise GraspError(
             f"W_o has {count_of(W_o.shape[1], 'contact')}, the forces have shape {forces.shape}"
         )
+    forces = checked_vector("forces", forces, forces.size, GraspError)
     A = basis or internal_forces(W_o)
     moving = _minimum_norm(W_o, A.basis, forces, length)
     squeezing = forces - moving
@@ -265,6 +267,8 @@ def _minimum_norm(
     """Minimum-norm forces with the same resultant: without their part in the null space."""
     metric = np.ones(force.size)
     if length is not None:
+        if not length > 0.0:
+            raise GraspError(f"length: a lever arm [m] greater than 0 is needed, got {length:g}")
         push, turn = np.linalg.norm(W_o[:3], axis=0), np.linalg.norm(W_o[3:], axis=0) / length
         metric = np.where(push > COUPLE_TOLERANCE * turn, push, turn)
     weighted = metric[:, None] * null

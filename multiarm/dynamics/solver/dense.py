@@ -53,6 +53,7 @@ def solve_dense(
     c: list[np.ndarray],
     reaction_o: list[np.ndarray] | None = None,
     reaction: list[np.ndarray] | None = None,
+    tolerance: float = 0.0,
 ) -> SystemSolution:
     """Solve the constrained system as one dense matrix.
 
@@ -66,21 +67,26 @@ def solve_dense(
         Constraints ``W_o^T a_o + W_i^T a_i = c_i``.
     reaction_o, reaction : lists like W_o, W, optional
         Matrices of the contact forces where these differ from the constraints (friction).
+    tolerance : float
+        Without friction: singular values of the scaled constraint matrix below this part of the
+        largest count as zero, where that is more than rounding.
     """
     from scipy.linalg import block_diag
 
     inertia = block_diag(M_o, *M)
+    # scale so that metres and radians, kilograms and grams weigh the same
+    scale = 1.0 / np.sqrt(np.diag(inertia))
     constraint = reactions = np.vstack([np.hstack(W_o), block_diag(*W)])
     if reaction is not None and reaction_o is not None:
         reactions = np.vstack([np.hstack(reaction_o), block_diag(*reaction)])
+    elif tolerance > SYSTEM_TOLERANCE**0.5:
+        constraint = reactions = _of_lower_rank(constraint, scale, tolerance)
     size, count = constraint.shape
     matrix = np.zeros((size + count, size + count))
     matrix[:size, :size] = inertia
     matrix[:size, size:] = -reactions
     matrix[size:, :size] = constraint.T
     right = np.concatenate([f_o, *f_j, *c])
-    # scale so that metres and radians, kilograms and grams weigh the same
-    scale = 1.0 / np.sqrt(np.diag(inertia))
     rows = np.concatenate([scale, _reciprocal_norms(scale[:, None] * constraint)])
     columns = np.concatenate([scale, _reciprocal_norms(scale[:, None] * reactions)])
     scaled = rows[:, None] * matrix * columns
@@ -141,6 +147,16 @@ def _moving(free: np.ndarray, size: int) -> np.ndarray:
     """Force parts (N, k) of those combinations of null vectors that move the system."""
     _, motion, vt = np.linalg.svd(free[:size], full_matrices=False)
     return free[size:] @ vt[motion > UNMOVED].T
+
+
+def _of_lower_rank(constraint: np.ndarray, scale: np.ndarray, tolerance: float) -> np.ndarray:
+    """A constraint matrix (n, N) without what its small singular values contribute."""
+    norms = _reciprocal_norms(scale[:, None] * constraint)
+    u, singular, vt = np.linalg.svd(scale[:, None] * constraint * norms, full_matrices=False)
+    rank = rank_of(singular, tolerance)
+    if rank == singular.size:
+        return constraint
+    return (u[:, :rank] * singular[:rank]) @ vt[:rank] / scale[:, None] / norms
 
 
 def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:

@@ -78,7 +78,7 @@ from multiarm.dynamics.solver.node import (
     reduce_constraints,
     unconstrained_motion,
 )
-from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel, plain
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Numbers
 
 
@@ -240,11 +240,17 @@ def lever_length(W_o):
     return longest if longest > 0.0 else 1.0
 
 
+@plain
+def rank_tolerance(gap, lever):
+    """Below which singular values count as zero where a gap [m] is closed; ``lever`` [m]."""
+    return max(COUPLED_RANK_TOLERANCE, min(RANK_PER_GAP * gap / lever, MOST_RANK_TOLERANCE))
+
+
 @kernel
 def find_rank(work, coupled, lever, gap):
     """Write an orthonormal basis of the unknowns outside the null space, and the rank."""
     basis, status = coupled.basis, coupled.status
-    tolerance = max(COUPLED_RANK_TOLERANCE, min(RANK_PER_GAP * gap / lever, MOST_RANK_TOLERANCE))
+    tolerance = rank_tolerance(gap, lever)
     p, rows = status.unknowns, NODE
     for u in range(p):
         for k in range(NODE):
