@@ -35,7 +35,7 @@ def start_warnings(system: System) -> list[str]:
 
 def _weight_not_carried(system: System) -> list[str]:
     scene = system.scene
-    if scene.gravity is None or not scene.control.carries:
+    if scene.gravity is None or not any(scene.gravity) or not scene.control.carries:
         return []
     with system.borrow() as data:
         closed = data.closed

@@ -108,7 +108,7 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
     if prepared.function == 0:
         layout, states = data.model.layout, 2 * data.model.layout.nv
         d, m = max(layout.joint_counts), max(layout.contact_counts)
-        own = arm_columns(d, False).end
+        width = arm_columns(d, False).end
         _, motion = equation_work(data, states)
         _, excess = equation_work(data, states, weights=False)
         arrays = CommandDerivatives(
@@ -117,10 +117,10 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
             twist=np.zeros(6),
             wrench=np.zeros((6, states)),
             acceleration=np.zeros((6, 12)),
-            preferred=np.zeros((d, own)),
+            preferred=np.zeros((d, width)),
             desired=np.zeros((layout.contacts, states)),
             forces=np.zeros((layout.contacts, states)),
-            motions=np.zeros((d + m, own)),
+            motions=np.zeros((d + m, width)),
             pivots=np.zeros(d + m, dtype=np.int64),
             products=np.zeros((6, 6)),
             scale=np.zeros(6),
@@ -134,57 +134,59 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
 
 
 @kernel
-def begin_command(data, by):
-    """Write y of the wrench ``by.twist``, and clear the results.
+def begin_command(data, derivatives):
+    """Write y of the wrench ``derivatives.twist``, and clear the results.
 
     Returns whether the contacts carry any wrench.
     """
-    for l in range(by.wrench.shape[0]):
-        clear(by.wrench[l])
-        clear(by.acceleration[l])
-    if not factor_wrench_products(data.rows.W_o, by.products, by.scale, by.product_pivots):
+    products, scale, pivots = derivatives.products, derivatives.scale, derivatives.product_pivots
+    for l in range(derivatives.wrench.shape[0]):
+        clear(derivatives.wrench[l])
+        clear(derivatives.acceleration[l])
+    if not factor_wrench_products(data.rows.W_o, products, scale, pivots):
         return False
-    solve_wrench_products(by.products, by.scale, by.product_pivots, by.twist)
+    solve_wrench_products(products, scale, pivots, derivatives.twist)
     return True
 
 
 @kernel
-def differentiate_shares(data, work, motion, rest, by):
+def differentiate_contact_forces(data, work, motion, rest, derivatives):
     """Write the derivatives of the contact forces, and subtract ``W d lambda`` from the torques.
 
     ``motion`` are the derivatives of the equations under the contact forces, ``rest`` those whose
     ``rates`` are of the twist y (:func:`write_derivatives_at_rest`).
     """
-    columns, states = force_columns(data), by.wrench.shape[1]
+    columns, wrench, forces = force_columns(data), derivatives.wrench, derivatives.forces
+    size, states = wrench.shape
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        own = arm_columns(n, False)
+        of_arm = arm_columns(n, False)
         for k in range(work.first_contact[i], work.first_contact[i + 1]):
-            clear(by.forces[k])
-            for c in range(own.rates):
-                if own.twists <= c < own.positions:
+            clear(forces[k])
+            for c in range(of_arm.rates):
+                if of_arm.twists <= c < of_arm.positions:
                     continue  # y is no velocity of the state
-                rate, column = rest.rates[k, c], column_of_state(columns, own, d0, c)
-                by.forces[k, column] = rate = rate + by.desired[k, column]
-                for l in range(by.wrench.shape[0]):
-                    by.wrench[l, column] -= data.rows.W_o[k, l] * rate
-    for l in range(by.wrench.shape[0]):
+                rate, column = rest.rates[k, c], column_of_state(columns, of_arm, d0, c)
+                forces[k, column] = rate = rate + derivatives.desired[k, column]
+                for l in range(size):
+                    wrench[l, column] -= data.rows.W_o[k, l] * rate
+    for l in range(size):
         for c in range(states):
-            by.wrench[l, c] = by.scale[l] * (by.wrench[l, c] + motion.dF_o[l, c])
-    solve_rows(by.products, by.wrench.shape[0], by.product_pivots, by.wrench)
+            wrench[l, c] = derivatives.scale[l] * (wrench[l, c] + motion.dF_o[l, c])
+    solve_rows(derivatives.products, size, derivatives.product_pivots, wrench)
     for k in range(data.rows.W_o.shape[0]):
-        for l in range(by.wrench.shape[0]):
-            share = data.rows.W_o[k, l] * by.scale[l]
+        for l in range(size):
+            weight = data.rows.W_o[k, l] * derivatives.scale[l]
             for c in range(states):
-                by.forces[k, c] += share * by.wrench[l, c]
+                forces[k, c] += weight * wrench[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
         for j in range(work.first_joint[i + 1] - d0):
             slopes = data.slopes.torque[d0 + j]
             for k in range(work.first_contact[i + 1] - r0):
-                weight, forces = work.W[i, j, k], by.forces[r0 + k]
+                weight, force = work.W[i, j, k], forces[r0 + k]
                 for c in range(states):
-                    slopes[c] -= weight * forces[c]
+                    slopes[c] -= weight * force[c]
 
 
 @kernel
@@ -193,44 +195,44 @@ def add_inverse_dynamics(data, work, motion):
     columns = force_columns(data)
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        own = arm_columns(n, False)
+        of_arm = arm_columns(n, False)
         for j in range(n):
             slopes = data.slopes.torque[d0 + j]
-            for c in range(own.end):
-                slopes[column_of_state(columns, own, d0, c)] += motion.dF[i, j, c]
+            for c in range(of_arm.end):
+                slopes[column_of_state(columns, of_arm, d0, c)] += motion.dF[i, j, c]
 
 
 @kernel
-def add_motion_derivatives(data, work, i, motion, excess, by):
-    """Add ``M dq''`` of an arm to the torques, with ``by.preferred``; returns a status."""
+def add_motion_derivatives(data, work, i, motion, excess, derivatives):
+    """Add ``M dq''`` of an arm to the torques, with ``derivatives.preferred``; returns a status."""
     d0, n, r0 = (
         work.first_joint[i],
         work.first_joint[i + 1] - work.first_joint[i],
         work.first_contact[i],
     )
-    m, own, X = work.first_contact[i + 1] - r0, arm_columns(n, False), by.motions
+    m, of_arm, X = work.first_contact[i + 1] - r0, arm_columns(n, False), derivatives.motions
     columns, M = force_columns(data), motion.M[i]
     for j in range(n):
-        for c in range(own.end):
+        for c in range(of_arm.end):
             X[j, c] = -excess.dF[i, j, c]
         for k in range(n):
-            for c in range(own.end):
-                X[j, c] += M[j, k] * by.preferred[k, c]
+            for c in range(of_arm.end):
+                X[j, c] += M[j, k] * derivatives.preferred[k, c]
     for k in range(m):
-        for c in range(own.end):
+        for c in range(of_arm.end):
             X[n + k, c] = -motion.dF[i, n + k, c]
-        for l in range(by.acceleration.shape[0]):
-            for c in range(own.positions):
-                X[n + k, c] -= data.rows.W_o[r0 + k, l] * by.acceleration[l, c]
-    if not factor_lu(motion.K[i], n + m, by.pivots) > 0.0:
+        for l in range(derivatives.acceleration.shape[0]):
+            for c in range(of_arm.positions):
+                X[n + k, c] -= data.rows.W_o[r0 + k, l] * derivatives.acceleration[l, c]
+    if not factor_lu(motion.K[i], n + m, derivatives.pivots) > 0.0:
         return SINGULAR
-    solve_rows(motion.K[i], n + m, by.pivots, X)
+    solve_rows(motion.K[i], n + m, derivatives.pivots, X)
     for j in range(n):
         slopes = data.slopes.torque[d0 + j]
         for k in range(n):
             inertia = M[j, k]
-            for c in range(own.end):
-                slopes[column_of_state(columns, own, d0, c)] += inertia * X[k, c]
+            for c in range(of_arm.end):
+                slopes[column_of_state(columns, of_arm, d0, c)] += inertia * X[k, c]
     return OK
 
 

@@ -34,7 +34,7 @@ from multiarm.control.command_derivatives import (
     add_inverse_dynamics,
     begin_command,
     call_derivatives,
-    differentiate_shares,
+    differentiate_contact_forces,
     open_derivatives,
     prepare_command_derivatives,
 )
@@ -98,28 +98,28 @@ def write_gravity_compensation_derivatives(address, size, at, _t):
     """Add the derivatives of the torques; returns a status."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    by = open_derivatives(open_carrying(struct, at).derivatives)
-    status = differentiate_at_rest(struct, data, by)
+    derivatives = open_derivatives(open_carrying(struct, at).derivatives)
+    status = differentiate_at_rest(struct, data, derivatives)
     if status == OK:
-        motion = open_equations(by.motion)
-        differentiate_shares(data, work, motion, motion, by)
+        motion = open_equations(derivatives.motion)
+        differentiate_contact_forces(data, work, motion, motion, derivatives)
         add_inverse_dynamics(data, work, motion)
     return status
 
 
 @kernel
-def differentiate_at_rest(struct, data, by):
+def differentiate_at_rest(struct, data, derivatives):
     """Write y, and the derivatives of the equations at rest under the forces that carry the weight.
 
     Returns a status.
     """
-    motion = open_equations(by.motion)
-    copy(data.control.object_wrench, by.twist)
-    if not begin_command(data, by):
+    motion = open_equations(derivatives.motion)
+    copy(data.control.object_wrench, derivatives.twist)
+    if not begin_command(data, derivatives):
         return SINGULAR
     clear(motion.a_j)
     copy(data.rows.static_force, motion.force)
-    return write_derivatives_at_rest(struct, by.motion, by.twist)
+    return write_derivatives_at_rest(struct, derivatives.motion, derivatives.twist)
 
 
 @cfunc
@@ -137,23 +137,24 @@ def write_share_derivatives(address, size, at, _t):
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    by = open_derivatives(open_carrying(struct, at).share_derivatives)
-    status = differentiate_at_rest(struct, data, by)
+    derivatives = open_derivatives(open_carrying(struct, at).share_derivatives)
+    status = differentiate_at_rest(struct, data, derivatives)
     if status != OK:
         return status
-    motion, columns, share = open_equations(by.motion), force_columns(data), data.slopes.share
-    for l in range(share.shape[0]):
+    motion, columns = open_equations(derivatives.motion), force_columns(data)
+    equations = data.slopes.share
+    for l in range(equations.shape[0]):
         for c in range(motion.dF_o.shape[1]):
-            share[l, c] -= motion.dF_o[l, c]
+            equations[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
-        own = arm_columns(work.first_joint[i + 1] - d0, False)
+        of_arm = arm_columns(work.first_joint[i + 1] - d0, False)
         for k in range(r0, work.first_contact[i + 1]):
-            for c in range(own.rates):
-                if c < own.twists or c >= own.positions:  # y is no velocity of the state
-                    column = column_of_state(columns, own, d0, c)
+            for c in range(of_arm.rates):
+                if c < of_arm.twists or c >= of_arm.positions:  # y is no velocity of the state
+                    column = column_of_state(columns, of_arm, d0, c)
                     add_share(data, work, i, k, motion.rates[k, c], column)
-            for l in range(share.shape[0]):
+            for l in range(equations.shape[0]):
                 add_share(data, work, i, k, data.rows.W_o[k, l], columns.share + l)
     add_inverse_dynamics(data, work, motion)
     return status

@@ -63,52 +63,54 @@ from multiarm.spatial import write_chart_rate
 
 
 @allocating
-def differentiate_hold(i, law, command, feedforward, model, data, work, by):
-    """Write the derivatives of the accelerations that hold arm i into ``by.preferred``.
+def differentiate_hold(i, law, command, feedforward, model, data, work, derivatives):
+    """Write the derivatives of the accelerations that hold arm i into ``derivatives.preferred``.
 
-    ``by`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
+    ``derivatives`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-    own, frame, arm = arm_columns(n, False), model.joint_frames[i], open_equations(by.excess)
-    M, held = open_equations(by.motion).M[i], command.preferred
-    K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, own.end))
+    of_arm, frame = arm_columns(n, False), model.joint_frames[i]
+    arm = open_equations(derivatives.excess)
+    M, held = open_equations(derivatives.motion).M[i], command.preferred
+    K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, of_arm.end))
     pivots, turn_rate = np.zeros(n + 6, dtype=np.int64), np.empty(3)
     for j in range(n):
         damped = -law.free_rate * data.state.joint_rates[d0 + j]
         arm.v[d0 + j], arm.a_j[d0 + j] = 0.0, held[d0 + j] - damped
         for k in range(n):
             K[j, k] = M[j, k]
-            X[j, own.rates + k] = -law.free_rate * M[j, k]
+            X[j, of_arm.rates + k] = -law.free_rate * M[j, k]
     write_body(data, AT_REST, AT_REST, arm)
-    write_arm(i, data, by)
-    subtract_torque_slopes(i, own, frame, command.held[i], by, X)
+    write_arm(i, data, derivatives)
+    subtract_torque_slopes(i, of_arm, frame, command.held[i], derivatives, X)
     for j in range(n):
         arm.a_j[d0 + j] = held[d0 + j]
     if not feedforward:
-        write_arm(i, data, by)
-        subtract_slopes(own, frame, 1.0, 0.0, 0.0, turn_rate, by, X[n:])
+        write_arm(i, data, derivatives)
+        subtract_slopes(of_arm, frame, 1.0, 0.0, 0.0, turn_rate, derivatives, X[n:])
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
     write_body(data, data.state.object_twist, command.acceleration, arm)
-    write_arm(i, data, by)
+    write_arm(i, data, derivatives)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
-        own, frame, of_acceleration, law.free_rate, law.free_stiffness, turn_rate, by, X[n:]
-    )
+        of_arm, frame, of_acceleration, law.free_rate, law.free_stiffness, turn_rate, derivatives,
+        X[n:],
+    )  # fmt: skip
     write_jacobian(n, frame, arm, K)
     if not factor_lu(K, n + 6, pivots) > 0.0:
         return SINGULAR
     solve_rows(K, n + 6, pivots, X)
     for j in range(n):
-        for c in range(own.end):
-            by.preferred[j, c] = X[j, c]
+        for c in range(of_arm.end):
+            derivatives.preferred[j, c] = X[j, c]
     return OK
 
 
 @kernel
-def write_arm(i, data, by):
+def write_arm(i, data, derivatives):
     """Write the motion of an arm's links, and the last one's as the object sees it."""
-    links, arm = open_links(by.excess), open_equations(by.excess)
+    links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
     write_motions(
         links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links, arm.link, arm.moved
     )
@@ -117,23 +119,23 @@ def write_arm(i, data, by):
 
 
 @kernel
-def subtract_torque_slopes(i, own, frame, multipliers, by, X):
+def subtract_torque_slopes(i, of_arm, frame, multipliers, derivatives, X):
     """Subtract the derivatives of ``M (p - p_0) - J^T kappa`` from the rows of the joints.
 
     ``multipliers`` (6,) in world axes.
     """
-    links, arm = open_links(by.excess), open_equations(by.excess)
-    n = own.rates - own.positions
+    links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
+    n = of_arm.rates - of_arm.positions
     relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
     R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
-    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_link[own.end])
-    write_inverse_dynamics(links, i, arm.on_link[own.end], arm.links, arm.by_q, arm.by_v)
+    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_link[of_arm.end])
+    write_inverse_dynamics(links, i, arm.on_link[of_arm.end], arm.links, arm.by_q, arm.by_v)
     for j in range(n):
         for k in range(n):
-            X[j, own.positions + k] -= arm.by_q[j, k]
-    for c in range(own.rates):
-        write_column_displacement(own, c, relative, arm)
+            X[j, of_arm.positions + k] -= arm.by_q[j, k]
+    for c in range(of_arm.rates):
+        write_column_displacement(of_arm, c, relative, arm)
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
         put_wrench(frame, opposite[0], opposite[1], arm.on_link[c])
@@ -148,30 +150,30 @@ def put_wrench(frame, force, moment, out):
 
 
 @kernel
-def subtract_slopes(own, frame, of_acceleration, rate, stiffness, turn_rate, by, X):
+def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, derivatives, X):
     """Subtract the derivatives of e, its accelerations times ``of_acceleration``, from its rows.
 
     ``turn_rate`` (3,) is scratch.
     """
-    arm, frames = open_equations(by.excess), open_frames(frame)
+    arm, frames = open_equations(derivatives.excess), open_frames(frame)
+    commanded = derivatives.acceleration
     seen, displacement = open_body(arm.scratch[SEEN]), open_displacement(arm.scratch[OF_SEEN])
     R_o, R, w, w_rate = open_body(arm.body).rotation, seen.rotation, seen.spin, seen.spin_rate
     m, on_arm, G = rotate(R, frames.origin_on_link), compose(R, frames.on_link), frames.on_object
     turned = rotate_back(G, on_arm[0]), rotate_back(G, on_arm[1]), rotate_back(G, on_arm[2])
     theta = rotate(G, rotation_vector(turned))
     relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
-    for c in range(own.end):
-        write_column_displacement(own, c, relative, arm)
+    for c in range(of_arm.end):
+        write_column_displacement(of_arm, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)
         velocity = add_cross(add_cross(displacement.velocity, dw, m), w, dm)
         write_chart_rate(theta, displacement.turn, turn_rate)
         slide = add_scaled(scale(rate, velocity), stiffness, add(displacement.shift, dm))
         turn = add_scaled(scale(rate, dw), stiffness, vec(turn_rate, 0))
         a, alpha = displacement.acceleration, displacement.spin_rate
-        if c < own.positions:  # the acceleration that is commanded to the object changes too
-            a_o = (by.acceleration[0, c], by.acceleration[1, c], by.acceleration[2, c])
-            alpha_o = (by.acceleration[3, c], by.acceleration[4, c], by.acceleration[5, c])
-            alpha_o = rotate_back(R_o, alpha_o)
+        if c < of_arm.positions:  # the acceleration that is commanded to the object changes too
+            a_o = (commanded[0, c], commanded[1, c], commanded[2, c])
+            alpha_o = rotate_back(R_o, (commanded[3, c], commanded[4, c], commanded[5, c]))
             a = sub(a, add_cross(rotate_back(R_o, a_o), alpha_o, seen.origin))
             alpha = sub(alpha, alpha_o)
         a = add_cross(add_cross(a, alpha, m), w_rate, dm)

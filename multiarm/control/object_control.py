@@ -159,7 +159,7 @@ def add_motion_forces(law, command, feedforward, model, data, work):
 
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
     """
-    command.independent[0] = 1
+    command.targets.independent = True
     for j in range(data.state.joint_rates.size):
         command.preferred[j] = -law.free_rate * data.state.joint_rates[j]
     for i in range(work.first_contact.size - 1):
@@ -174,7 +174,7 @@ def add_motion_forces(law, command, feedforward, model, data, work):
             command.a_j[d0:d1], command.multipliers[r0:r1],
         )  # fmt: skip
         if not (holds and independent):
-            command.independent[0] = 0
+            command.targets.independent = False
         for j in range(d1 - d0):
             data.control.torque[d0 + j] += times_arm_inertia(i, j, work, command.a_j)
 

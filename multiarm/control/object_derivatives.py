@@ -22,7 +22,7 @@ from multiarm.control.command_derivatives import (
     add_motion_derivatives,
     begin_command,
     call_derivatives,
-    differentiate_shares,
+    differentiate_contact_forces,
     open_derivatives,
     subtract_passive_slopes,
 )
@@ -61,25 +61,26 @@ def write_computed_torque_derivatives(address, size, at, t):
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
-    by = open_derivatives(command.derivatives)
-    motion = open_equations(by.motion)
-    if not begin(law, command, data, work, by):
+    derivatives = open_derivatives(command.derivatives)
+    motion = open_equations(derivatives.motion)
+    if not begin(law, command, data, work, derivatives):
         return SINGULAR
-    differentiate_acceleration(t, law, data, by)
-    for l in range(by.wrench.shape[0]):
-        for k in range(by.acceleration.shape[0]):
-            for c in range(by.acceleration.shape[1]):
-                by.wrench[l, c] += data.bodies.object_inertia[l, k] * by.acceleration[k, c]
+    differentiate_acceleration(t, law, data, derivatives.acceleration)
+    inertia, acceleration = data.bodies.object_inertia, derivatives.acceleration
+    for l in range(inertia.shape[0]):
+        for k in range(acceleration.shape[0]):
+            for c in range(acceleration.shape[1]):
+                derivatives.wrench[l, c] += inertia[l, k] * acceleration[k, c]
     copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
     write_body(data, data.state.object_twist, command.acceleration, motion)
-    status = differentiate_bodies(struct, by.motion)
+    status = differentiate_bodies(struct, derivatives.motion)
     add_object_equation(
         data.bodies.object_inertia, data.state.object_twist, command.acceleration, motion
     )
     if status == OK:
-        status = differentiate_torques(law, command, True, struct, model, data, work, by)
+        status = differentiate_torques(law, command, True, struct, model, data, work, derivatives)
         subtract_passive_slopes(data)
     return status
 
@@ -90,62 +91,64 @@ def write_object_impedance_derivatives(address, size, at, t):
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
-    by = open_derivatives(command.derivatives)
-    motion = open_equations(by.motion)
-    if not begin(law, command, data, work, by):
+    derivatives = open_derivatives(command.derivatives)
+    motion = open_equations(derivatives.motion)
+    if not begin(law, command, data, work, derivatives):
         return SINGULAR
-    differentiate_spring_wrench(t, law, data, by.wrench)
+    differentiate_spring_wrench(t, law, data, derivatives.wrench)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    status = write_derivatives_at_rest(struct, by.motion, AT_REST)
+    status = write_derivatives_at_rest(struct, derivatives.motion, AT_REST)
     if status == OK:
-        status = differentiate_torques(law, command, False, struct, model, data, work, by)
+        status = differentiate_torques(law, command, False, struct, model, data, work, derivatives)
     return status
 
 
 @kernel
-def differentiate_torques(law, command, feedforward, struct, model, data, work, by):
+def differentiate_torques(law, command, feedforward, struct, model, data, work, derivatives):
     """Add the derivatives of the torques, after those of the commanded motion; returns a status.
 
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
     """
-    motion, excess = open_equations(by.motion), open_equations(by.excess)
+    motion, excess = open_equations(derivatives.motion), open_equations(derivatives.excess)
     for i in range(law.wrenches_of_arms.shape[0]):
-        status = differentiate_press(i, law, struct, data, work, by)
+        status = differentiate_press(i, law, struct, data, work, derivatives)
         if status != OK:
             return status
     for j in range(command.a_j.size):
         excess.a_j[j] = command.a_j[j] - command.preferred[j]
     copy(command.multipliers, excess.force)
-    status = write_derivatives_at_rest(struct, by.excess, by.twist)
-    differentiate_shares(data, work, motion, excess, by)
+    status = write_derivatives_at_rest(struct, derivatives.excess, derivatives.twist)
+    differentiate_contact_forces(data, work, motion, excess, derivatives)
     add_inverse_dynamics(data, work, motion)
     for i in range(work.first_joint.size - 1):
         n = work.first_joint[i + 1] - work.first_joint[i]
         rates = arm_columns(n, False).rates
         for j in range(n):
-            clear(by.preferred[j])
-            by.preferred[j, rates + j] = -law.free_rate
+            clear(derivatives.preferred[j])
+            derivatives.preferred[j, rates + j] = -law.free_rate
         if status == OK and law.free_stiffness > 0.0:
-            status = differentiate_hold(i, law, command, feedforward, model, data, work, by)
+            status = differentiate_hold(
+                i, law, command, feedforward, model, data, work, derivatives
+            )
         if status == OK:
-            status = add_motion_derivatives(data, work, i, motion, excess, by)
+            status = add_motion_derivatives(data, work, i, motion, excess, derivatives)
     return status
 
 
 @inlined
-def begin(law, command, data, work, by):
+def begin(law, command, data, work, derivatives):
     """Write y without the internal forces, and clear the results; see :func:`begin_command`.
 
     Returns whether there is a closed form.
     """
-    if command.independent[0] == 0:
+    if not command.targets.independent:
         return False
-    copy(data.control.object_wrench, by.twist)
+    copy(data.control.object_wrench, derivatives.twist)
     for k in range(data.rows.W_o.shape[0]):
-        subtract_wrench(data.rows.W_o[k], law.forces_of_contacts[k], by.twist)
-    subtract_presses(law, data, work, by.twist)
-    return begin_command(data, by)
+        subtract_wrench(data.rows.W_o[k], law.forces_of_contacts[k], derivatives.twist)
+    subtract_presses(law, data, work, derivatives.twist)
+    return begin_command(data, derivatives)
 
 
 @inlined
@@ -177,14 +180,15 @@ def force_of(row, y):
 
 
 @allocating
-def differentiate_press(i, law, struct, data, work, by):
+def differentiate_press(i, law, struct, data, work, derivatives):
     r"""Write the derivatives of the forces with which an arm presses; returns a status.
 
     They are :math:`\lambda = W_o^+ w` of its contacts, :math:`\lambda = W_o^T y`, so that
     :math:`d\lambda = \partial(W_o^T y) + W_o^+ (dw - \partial(W_o\lambda)
     - W_o\,\partial(W_o^T y))`, where these carry the wrench; ``SINGULAR`` elsewhere.
     """
-    excess, world, y, left = open_equations(by.excess), np.empty(6), np.empty(6), np.empty(6)
+    excess = open_equations(derivatives.excess)
+    world, y, left = np.empty(6), np.empty(6), np.empty(6)
     if not pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
         return OK
     r0, r1 = work.first_contact[i], work.first_contact[i + 1]
@@ -199,50 +203,52 @@ def differentiate_press(i, law, struct, data, work, by):
     for l in range(left.size):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
-    status = write_derivatives_at_rest(struct, by.excess, y)
-    own, columns = arm_columns(work.first_joint[i + 1] - d0, False), force_columns(data)
-    for c in range(own.rates):
-        if own.twists <= c < own.positions:
+    status = write_derivatives_at_rest(struct, derivatives.excess, y)
+    of_arm, columns = arm_columns(work.first_joint[i + 1] - d0, False), force_columns(data)
+    for c in range(of_arm.rates):
+        if of_arm.twists <= c < of_arm.positions:
             continue
-        column = column_of_state(columns, own, d0, c)
+        column = column_of_state(columns, of_arm, d0, c)
         for l in range(left.size):
             left[l] = excess.dF_o[l, column]
-        if 3 <= c < own.twists:
+        if 3 <= c < of_arm.twists:
             put(left, 0, add_cross(vec(left, 0), AXES[c - 3], vec(world, 0)))
             put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
         for k in range(r1 - r0):
             subtract_wrench(W_o[k], excess.rates[r0 + k, c], left)
         share_wrench(W_o, left, y)
         for k in range(r1 - r0):
-            by.desired[r0 + k, column] = excess.rates[r0 + k, c] + force_of(W_o[k], y)
+            derivatives.desired[r0 + k, column] = excess.rates[r0 + k, c] + force_of(W_o[k], y)
     return status
 
 
 @allocating
-def differentiate_acceleration(t, law, data, by):
-    """Write the derivatives of the object's acceleration by its pose and twist."""
+def differentiate_acceleration(t, law, data, acceleration):
+    """Write the derivatives of the object's acceleration by its pose and twist (6, 12)."""
+    twists = force_columns(data).twists
     _, quaternion, _, _, _, _ = reference_pose(t, law)
     turned, by_turn = rotation_between(data.state.object_pose[3:7], quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     for k in range(3):
-        by.acceleration[k, k] = -law.stiffness[k]
-        by.acceleration[k, 6 + k] = -law.damping[k]
+        acceleration[k, k] = -law.stiffness[k]
+        acceleration[k, twists + k] = -law.damping[k]
         for axis in range(3):
-            by.acceleration[3 + k, 3 + axis] = law.stiffness[3 + k] * by_turn[axis, k]
-        by.acceleration[3 + k, 9 + k] = -law.damping[3 + k]
+            acceleration[3 + k, 3 + axis] = law.stiffness[3 + k] * by_turn[axis, k]
+        acceleration[3 + k, twists + 3 + k] = -law.damping[3 + k]
 
 
 @allocating
 def differentiate_spring_wrench(t, law, data, wrench):
     """Write the derivatives of the wrench of the impedance's spring and damper into ``wrench``."""
+    twists = force_columns(data).twists
     _, quaternion, _, _, _, _ = reference_pose(t, law)
     turned, by_turn = rotation_between(data.state.object_pose[3:7], quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     pull, change, of_change, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
     for k in range(3):
         pull[k] = law.stiffness[3 + k] * turned[k]
-        wrench[k, k], wrench[k, 6 + k] = -law.stiffness[k], -law.damping[k]
-        wrench[3 + k, 9 + k] = -law.damping[3 + k]
+        wrench[k, k], wrench[k, twists + k] = -law.stiffness[k], -law.damping[k]
+        wrench[3 + k, twists + 3 + k] = -law.damping[3 + k]
     write_chart_rate_slopes(turned, pull, slopes)
     for axis in range(3):
         for k in range(3):

@@ -9,7 +9,7 @@ import numpy as np
 from multiarm.control.command_derivatives import PreparedDerivatives
 from multiarm.dynamics.control_laws import view_of_law, view_of_work
 from multiarm.dynamics.data import Data
-from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Ints1
+from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Numbers
 
 
 class ObjectLaw(NamedTuple):
@@ -35,6 +35,12 @@ class ObjectLaw(NamedTuple):
     turns: Floats2
 
 
+class ArmTargets(Numbers):
+    """What holds of the accelerations that are commanded to the arms."""
+
+    independent: Flag  # the targets of no arm depend on each other
+
+
 class ObjectCommand(NamedTuple):
     """What a law commands, and what its derivative needs."""
 
@@ -44,7 +50,7 @@ class ObjectCommand(NamedTuple):
     target: Floats1  # (N,) of these: W^T q''
     multipliers: Floats1  # (N,) M (q'' - preferred) = W multipliers
     held: Floats2  # (arms, 6) multipliers of the accelerations that hold poses, world axes
-    independent: Ints1  # (1,) whether every arm's targets are
+    targets: ArmTargets
     derivatives: PreparedDerivatives
 
     @classmethod
@@ -58,7 +64,7 @@ class ObjectCommand(NamedTuple):
             target=np.zeros(contacts),
             multipliers=np.zeros(contacts),
             held=np.zeros((data.model.layout.owner_count, 6)),
-            independent=np.zeros(1, dtype=np.int64),
+            targets=ArmTargets(),
             derivatives=PreparedDerivatives(),
         )
 

@@ -110,6 +110,8 @@ def _numbers(
     try:
         numbers = np.asarray(cells, dtype=float)
     except (TypeError, ValueError):
+        numbers = np.zeros(())
+    if numbers.ndim != 1:  # cells that are no numbers, or lists of them
         numbers = np.array([_number_or_nan(cell) for cell in cells])
     wrong = np.flatnonzero(~np.isfinite(numbers))
     if wrong.size:

@@ -66,7 +66,7 @@ from multiarm.dynamics.arrays import EFFECTS, CalledFunction, open_data, table_o
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel, cfunc, inlined
 from multiarm.jit.pointers import GuardedCall, address_of
-from multiarm.jit.structs import ints1, make_struct, misfit, struct_of, view_at
+from multiarm.jit.structs import Numbers, ints1, make_struct, misfit, struct_of, view_at
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 
@@ -214,8 +214,8 @@ class EffectData(NamedTuple):
 
 
 def _copied(arrays: Any) -> Any:
-    parts = [part.copy() if isinstance(part, np.ndarray) else part for part in arrays]
-    return type(arrays)._make(parts)
+    written = np.ndarray, Numbers  # kernels, or `connect`, write these
+    return type(arrays)._make(part.copy() if isinstance(part, written) else part for part in arrays)
 
 
 @dataclass(frozen=True)

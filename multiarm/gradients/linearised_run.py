@@ -328,7 +328,9 @@ class LinearisedRun:
             if segment_error < large:
                 segments.append((panel, degree))
             elif finer := [
-                k for k in DEGREES if segment_error * defect ** (k / degree - 1.0) < large
+                k
+                for k in DEGREES
+                if k > degree and segment_error * defect ** (k / degree - 1.0) < large
             ]:
                 segments.append((panel, finer[0]))
             else:

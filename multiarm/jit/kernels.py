@@ -2,7 +2,8 @@
 
 A kernel is compiled whole when Python calls it, or when its address is taken; where another kernel
 calls it, it becomes part of that one.  Plain ones run as Python when Python calls them.  The code
-of a whole is cached on disk and stays fresh until its sources change (:mod:`multiarm.jit.sources`).
+of a whole is cached on disk and stays fresh until its sources change (:mod:`multiarm.jit.sources`);
+where it has no file, as in a notebook, it is compiled once in each process.
 """
 
 from __future__ import annotations
@@ -73,11 +74,13 @@ class Kernel:
                 self._wait()
                 self._wait = None
             if self._whole is None:
-                whole: Any = njit(cache=True, **WHOLE, **self._options)(self.py_func)
-                file = _cache_file(whole)
-                file._source_stamp = self._stamp
-                file._load_index = _or_nothing(file._load_index)
-                file._load_data = _or_missing(file._load_data)
+                caches = bool(self._stamp)
+                whole: Any = njit(cache=caches, **WHOLE, **self._options)(self.py_func)
+                if caches:
+                    file = _cache_file(whole)
+                    file._source_stamp = self._stamp
+                    file._load_index = _or_nothing(file._load_index)
+                    file._load_data = _or_missing(file._load_data)
                 self._whole = whole
 
     def __call__(self, *arguments: Any) -> Any:
@@ -95,7 +98,7 @@ class Kernel:
 
     def is_cached(self) -> bool:
         """Whether fresh machine code is in the cache, or is not needed."""
-        return INTERPRETED or bool(_cache_file(self.whole)._load_index())
+        return INTERPRETED or bool(self._stamp and _cache_file(self.whole)._load_index())
 
 
 class _CompilationListener(event.Listener):

@@ -35,10 +35,16 @@ def kernel_modules() -> list[str]:
 
 
 def stamp_of(function: Callable) -> str:
-    """Digest of all sources that the cached code of a kernel depends on."""
+    """Digest of all sources that the cached code of a kernel depends on.
+
+    Empty for a function without a file, such as one of a notebook's cell: it reads what other cells
+    define, which has no file either.
+    """
     file = Path(function.__code__.co_filename)
     if _PACKAGE in file.parents:
         return _stamp_of_file(str(file))
+    if not file.is_file():
+        return ""
     return _stamp_of_package() + _stamp_of_user_code(file, function.__globals__)
 
 
@@ -107,18 +113,10 @@ _MODULES: dict[str, _Module] = {}
 
 
 def _stamp_of_user_code(file: Path, namespace: dict[str, Any]) -> str:
-    """Digest of a file and of what it imports; where there is no file, of all modules.
-
-    Of a cell of a notebook Numba itself reads the text; what earlier cells imported is unknown.
-    """
-    digests: dict[str, bytes] = {}
-    if file.is_file():
-        text = file.read_bytes()
-        digests[""] = hashlib.sha256(text).digest()
-        home = str(namespace.get("__package__") or "")
-        waiting = [(name, home) for name in _imported_names(text, home)]
-    else:
-        waiting = [(name, "") for name in list(sys.modules)]
+    """Digest of a file and of what it imports."""
+    text, home = file.read_bytes(), str(namespace.get("__package__") or "")
+    digests = {"": hashlib.sha256(text).digest()}
+    waiting = [(name, home) for name in _imported_names(text, home)]
     while waiting:
         name, importer = waiting.pop()
         loaded = sys.modules.get(name)
@@ -168,7 +166,10 @@ def _imported_names(text: bytes, package: str) -> frozenset[str]:
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             home = "." * node.level + (node.module or "")
-            home = resolve_name(home, package) if node.level and package else home
+            try:
+                home = resolve_name(home, package) if node.level and package else home
+            except ImportError:  # beyond the package: a file that also runs alone catches it
+                continue
             names.update((home, *(f"{home}.{alias.name}" for alias in node.names)))
     around = {name.rsplit(".", k)[0] for name in names for k in range(1, name.count(".") + 1)}
     return frozenset(names | around)

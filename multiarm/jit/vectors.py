@@ -43,19 +43,6 @@ def rotation(array, at):
 
 
 @inlined
-def symmetric(array, at):
-    """The symmetric matrix ``array[at : at + 6]``."""
-    return array[at], array[at + 1], array[at + 2], array[at + 3], array[at + 4], array[at + 5]
-
-
-@inlined
-def put_symmetric(array, at, A):
-    """Write a symmetric matrix into ``array[at : at + 6]``."""
-    put(array, at, (A[0], A[1], A[2]))
-    put(array, at + 3, (A[3], A[4], A[5]))
-
-
-@inlined
 def add(a, b):
     """``a + b``."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]

@@ -31,6 +31,8 @@ from multiarm.simulation.setup import Task
 
 SAMPLES = 48  # a swing
 SWING, PAUSE = 1.6, 0.4  # [s]
+# How often an amplitude is halved that the joints do not allow.
+MOST_HALVINGS = 16
 
 
 def modes_trajectory(
@@ -73,7 +75,8 @@ def modes_trajectory(
         rows = _swing(task, mode.shape, phases, amplitude)
         rows[:, 0] = first + SWING * phases / (2.0 * math.pi)
         sink.append(rows)
-    message = f"{len(events)} modes, {SWING + PAUSE:.0f} s each; nothing was simulated"
+    shown = count_of(len(events), "mode")
+    message = f"{shown}, {SWING + PAUSE:.0f} s each; nothing was simulated"
     return sink.finish(RunStatus.COMPLETED, message, {"simulated_s": end}, events).of(system.scene)
 
 
@@ -98,12 +101,12 @@ def _swing(task: Task, shape: np.ndarray, phases: np.ndarray, amplitude: float) 
     SolverError
         When the joints cannot be closed, however small the amplitude.
     """
-    while amplitude > 1e-6:
-        moves = amplitude * np.real(-1j * np.exp(1j * phases)[:, None] * shape)
+    for halvings in range(MOST_HALVINGS + 1):
+        moves = amplitude * 0.5**halvings * np.real(-1j * np.exp(1j * phases)[:, None] * shape)
         try:
             return np.array([_sample(task, move) for move in moves])
         except ModelError:
-            amplitude *= 0.5
+            continue
     raise SolverError("the joints cannot be closed near this state: its modes cannot be shown")
 
 

@@ -347,6 +347,17 @@ def test_a_joint_off_the_object_is_told(joint, words):
 HOLD = {"kind": "harmonic", "hold": True, "frequency": 1.0, "amplitude": {"arm": 0.0}}
 
 
+def test_where_nothing_weighs_no_weight_is_left():
+    weld = {"kind": "weld"}
+    system = ma.compile_system(
+        ur5_pair(weld, weld, control={"kind": "computed_torque"}, gravity=[0.0, 0.0, 0.0])
+    )
+    state = system.initial_state()
+    state.velocity[system.model.layout.of_frames] = 0.1
+    ma.evaluate(system, 0.0, state)  # commands forces
+    assert start_warnings(system) == []
+
+
 @pytest.mark.parametrize("control", [{"kind": "gravity_compensation"}, HOLD])
 def test_weight_that_the_contacts_cannot_carry_is_told(control):
     """A ball joint beside the centre of mass, at d: of forces F there and the moment d x F, over d,

@@ -341,6 +341,10 @@ def test_faults_of_other_files(tmp_path):
     )
     (tmp_path / "t.parquet").write_text(GOOD)
     assert "is not a Parquet file" in fault(tmp_path / "t.parquet")
+    pairs = {"time": [0.0, 1.0], "cart/slide": [[1.0, 2.0], [3.0, 4.0]]}
+    write_parquet(tmp_path / "pairs.parquet", pairs)
+    words = "column 'cart/slide', row 1: must be a finite number, got [1.0, 2.0]"
+    assert words in fault(tmp_path / "pairs.parquet")
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,16 @@ def test_a_pressed_contact_oscillates_and_decays(tmp_path):
     )
 
 
+def test_runs_of_one_system_do_not_press_the_springs_of_each_other(tmp_path):
+    system = ma.compile_system(ma.Scene(**ball_on_cart(tmp_path, soft(2e3))))
+    alone = ma.Stepper(system).advance(0.02)
+    first, second = ma.Stepper(system), ma.Stepper(system)
+    second.advance(0.01)
+    after = first.advance(0.02)
+    np.testing.assert_array_equal(after.position, alone.position)
+    np.testing.assert_array_equal(after.velocity, alone.velocity)
+
+
 def test_a_contact_that_pulls_away_at_the_start_opens_at_once(tmp_path):
     effects = soft(1e4) | {"unilateral_contacts": {"start": "as_written"}}
     data = ball_on_cart(tmp_path, effects, twist=(0, 0, 0.5, 0, 0, 0))

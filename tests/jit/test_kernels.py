@@ -267,13 +267,38 @@ def test_a_module_counts_as_it_was_when_it_was_imported(tmp_path, monkeypatch):
     assert stamp() == before
 
 
-def test_of_a_notebooks_kernels_all_modules_of_its_user_count(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    cell = tmp_path / "ipykernel_1.py"  # no such file
-    (tmp_path / "of_an_earlier_cell.py").write_text("FACTOR = 3.0", encoding="utf-8")
-    before = stamp_of_code("f = lambda: 0", cell)
-    importlib.import_module("of_an_earlier_cell")
-    assert stamp_of_code("f = lambda: 0", cell) != before
+CELL = """
+import linecache
+
+text = "from multiarm.jit.kernels import kernel\\n@kernel\\ndef f(x):\\n    return {factor} * x\\n"
+file = "/tmp/ipykernel_1/1.py"  # no such file
+linecache.cache[file] = len(text), None, text.splitlines(True), file
+exec(compile(text, file, "exec"))
+print(f.is_cached(), f(2.0))
+"""
+
+
+@pytest.mark.slow
+def test_an_edited_cell_of_a_notebook_counts(tmp_path):
+    """Cells have no files, and what a kernel reads may have been defined in any of them."""
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "HOME": str(tmp_path),
+        "IPYTHONDIR": str(tmp_path),
+    }
+    for factor in (3.0, 5.0):
+        done = subprocess.run(
+            [sys.executable, "-c", CELL.format(factor=factor)],
+            env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert done.stdout == f"False {2.0 * factor}\n"
+
+
+def test_imports_that_python_refuses_are_none_of_a_users_file(tmp_path):
+    """Files that run alone and in a package try both."""
+    text = "try:\n    from ..law import f\nexcept ImportError:\n    f = lambda: 0"
+    names = sources._imported_names(text.encode(), "laws")
+    assert names == frozenset()
 
 
 def test_installed_packages_are_not_read():

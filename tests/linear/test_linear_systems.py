@@ -459,6 +459,9 @@ def test_modes_move_on_the_joints():
     for wrong in ({"modes": [99]}, {"modes": []}, {"amplitude": 0.0}):
         with refused(SolverError, *wrong):
             modes_trajectory(linear, **wrong)
+    shown = modes_trajectory(linear, modes=[1], amplitude=1e-7)
+    assert 1e-8 < np.ptp(shown.object_position, axis=0).max() < 1e-6
+    assert shown.message.startswith("1 mode, ")
 
 
 @pytest.mark.slow
