@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import permutations
 
 import numpy as np
@@ -513,13 +514,21 @@ def test_the_deepest_point_of_three_faces_grows_with_the_body():
                 np.testing.assert_allclose(scaled, factor * deepest, atol=TOL * factor)
 
 
-@pytest.mark.parametrize("name", [*WIDE, "box", "oblique", "tetrahedron"])
+BODIES = {**WIDE, "box": BOX, "oblique": oblique(3), "tetrahedron": Polyhedron.hull(np.eye(4, 3))}
+
+
+@cache
+def design_of(name: str) -> Grasp:
+    """The grasp of a body where it is, with which those of the moved one are compared."""
+    return design_grasp(BODIES[name])
+
+
+@pytest.mark.parametrize("name", BODIES)
 @pytest.mark.parametrize("factor", [1e-5, 300.0])
 def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
     """design(s R x + p) = s R design(x) + p, of microns and of hundreds of metres, far away."""
-    more = {"box": BOX, "oblique": oblique(3), "tetrahedron": Polyhedron.hull(np.eye(4, 3))}
-    body, pose = {**WIDE, **more}[name], pose_of(4, 100.0 * factor)
-    grasp, moved = design_grasp(body), design_grasp(body.scaled(factor).placed(pose))
+    body, pose = BODIES[name], pose_of(4, 100.0 * factor)
+    grasp, moved = design_of(name), design_grasp(body.scaled(factor).placed(pose))
     assert moved.closure.distance == pytest.approx(grasp.closure.distance, rel=1e-6)
     if name not in ("cut wedge", "hull", "box", "oblique", "tetrahedron"):
         return  # symmetry leaves equal designs to choose from
@@ -531,9 +540,9 @@ def test_the_design_of_a_moved_body_is_the_moved_design(name, factor):
 @pytest.mark.parametrize("name", ["cut wedge", "hexagon", "L", "octahedron", "box", "oblique"])
 @pytest.mark.parametrize(("factor", "reach"), [(300.0, 1.0), (1.0, 50.0)])
 def test_the_design_of_a_body_from_a_file_is_that_of_the_body(tmp_path, name, factor, reach):
-    body = {**WIDE, "box": BOX, "oblique": oblique(3)}[name]
+    body = BODIES[name]
     body.scaled(factor).placed(pose_of(4, reach * factor)).save(tmp_path / "body.stl")
-    grasp, moved = design_grasp(body), design_grasp(Polyhedron.mesh(tmp_path / "body.stl"))
+    grasp, moved = design_of(name), design_grasp(Polyhedron.mesh(tmp_path / "body.stl"))
     assert classify(moved.body).kind == classify(body).kind
     assert sound(moved)
     assert len(moved.notes) == len(grasp.notes)  # by the same construction

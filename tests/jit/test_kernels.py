@@ -179,15 +179,13 @@ from multiarm.jit.kernels import kernel
 @kernel
 def scaled(x):
     return FACTOR * x
-
-if __name__ == "__main__":
-    print(scaled.is_cached(), scaled(2.0))
 """
+SHOWN = "print(scaled.is_cached(), scaled(2.0))\n"
 
 
-def run_kernel_of_user(folder: Path, imports: str, **modules: str) -> str:
-    """Whether its code is in the cache, and its result; the modules lie beside its file."""
-    for name, text in {"user_kernel": USER_KERNEL.format(imports=imports), **modules}.items():
+def run_kernels_of_users(folder: Path, program: str, **modules: str) -> list[str]:
+    """What a program prints, a line each; it and its modules lie in a folder, with a cache."""
+    for name, text in {"program": program, **modules}.items():
         file = folder.joinpath(*name.split(".")).with_suffix(".py")
         file.parent.mkdir(exist_ok=True)
         file.write_text(text, encoding="utf-8")
@@ -197,46 +195,48 @@ def run_kernel_of_user(folder: Path, imports: str, **modules: str) -> str:
         "PYTHONDONTWRITEBYTECODE": "1",  # Python looks at time and size, too
     }  # fmt: skip
     done = subprocess.run(
-        [sys.executable, str(folder / "user_kernel.py")],
+        [sys.executable, str(folder / "program.py")],
         env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    return done.stdout.strip()
+    return done.stdout.splitlines()
+
+
+def run_constant(folder: Path, factor: float) -> list[str]:
+    """Whether the code of a kernel with a constant of its file is in the cache, and its result."""
+    return run_kernels_of_users(folder, USER_KERNEL.format(imports=f"FACTOR = {factor}") + SHOWN)
 
 
 @pytest.mark.slow
 def test_an_edited_constant_of_a_users_kernel_counts(tmp_path):
-    assert run_kernel_of_user(tmp_path, "FACTOR = 3.0") == "False 6.0"
-    assert run_kernel_of_user(tmp_path, "FACTOR = 3.0") == "True 6.0"
-    assert run_kernel_of_user(tmp_path, "FACTOR = 5.0") == "False 10.0"
+    assert run_constant(tmp_path, 3.0) == ["False 6.0"]
+    assert run_constant(tmp_path, 3.0) == ["True 6.0"]
+    assert run_constant(tmp_path, 5.0) == ["False 10.0"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "imports, modules",
-    [
-        ("from constants import FACTOR", {"constants": "FACTOR = {}"}),
-        (
-            "import law\nFACTOR = law.factor",
-            {"law": "from constants import factor", "constants": "factor = {}"},
-        ),
-        (
-            "from laws import (  # relative\n    law,\n)\nFACTOR = law.factor",
-            {
-                "laws.__init__": "", "laws.constants": "factor = {}",
-                "laws.law": "from .constants import factor",
-            },
-        ),
-    ],
-    ids=["directly", "through another file", "in a package"],
-)  # fmt: skip
-def test_an_edited_file_that_the_file_of_a_users_kernel_imports_counts(tmp_path, imports, modules):
-    def run(factor: float) -> str:
-        texts = {name: text.format(factor) for name, text in modules.items()}
-        return run_kernel_of_user(tmp_path, imports, **texts)
+def test_an_edited_file_that_the_file_of_a_users_kernel_imports_counts(tmp_path):
+    """Imported directly, through another file, in a package."""
+    imports = {
+        "direct": "from constants import FACTOR",
+        "through_another": "import law\nFACTOR = law.factor",
+        "in_a_package": "from laws import (  # relative\n    law,\n)\nFACTOR = law.factor",
+    }
+    users = {name: USER_KERNEL.format(imports=text) for name, text in imports.items()}
+    laws = {
+        "law": "from other_constants import factor",
+        "laws.__init__": "", "laws.law": "from .constants import factor",
+    }  # fmt: skip
+    program = "".join(f"from {name} import scaled\n{SHOWN}" for name in users)
 
-    assert run(3.0) == "False 6.0"
-    assert run(3.0) == "True 6.0"
-    assert run(5.0) == "False 10.0"
+    def run(factor: float) -> list[str]:
+        constants = {"constants": f"FACTOR = {factor}"}
+        for name in ("other_constants", "laws.constants"):
+            constants[name] = f"factor = {factor}"
+        return run_kernels_of_users(tmp_path, program, **users, **laws, **constants)
+
+    assert run(3.0) == ["False 6.0"] * 3
+    assert run(3.0) == ["True 6.0"] * 3
+    assert run(5.0) == ["False 10.0"] * 3
 
 
 def stamp_of_code(text: str, file: Path) -> str:
@@ -378,13 +378,14 @@ def test_kernels_of_other_packages_compile_again_with_any_kernel_of_this_one(mon
 
 @pytest.mark.slow
 def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path):
-    run_kernel_of_user(tmp_path, "FACTOR = 3.0")
+    run_constant(tmp_path, 3.0)
     for ending in ("nbi", "nbc"):
         files = list((tmp_path / "cache").rglob(f"*.{ending}"))
         assert files
         for file in files:
             file.write_bytes(file.read_bytes()[:100])
-        assert run_kernel_of_user(tmp_path, "FACTOR = 3.0").endswith("6.0")
+        (shown,) = run_constant(tmp_path, 3.0)
+        assert shown.endswith("6.0")
 
 
 def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
