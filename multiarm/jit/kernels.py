@@ -20,7 +20,7 @@ from numba.core import event
 from multiarm.jit.compilation import compiling, start_compiling, stop_compiling
 from multiarm.jit.interpretation import INTERPRETED
 from multiarm.jit.linking import PART, WHOLE
-from multiarm.jit.sources import stamp_of
+from multiarm.jit.sources import stamp_of, stamp_of_constants
 
 # Types of arguments, to annotate kernels with that Python calls: these can be compiled ahead.
 INT, NUMBER, TRUTH = types.int64, types.float64, types.boolean
@@ -78,7 +78,7 @@ class Kernel:
                 whole: Any = njit(cache=caches, **WHOLE, **self._options)(self.py_func)
                 if caches:
                     file = _cache_file(whole)
-                    file._source_stamp = self._stamp
+                    file._source_stamp = self._stamp + stamp_of_constants(self.py_func)
                     file._load_index = _or_nothing(file._load_index)
                     file._load_data = _or_missing(file._load_data)
                 self._whole = whole

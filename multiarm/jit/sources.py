@@ -18,6 +18,7 @@ import sys
 import sysconfig
 from collections.abc import Callable, Iterable
 from importlib.util import resolve_name
+from numbers import Number
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,6 +47,30 @@ def stamp_of(function: Callable) -> str:
     if not file.is_file():
         return ""
     return _stamp_of_package() + _stamp_of_user_code(file, function.__globals__)
+
+
+def stamp_of_constants(function: Callable) -> str:
+    """Digest of the numbers that a kernel of a user, and those it calls, take from their modules.
+
+    They become part of the code, and may come from anywhere: the environment, a table, an argument
+    of the program.  Those of this package come from its files.
+    """
+    numbers: dict[str, str] = {}
+    waiting: list[Any] = [function]
+    while waiting:
+        called = waiting.pop()
+        module = called.__module__ or ""
+        if module.partition(".")[0] == _PACKAGE.name:
+            continue
+        for name in called.__code__.co_names:
+            value, place = called.__globals__.get(name), f"{module}.{name}"
+            parts = value if isinstance(value, tuple) else (value,)
+            if all(isinstance(part, Number) for part in parts):
+                numbers[place] = repr(value)
+            elif place not in numbers and hasattr(value, "py_func"):
+                numbers[place] = ""
+                waiting.append(value.py_func)
+    return _digest(f"{place} {number}".encode() for place, number in sorted(numbers.items()))
 
 
 def _digest(parts: Iterable[bytes]) -> str:

@@ -214,6 +214,20 @@ def test_an_edited_constant_of_a_users_kernel_counts(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_constant_of_a_users_kernel_that_no_file_has_counts(tmp_path, monkeypatch):
+    imports = "import os\nFACTOR = float(os.environ['USER_FACTOR'])"
+    program = USER_KERNEL.format(imports=imports) + SHOWN
+
+    def run(factor: float) -> list[str]:
+        monkeypatch.setenv("USER_FACTOR", str(factor))
+        return run_kernels_of_users(tmp_path, program)
+
+    assert run(3.0) == ["False 6.0"]
+    assert run(3.0) == ["True 6.0"]
+    assert run(5.0) == ["False 10.0"]
+
+
+@pytest.mark.slow
 def test_an_edited_file_that_the_file_of_a_users_kernel_imports_counts(tmp_path):
     """Imported directly, through another file, in a package."""
     imports = {
