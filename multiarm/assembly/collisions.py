@@ -181,9 +181,9 @@ def object_hull(body: ObjectSpec) -> Any:
             return coal.Cylinder(radius, height)
         case Hull(points):
             return _hull(np.array(points))
-        case Mesh() as mesh:
-            triangles = mesh.triangles()
-            return None if triangles is None else _hull(triangles[0])
+        case Mesh() as shape:
+            mesh = shape.triangle_mesh()
+            return None if mesh is None else _hull(mesh.vertices)
     return None
 
 
@@ -236,14 +236,14 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
 @lru_cache(maxsize=256)
 def _hull_of_mesh(path: Path, _stamp: int, scale: tuple[float, ...]) -> Any:
     """The hull of a file's mesh; the mesh itself where its points lie in a plane."""
-    points, triangles, _ = read_mesh(path, scale)
-    hull = _hull(points[np.unique(triangles)])
+    mesh = read_mesh(path, scale)
+    hull = _hull(mesh.vertices[np.unique(mesh.triangles)])
     if hull is not None:
         return hull
     sheet = coal.BVHModelOBBRSS()
-    sheet.beginModel(len(triangles), len(points))
-    sheet.addVertices(points)
-    sheet.addTriangles(triangles)
+    sheet.beginModel(len(mesh.triangles), len(mesh.vertices))
+    sheet.addVertices(mesh.vertices)
+    sheet.addTriangles(mesh.triangles)
     sheet.endModel()
     return sheet
 

@@ -20,20 +20,11 @@ from multiarm.scene.urdf import read_xml
 if TYPE_CHECKING:
     import numpy as np
 
+    from multiarm.geometry.triangle_mesh import TriangleMesh
+
 MESH_FORMATS = (".dae", ".obj", ".off", ".ply", ".stl")
 MOST_MESH_BYTES = 1 << 30
 _TEXTURED = 0.8  # brightness of what has a texture in place of a colour
-
-
-class TriangleMesh(NamedTuple):
-    """The triangles of a file."""
-
-    vertices: np.ndarray
-    """Corners [m], shape (V, 3)."""
-    triangles: np.ndarray
-    """Numbers of corners, counter-clockwise seen from outside, shape (T, 3)."""
-    colors: np.ndarray | None
-    """Of each triangle, sRGB in 0..1, shape (T, 3); absent where a format has none that is read."""
 
 
 class ShapeMesh(NamedTuple):
@@ -48,7 +39,8 @@ class ShapeMesh(NamedTuple):
 def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleMesh:
     """Read the triangles of a file, scaled along its axes.
 
-    The unit of a Collada file is applied and its up axis is not, as readers of URDFs do.
+    The unit of a Collada file is applied and its up axis is not, as readers of URDFs do.  Colours
+    are those of Collada files; meshes of other formats have none.
 
     Raises
     ------
@@ -57,6 +49,8 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleM
         large, or it has no triangles, or numbers that are not finite; the message says which.
     """
     import numpy as np
+
+    from multiarm.geometry.triangle_mesh import TriangleMesh
 
     if not path.is_file():
         raise ValueError("there is no such file")
@@ -76,11 +70,10 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> TriangleM
         raise ValueError("it has no triangles")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise ValueError("a triangle has a corner that is not there")
-    vertices = vertices * np.asarray(scale, float)
-    if not np.isfinite(vertices).all():
+    mesh = TriangleMesh(vertices, triangles, colors if ending == ".dae" else None).scaled(scale)
+    if not np.isfinite(mesh.vertices).all():
         raise ValueError("a number is not finite")
-    outward = triangles if np.prod(scale) > 0 else triangles[:, ::-1]
-    return TriangleMesh(vertices, outward, colors if ending == ".dae" else None)
+    return mesh
 
 
 def _inspected(content: bytes, ending: str) -> bytes:

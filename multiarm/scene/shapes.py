@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 from typing_extensions import override
 
+from multiarm.geometry.triangle_mesh import TriangleMesh
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.meshes import read_mesh
 from multiarm.scene.solids import (
@@ -235,10 +236,10 @@ class Mesh(Spec, Solid):
     ] = (1.0, 1.0, 1.0)
     """Metres for each unit of the file, for all axes or one for each."""
 
-    def triangles(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Corners (N, 3) in the object's frame [m] and triangles (T, 3); None if unreadable."""
+    def triangle_mesh(self) -> TriangleMesh | None:
+        """The mesh in the object's frame; None if the file cannot be read."""
         try:
-            return read_mesh(self.file, self.scale)[:2]
+            return read_mesh(self.file, self.scale)
         except ValueError:  # the replay says so
             return None
 
@@ -249,26 +250,26 @@ class Mesh(Spec, Solid):
 
     @override
     def nearest(self, point: np.ndarray) -> np.ndarray | None:
-        triangles = self.triangles()
-        return None if triangles is None else nearest_in(*triangles, point)
+        mesh = self.triangle_mesh()
+        return None if mesh is None else nearest_in(mesh.vertices, mesh.triangles, point)
 
     @override
     def bounding_box(self) -> Bounds | None:
-        triangles = self.triangles()
-        return None if triangles is None else (triangles[0].min(axis=0), triangles[0].max(axis=0))
+        mesh = self.triangle_mesh()
+        return None if mesh is None else (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
 
     @override
     def corners(self) -> tuple[np.ndarray, float]:
         if not self.file.is_file():
             raise NoCornersError(f"there is no mesh at {self.file}", "or correct the path")
         try:
-            vertices, triangles, _ = read_mesh(self.file, self.scale)
+            mesh = read_mesh(self.file, self.scale)
         except ValueError as error:
             raise NoCornersError(
                 f"{self.file} cannot be read ({error})", "or repair the file"
             ) from None
         try:
-            corners = hull_corners(vertices[np.unique(triangles)])
+            corners = hull_corners(mesh.vertices[np.unique(mesh.triangles)])
         except ValueError:
             raise NoCornersError("the mesh is flat", "on both of its sides") from None
         if len(corners) > MOST_CORNERS:

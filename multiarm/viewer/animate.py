@@ -24,6 +24,7 @@ import pinocchio as pin
 from multiarm.assembly.compilation import geometry_of
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
+from multiarm.geometry.triangle_mesh import TriangleMesh, merge
 from multiarm.grasp.body.face import cut_into_triangles
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.results.files import RunStatus
@@ -47,8 +48,8 @@ from multiarm.viewer.contact_tracks import (
     placed,
     surface_bodies,
 )
-from multiarm.viewer.mesh import Z_TO_X, Mesh, box, capsule, cylinder, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, is_mesh_file, object_mesh
+from multiarm.viewer.solids import Z_TO_X, box, capsule, cylinder
 
 if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
@@ -240,7 +241,7 @@ class _Part:
     name: str
     joint: int
     placement: pin.SE3
-    mesh: Mesh
+    mesh: TriangleMesh
 
 
 class _Shapes:
@@ -248,7 +249,7 @@ class _Shapes:
 
     def __init__(self, meshes: bool) -> None:
         self._meshes = meshes  # False leaves mesh files out
-        self._of_files: dict[tuple, Mesh] = {}
+        self._of_files: dict[tuple, TriangleMesh] = {}
 
     def visuals(self, arm: Arm) -> list[pin.GeometryObject]:
         """Return all visuals of an arm's robot and tool."""
@@ -282,7 +283,7 @@ class _Shapes:
             )
         return parts
 
-    def _mesh(self, item: pin.GeometryObject, subdued: bool) -> Mesh:
+    def _mesh(self, item: pin.GeometryObject, subdued: bool) -> TriangleMesh:
         if not is_mesh_file(item):
             return geometry_mesh(item, subdued)
         color = (item.overrideMaterial, *item.meshColor)
@@ -315,7 +316,7 @@ def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
     return parts
 
 
-def _bar(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
+def _bar(start: np.ndarray, end: np.ndarray, radius: float) -> TriangleMesh:
     span = end - start
     length = float(np.linalg.norm(span))
     pose = np.eye(4)
@@ -480,8 +481,8 @@ def region_bodies(
     return bodies
 
 
-def sheet(region: ContactRegion, lift: float) -> Mesh:
+def sheet(region: ContactRegion, lift: float) -> TriangleMesh:
     """A region as triangles, lifted off its face by a distance [m]."""
     corners = region.face.at(cut_into_triangles(region.shape).reshape(-1, 2))
     corners = corners + lift * region.face.normal
-    return Mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    return TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from multiarm.geometry.triangle_mesh import TriangleMesh
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import Family
 from multiarm.results.event_log import Event
 from multiarm.results.limit_use import ROUNDED_SHARE
-from multiarm.viewer.mesh import Mesh
 
 SPIKE = 3.0  # times the usual force
 
@@ -26,7 +26,7 @@ class Body:
     """A rigid shape in motion; its poses have shapes (K, 3) and (K, 4), a row for each frame."""
 
     name: str  # path in the scene tree, such as ``arms/left/forearm_link``
-    mesh: Mesh  # in the body's frame [m]
+    mesh: TriangleMesh  # in the body's frame [m]
     position: np.ndarray  # of the origin of the body's frame, world axes [m]
     quaternion_xyzw: np.ndarray
     color: np.ndarray  # tint, sRGB in 0..1, shape (3,); it multiplies the colours of the mesh

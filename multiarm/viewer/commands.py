@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.geometry.triangle_mesh import TriangleMesh
 from multiarm.viewer.animation import continuous
-from multiarm.viewer.mesh import Mesh
 
 Command = dict[str, Any]
 FOREVER = 10**9  # repetitions of an animation
@@ -53,7 +53,7 @@ def set_animation(time: np.ndarray, tracks: dict[str, dict[str, np.ndarray]]) ->
     return {"type": "set_animation", "path": "", "animations": animations, "options": options}
 
 
-def mesh_object(mesh: Mesh, *materials: dict[str, Any]) -> dict[str, Any]:
+def mesh_object(mesh: TriangleMesh, *materials: dict[str, Any]) -> dict[str, Any]:
     """Return a mesh; several materials are drawn one over the other."""
     shaded = mesh.shaded
     kind = np.uint16 if len(shaded.vertices) < 2**16 else np.uint32

@@ -27,12 +27,13 @@ from multiarm.geometry.records import (
     Surface,
 )
 from multiarm.geometry.smooth_surfaces import ParametricSurface
+from multiarm.geometry.triangle_mesh import TriangleMesh
 from multiarm.results.channels import channels_of
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import family_of
 from multiarm.results.event_log import Event, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
-from multiarm.viewer.mesh import Mesh, revolve
+from multiarm.viewer.solids import revolve
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
@@ -210,7 +211,7 @@ def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
     return contacts_of_surface
 
 
-def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh | None:
+def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> TriangleMesh | None:
     """Return a surface as triangles in its body's frame; None if there is nothing to draw.
 
     An unbounded one is cut to a size `extent` [m] around the contact point at the start, in the
@@ -226,10 +227,10 @@ def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh |
         triangles = triangles[inside[triangles].all(axis=1)]
     if not len(triangles):
         return None
-    return Mesh(vertices, triangles[:, ::-1] if surface.inside else triangles)
+    return TriangleMesh(vertices, triangles[:, ::-1] if surface.inside else triangles)
 
 
-def _unplaced(surface: Surface, around: np.ndarray, reach: float) -> Mesh | None:
+def _unplaced(surface: Surface, around: np.ndarray, reach: float) -> TriangleMesh | None:
     """Return a surface in its own frame, `reach` [m] to each side of a point if it is unbounded."""
     a, b, c = surface.sizes
     line = np.linspace(-1.0, 1.0, CELLS + 1)
@@ -255,12 +256,12 @@ def _unplaced(surface: Surface, around: np.ndarray, reach: float) -> Mesh | None
     return None
 
 
-def _grid(points: np.ndarray) -> Mesh:
+def _grid(points: np.ndarray) -> TriangleMesh:
     """Return two triangles for each square of a grid of points, (CELLS + 1, CELLS + 1, 3)."""
     corner = np.arange((CELLS + 1) ** 2).reshape(CELLS + 1, CELLS + 1)
     a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
     triangles = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    return Mesh(points.reshape(-1, 3), triangles.reshape(-1, 3))
+    return TriangleMesh(points.reshape(-1, 3), triangles.reshape(-1, 3))
 
 
 def _touched(system: System, name: str) -> dict[str, np.ndarray]:

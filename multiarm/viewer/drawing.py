@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.geometry.triangle_mesh import TriangleMesh, merge, sharp_edges
 from multiarm.viewer import commands
 from multiarm.viewer.animation import Animation, Body
 from multiarm.viewer.commands import ROOT, Command, Script
 from multiarm.viewer.glyphs import Hinges, Marks, arrow, draw_events
-from multiarm.viewer.mesh import Z_TO_X, Mesh, merge, sharp_edges
+from multiarm.viewer.solids import Z_TO_X
 
 FAINT = 0.3  # of a surface's opacity, while nothing touches it
 TINT = 0.8  # of a body's own colour; the rest is light, which keeps dark parts readable
@@ -179,7 +180,7 @@ def _round_length(length: float) -> float:
     return power * min((1, 2, 5, 10), key=lambda n: abs(np.log(length / (n * power))))
 
 
-def _axes(length: float) -> Mesh:
+def _axes(length: float) -> TriangleMesh:
     """Return the world frame: x red, y green, z blue."""
     z = arrow(length, 0.25 * length, 0.02 * length)
     x, y = z.moved(Z_TO_X.T), z.moved(Z_TO_X)

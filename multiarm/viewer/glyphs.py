@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.geometry.triangle_mesh import TriangleMesh, merge
 from multiarm.results.contact_states import STATE_STYLES, ContactState
 from multiarm.results.event_kinds import FAMILIES, LOST, MADE, Family
 from multiarm.viewer import commands
@@ -44,7 +45,7 @@ from multiarm.viewer.animation import (
     rotations,
 )
 from multiarm.viewer.commands import HAIR, Script
-from multiarm.viewer.mesh import Z_TO_X, Mesh, box, cylinder, merge, revolve, sphere
+from multiarm.viewer.solids import Z_TO_X, box, cylinder, revolve, sphere
 
 NORMAL_COLOR = np.array([0.25, 0.28, 0.33])
 FAINT = 0.25  # opacity of the mark of an open contact
@@ -99,7 +100,7 @@ class Marks:
         return marks
 
 
-def _state_shapes(dot: float) -> dict[int, Mesh]:
+def _state_shapes(dot: float) -> dict[int, TriangleMesh]:
     """Return the shapes around a dot of some radius [m] for each state, in the state's colour."""
     shapes = {
         ContactState.SLIDING: ring(2.0 * dot, 3.0 * dot, 0.35 * dot),
@@ -112,7 +113,7 @@ def _state_shapes(dot: float) -> dict[int, Mesh]:
     }
 
 
-def ring(inner: float, outer: float, thick: float) -> Mesh:
+def ring(inner: float, outer: float, thick: float) -> TriangleMesh:
     """Return a flat ring about z between two radii [m]."""
     low, high = -thick / 2, thick / 2
     return revolve([(inner, low), (outer, low), (outer, high), (inner, high), (inner, low)])
@@ -129,19 +130,19 @@ def _draw_mark(
         script.put(f"{path}/{ContactState(code).word}", marks[int(code)], states == code)
 
 
-def arrow(length: float, head: float, radius: float) -> Mesh:
+def arrow(length: float, head: float, radius: float) -> TriangleMesh:
     """Return an arrow from the origin along z; `radius` is that of its shaft [m]."""
     neck = length - head
     return revolve([(0, 0), (radius, 0), (radius, neck), (3 * radius, neck), (0, length)])
 
 
-def seen_through(shape: Mesh, color: np.ndarray) -> dict[str, Any]:
+def seen_through(shape: TriangleMesh, color: np.ndarray) -> dict[str, Any]:
     """Return a shape that shines faintly through bodies in front of it."""
     return commands.mesh_object(shape, commands.shiny(color), commands.ghost(color, 0.38))
 
 
 def _draw_force(
-    path: str, shape: Mesh, length: np.ndarray, color: np.ndarray, script: Script
+    path: str, shape: TriangleMesh, length: np.ndarray, color: np.ndarray, script: Script
 ) -> None:
     """Draw an arrow of changing `length` (K,), 1 being the longest."""
     if length.max() < HAIR:
@@ -203,7 +204,7 @@ class Hinges:
         clear = self.length / 45  # of the head
         return high + clear if upwards else low - clear
 
-    def _axis(self, hinge: HingeTracks) -> Mesh:
+    def _axis(self, hinge: HingeTracks) -> TriangleMesh:
         length, (low, high) = self.length, self._ends(hinge)
         thin, wide = length / 90, length / 22
         if hinge.shape == "ball":
@@ -244,7 +245,7 @@ class Hinges:
         script.set(f"{node}/bead", "position", np.column_stack([zero, zero, dial.value]))
 
 
-def _draw_pointer(path: str, shape: Mesh, dial: Dial, script: Script) -> None:
+def _draw_pointer(path: str, shape: TriangleMesh, dial: Dial, script: Script) -> None:
     """Draw a pointer in its usual colour, and in another one that takes its place beyond limits."""
     least, most = dial.passed_at
     within = (dial.value >= least) & (dial.value <= most)
@@ -253,7 +254,7 @@ def _draw_pointer(path: str, shape: Mesh, dial: Dial, script: Script) -> None:
             script.put(f"{path}/{name}", seen_through(shape, color), seen)
 
 
-def _rod(radius: float, low: float, high: float) -> Mesh:
+def _rod(radius: float, low: float, high: float) -> TriangleMesh:
     return cylinder(radius, high - low).shifted([0, 0, (low + high) / 2])
 
 
@@ -264,12 +265,12 @@ def _arc(low: float, high: float) -> np.ndarray:
     return np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
 
 
-def _fan(rim: np.ndarray) -> Mesh:
+def _fan(rim: np.ndarray) -> TriangleMesh:
     """Return the flat sector between the origin and a rim (P, 3), seen from both sides."""
     step = np.arange(1, len(rim))
     front = np.column_stack([0 * step, step, step + 1])
     vertices = np.concatenate([[np.zeros(3)], rim])
-    return Mesh(vertices, np.concatenate([front, front[:, ::-1]]))
+    return TriangleMesh(vertices, np.concatenate([front, front[:, ::-1]]))
 
 
 def _outline(rim: np.ndarray, closed: bool) -> np.ndarray:
@@ -327,7 +328,7 @@ def event_tracks(
     return slots
 
 
-def _shape(family: Family, radius: float) -> Mesh:
+def _shape(family: Family, radius: float) -> TriangleMesh:
     if family is MADE:
         spike = revolve([(0, -radius), (0.14 * radius, 0), (0, radius)])
         return merge([spike.moved(turn) for turn in _turns_of_z(_STAR)])

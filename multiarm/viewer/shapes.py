@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import coal
 import numpy as np
 
+from multiarm.geometry.triangle_mesh import TriangleMesh
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.scene.meshes import read_mesh
-from multiarm.scene.shapes import Box, Cylinder, Hull, Sphere
-from multiarm.scene.shapes import Mesh as MeshFile
-from multiarm.viewer.mesh import Mesh, box, capsule, cone, cylinder, sphere
+from multiarm.scene.shapes import Box, Cylinder, Hull, Mesh, Sphere
+from multiarm.viewer.solids import box, capsule, cone, cylinder, sphere
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -32,7 +32,7 @@ SATURATION, DARKEST = 0.3, 0.36  # what an arm's own colours keep; black would s
 PLAIN = np.array([0.88, 0.89, 0.91])  # of a part without a colour of its own
 
 
-def usable(mesh: Mesh) -> Mesh:
+def usable(mesh: TriangleMesh) -> TriangleMesh:
     """The mesh, if it has triangles of finite size.
 
     Raises
@@ -51,7 +51,7 @@ def is_mesh_file(item: pin.GeometryObject) -> bool:
     return isinstance(item.geometry, coal.BVHModelBase)
 
 
-def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
+def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> TriangleMesh:
     """Return the mesh of a visual of Pinocchio's, in the frame of the visual.
 
     Subdued colours distinguish the parts of an arm, whose tint distinguishes the arms.
@@ -62,7 +62,7 @@ def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
         Its file cannot be read, or it has no triangles of finite size; the message says why.
     """
     if is_mesh_file(item):
-        mesh = usable(Mesh(*read_mesh(Path(item.meshPath), item.meshScale)))
+        mesh = usable(read_mesh(Path(item.meshPath), item.meshScale))
     else:
         mesh = usable(_mesh_of_solid(item.geometry))
     if item.overrideMaterial:
@@ -71,10 +71,10 @@ def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
     if subdued:
         grey = colors @ np.array([[0.30], [0.59], [0.11]])  # perceived brightness
         colors = DARKEST + (1 - DARKEST) * (grey + SATURATION * (colors - grey))
-    return Mesh(mesh.vertices, mesh.triangles, colors)
+    return TriangleMesh(mesh.vertices, mesh.triangles, colors)
 
 
-def object_mesh(spec: ObjectSpec) -> Mesh:
+def object_mesh(spec: ObjectSpec) -> TriangleMesh:
     """Return the mesh of the common object, in the object frame."""
     match spec.shape.solid:
         case Box(edges):
@@ -90,10 +90,10 @@ def object_mesh(spec: ObjectSpec) -> Mesh:
                 for (loop,) in body.loops
                 for k in range(1, len(loop) - 1)
             ]
-            return Mesh(body.vertices, np.array(fans))
-        case MeshFile(file=file, scale=scale):
+            return TriangleMesh(body.vertices, np.array(fans))
+        case Mesh(file=file, scale=scale):
             try:
-                return usable(Mesh(*read_mesh(file, scale)))
+                return usable(read_mesh(file, scale))
             except ValueError as error:
                 warnings.warn(
                     f"cannot read the object's mesh {file} ({error}): the replay shows a box with "
@@ -103,7 +103,7 @@ def object_mesh(spec: ObjectSpec) -> Mesh:
     return _inertia_box(spec.mass, spec.inertia_matrix())
 
 
-def _mesh_of_solid(geometry: coal.CollisionGeometry) -> Mesh:
+def _mesh_of_solid(geometry: coal.CollisionGeometry) -> TriangleMesh:
     match geometry:
         case coal.Box():
             return box(2 * geometry.halfSide)
@@ -120,7 +120,7 @@ def _mesh_of_solid(geometry: coal.CollisionGeometry) -> Mesh:
     return box(high - low).shifted((low + high) / 2)
 
 
-def _inertia_box(mass: float, inertia: np.ndarray) -> Mesh:
+def _inertia_box(mass: float, inertia: np.ndarray) -> TriangleMesh:
     """Return the uniform box with the given `inertia` about its centre, shape (3, 3)."""
     moments, axes = np.linalg.eigh(inertia)
     squares = 6 / mass * (moments.sum() - 2 * moments)  # of the sides

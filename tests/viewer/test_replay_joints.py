@@ -15,7 +15,7 @@ from multiarm.viewer.animate import animate
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks
 from multiarm.viewer.drawing import draw
 from multiarm.viewer.glyphs import Hinges
-from multiarm.viewer.mesh import box
+from multiarm.viewer.solids import box
 
 SCENE = """
 name: a gate between two arms

@@ -14,23 +14,14 @@ import pytest
 from refusals import refused
 
 from multiarm.errors import ReplayError
+from multiarm.geometry.triangle_mesh import merge, shade, sharp_edges
 from multiarm.scene import ObjectSpec
 from multiarm.viewer import drawing, page
 from multiarm.viewer.animate import frame_rows
 from multiarm.viewer.animation import Animation, Body, ContactTracks, along, continuous, rotations
 from multiarm.viewer.drawing import draw
-from multiarm.viewer.mesh import (
-    SEGMENTS,
-    box,
-    capsule,
-    cone,
-    cylinder,
-    merge,
-    shade,
-    sharp_edges,
-    sphere,
-)
 from multiarm.viewer.shapes import object_mesh
+from multiarm.viewer.solids import SEGMENTS, box, capsule, cone, cylinder, sphere
 
 POLYGON = SEGMENTS / 2 * np.sin(2 * np.pi / SEGMENTS)  # area of the polygon in a unit circle
 

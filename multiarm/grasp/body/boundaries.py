@@ -339,11 +339,11 @@ def read_mesh(file: str | Path, scale: float) -> Boundary:
     """The body in a mesh file; see `Polyhedron.mesh`."""
     factor = positive_number(scale, f"{file}: a mesh is scaled by a positive factor")
     try:
-        points, triangles, _ = meshes.read_mesh(Path(file))
+        mesh = meshes.read_mesh(Path(file))
     except ValueError as error:
         raise GraspError(f"{file}: {error}; a body is read from STL or OBJ") from error
-    rounding = SINGLE * float(np.abs(points).max())
-    vertices, triangles = _joined(points, triangles, rounding)
+    rounding = SINGLE * float(np.abs(mesh.vertices).max())
+    vertices, triangles = _joined(mesh.vertices, mesh.triangles, rounding)
     what = f"the mesh of {Path(file).name}"
     if not len(triangles):
         raise GraspError(f"{file}: {TOO_THIN}")

@@ -1,9 +1,4 @@
-"""Triangle meshes: the one form in which shapes reach the browser.
-
-Boxes, spheres and cylinders are meshes like those read from a file, so that one piece of code
-shades, tints, measures and sends them all. Solids of revolution share one generator: a profile
-(radius, height) turned about the z axis gives the cylinder, cone, sphere, capsule and arrow.
-(That of trimesh leaves out triangles below 1e-8 m^2, of which the marks of small objects consist.)
+"""Meshes of triangles: moved, scaled, merged, and shaded for drawing.
 
 Shading needs a normal per corner. Two faces around a vertex are smoothed together when the angle
 between them is below the crease angle, so that a tube looks round and the edges of a box stay
@@ -19,15 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 CREASE_ANGLE = np.deg2rad(40.0)  # [rad]
-SEGMENTS = 40  # around the axis of a solid of revolution
 WELD_DIGITS = 7  # vertices closer than about 1e-7 of the mesh's size are one vertex
-Z_TO_X = np.eye(4)[[2, 0, 1, 3]]  # turns z -> x -> y -> z
-_CUBE = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])  # corners of the unit cube
+UNIT_CUBE = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
+"""Corners of the cube from 0 to 1."""
 
 
 @dataclass(frozen=True)
-class Mesh:
-    """Triangles in a body's frame."""
+class TriangleMesh:
+    """Triangles in one frame."""
 
     vertices: np.ndarray  # corners [m], shape (V, 3)
     triangles: np.ndarray  # indices of corners, counter-clockwise seen from outside, shape (T, 3)
@@ -36,24 +30,27 @@ class Mesh:
     def bounds(self) -> np.ndarray:
         """Return the eight corners of the axis-aligned bounding box, shape (8, 3) [m]."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        return np.where(_CUBE, high, low)
+        return np.where(UNIT_CUBE, high, low)
 
-    def moved(self, pose: np.ndarray) -> Mesh:
+    def moved(self, pose: np.ndarray) -> TriangleMesh:
         """Return the mesh under a homogeneous transform `pose`, shape (4, 4)."""
-        return Mesh(self.vertices @ pose[:3, :3].T + pose[:3, 3], self.triangles, self.colors)
+        return TriangleMesh(
+            self.vertices @ pose[:3, :3].T + pose[:3, 3], self.triangles, self.colors
+        )
 
-    def shifted(self, offset: ArrayLike) -> Mesh:
+    def shifted(self, offset: ArrayLike) -> TriangleMesh:
         """Return the mesh moved by `offset`, shape (3,) [m]."""
-        return Mesh(self.vertices + np.asarray(offset, float), self.triangles, self.colors)
+        return TriangleMesh(self.vertices + np.asarray(offset, float), self.triangles, self.colors)
 
-    def scaled(self, factors: np.ndarray) -> Mesh:
+    def scaled(self, factors: ArrayLike) -> TriangleMesh:
         """Return the mesh scaled by `factors`, shape (3,); a mirror image keeps its outside."""
+        factors = np.asarray(factors, float)
         triangles = self.triangles if np.prod(factors) > 0 else self.triangles[:, ::-1]
-        return Mesh(self.vertices * factors, triangles, self.colors)
+        return TriangleMesh(self.vertices * factors, triangles, self.colors)
 
-    def painted(self, color: np.ndarray) -> Mesh:
+    def painted(self, color: np.ndarray) -> TriangleMesh:
         """Return the mesh in one `color`, shape (3,), sRGB in 0..1."""
-        return Mesh(self.vertices, self.triangles, np.tile(color, (len(self.triangles), 1)))
+        return TriangleMesh(self.vertices, self.triangles, np.tile(color, (len(self.triangles), 1)))
 
     @cached_property
     def shaded(self) -> ShadedMesh:
@@ -61,72 +58,27 @@ class Mesh:
         return shade(self)
 
 
-def box(lengths: ArrayLike) -> Mesh:
-    """Return a box with full side `lengths`, shape (3,) [m], centred at the origin."""
-    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    return Mesh((_CUBE - 0.5) * np.asarray(lengths, float), np.array(triangles))
-
-
-def cylinder(radius: float, height: float) -> Mesh:
-    """Return a cylinder along z, centred at the origin [m]."""
-    h = height / 2
-    return revolve([(0, -h), (radius, -h), (radius, h), (0, h)])
-
-
-def cone(radius: float, height: float) -> Mesh:
-    """Return a cone along z: base at -height/2, apex at +height/2 [m]."""
-    return revolve([(0, -height / 2), (radius, -height / 2), (0, height / 2)])
-
-
-def capsule(radius: float, length: float) -> Mesh:
-    """Return a capsule along z, centred; `length` [m] is that of the cylinder between the caps."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * (SEGMENTS // 4) + 2)
-    shift = np.where(angle < 0, -length / 2, length / 2)
-    return revolve(np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + shift]))
-
-
-def sphere(radius: float) -> Mesh:
-    """Return a sphere centred at the origin [m]."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, SEGMENTS // 2 + 1)
-    return revolve(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
-
-
-def revolve(profile: ArrayLike) -> Mesh:
-    """Turn a profile of (radius, height) points, bottom to top, shape (P, 2) [m], about z."""
-    points = np.asarray(profile, float)
-    turn = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
-    around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(SEGMENTS)])
-    rings = points[:, None, :1] * around + points[:, None, 1:] * [0, 0, 1]  # (P, S, 3)
-    ring, step = np.meshgrid(np.arange(len(points) - 1), np.arange(SEGMENTS), indexing="ij")
-    a = ring * SEGMENTS + step
-    b = ring * SEGMENTS + (step + 1) % SEGMENTS
-    c, d = a + SEGMENTS, b + SEGMENTS
-    triangles = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    return without_slivers(Mesh(rings.reshape(-1, 3), triangles))
-
-
-def merge(meshes: list[Mesh]) -> Mesh:
+def merge(meshes: list[TriangleMesh]) -> TriangleMesh:
     """Return one mesh made of several; unpainted parts become white if any other is painted."""
     starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     painted = any(m.colors is not None for m in meshes)
     colors = [m.colors if m.colors is not None else np.ones(m.triangles.shape) for m in meshes]
-    return Mesh(
+    return TriangleMesh(
         np.concatenate([m.vertices for m in meshes]),
         np.concatenate([m.triangles + start for m, start in zip(meshes, starts, strict=True)]),
         np.concatenate(colors) if painted else None,
     )
 
 
-def without_slivers(mesh: Mesh) -> Mesh:
+def without_slivers(mesh: TriangleMesh) -> TriangleMesh:
     """Return the mesh without triangles of no area (they have no normal)."""
     area = np.linalg.norm(_face_vectors(mesh), axis=1)
     keep = area > 1e-12 * area.max(initial=0.0)
     colors = None if mesh.colors is None else mesh.colors[keep]
-    return Mesh(mesh.vertices, mesh.triangles[keep], colors)
+    return TriangleMesh(mesh.vertices, mesh.triangles[keep], colors)
 
 
-def sharp_edges(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> np.ndarray:
+def sharp_edges(mesh: TriangleMesh, crease_angle: float = CREASE_ANGLE) -> np.ndarray:
     """Return the edges at which the surface bends by more than `crease_angle` [rad], or ends.
 
     Returns
@@ -160,7 +112,7 @@ class ShadedMesh:
     triangles: np.ndarray  # shape (T, 3)
 
 
-def shade(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> ShadedMesh:
+def shade(mesh: TriangleMesh, crease_angle: float = CREASE_ANGLE) -> ShadedMesh:
     """Give every corner its normal; corners that agree in all respects share a vertex.
 
     The normal of a corner is the area-weighted mean of the normals of the faces around its vertex
@@ -187,7 +139,7 @@ def shade(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> ShadedMesh:
     )
 
 
-def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
+def _corner_normals(mesh: TriangleMesh, crease_angle: float) -> np.ndarray:
     faces = _face_vectors(mesh)  # (T, 3), twice the area times the normal
     unit = faces / np.linalg.norm(faces, axis=1, keepdims=True)
     vertex = _welded(mesh)[mesh.triangles].reshape(-1)  # (3 T,)
@@ -207,12 +159,12 @@ def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
     return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 
-def _welded(mesh: Mesh) -> np.ndarray:
+def _welded(mesh: TriangleMesh) -> np.ndarray:
     """Return a number for each vertex, shape (V,), equal for vertices at the same place."""
     places = np.round(mesh.vertices / np.ptp(mesh.vertices, axis=0).max(), WELD_DIGITS)
     return np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _face_vectors(mesh: Mesh) -> np.ndarray:
+def _face_vectors(mesh: TriangleMesh) -> np.ndarray:
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
