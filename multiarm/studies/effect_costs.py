@@ -37,9 +37,15 @@ from multiarm.results.outcome import plain
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene
 from multiarm.scene.parameters import written_value
-from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.simulation.inspection import active_effects
 from multiarm.simulation.simulate import simulate
+from multiarm.studies.differences import (
+    Quantity,
+    largest_differences,
+    object_poses,
+    open_forces,
+    pose_differences,
+)
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
 from multiarm.studies.timing import clocked_run
 from multiarm.tableaus import METHODS, VARIATIONAL
@@ -60,25 +66,13 @@ FORCE_ACCURACY = 1e-3
 """Accuracy of contact forces if the scene requests none, as a fraction of the largest one."""
 
 
-class Quantity(NamedTuple):
-    """What may change; a change is the largest one at an output time."""
-
-    noun: str  # of the compared outputs (multiarm.simulation.comparison)
-    what: str  # in a sentence
-    head: str  # above a column
-    unit: str
-    factor: float  # to the unit in which people read it
-    shown: str
-
-
 PATH, TURN, JOINTS, SLIDES, FORCE = "path", "turn", "joints", "slides", "force"
-DEGREES = math.degrees(1.0)
-QUANTITIES = {
-    PATH: Quantity("object position", "object's path", "path", "m", 1e3, "mm"),
-    TURN: Quantity("object rotation", "object's orientation", "turn", "rad", DEGREES, "deg"),
-    JOINTS: Quantity("joints", "turning joints", "joints", "rad", DEGREES, "deg"),
-    SLIDES: Quantity("sliding joints", "sliding joints", "slides", "m", 1e3, "mm"),
-    FORCE: Quantity("contact forces", "contact forces", "force", "N", 1.0, "N"),
+CHANGE_QUANTITIES = {
+    PATH: Quantity("object's path", "m", ("object position",)),
+    TURN: Quantity("object's orientation", "rad", ("object rotation",)),
+    JOINTS: Quantity("turning joints", "rad", ("joints",)),
+    SLIDES: Quantity("sliding joints", "m", ("sliding joints",)),
+    FORCE: Quantity("contact forces", "N", ("contact forces",)),
 }
 
 
@@ -165,14 +159,14 @@ class Ledger:
             }
             for entry in self.entries
         ]
-        numbers = ["share", "uncertainty", *QUANTITIES]
+        numbers = ["share", "uncertainty", *CHANGE_QUANTITIES]
         table = pandas.DataFrame(rows, columns=["name", "kind", *numbers])
         return table.astype(dict.fromkeys(numbers, float))
 
     def moves(self, entry: Entry) -> str | None:
         """The first quantity whose change is above the requested accuracy; None without any."""
         above = (q for q, change in entry.changes.items() if change.value > self.asked[q])
-        return min(above, key=list(QUANTITIES).index, default=None)
+        return min(above, key=list(CHANGE_QUANTITIES).index, default=None)
 
     def can_go(self, entry: Entry) -> bool:
         """Whether an effect's changes are known to be below the requested accuracy."""
@@ -386,18 +380,11 @@ def changes(system: System, run: Trajectory, variant: Trajectory) -> dict[str, C
         Of the first run; says which contact forces its equations leave open.
     run, variant : Trajectory
     """
-    largest: dict[str, Change] = {}
     if not len(run) or not len(variant):
-        return largest
-    with system.borrow() as data:
-        undetermined = undetermined_forces(data, run)
-    quantities = {quantity.noun: name for name, quantity in QUANTITIES.items()}
-    for difference in compare(run, variant, undetermined).outputs.values():
-        name = quantities[difference.noun]
-        worse = name not in largest or difference.worst > largest[name].value
-        if difference.compared and worse:
-            largest[name] = Change(difference.worst, difference.time, difference.arm)
-    return largest
+        return {}
+    undetermined = open_forces(system, run)
+    largest = largest_differences(run, variant, undetermined, CHANGE_QUANTITIES)
+    return {name: Change(d.worst, d.time, d.arm) for name, d in largest.items()}
 
 
 def last_changes(_system: System, run: Trajectory, variant: Trajectory) -> dict[str, Change]:
@@ -408,9 +395,8 @@ def last_changes(_system: System, run: Trajectory, variant: Trajectory) -> dict[
     if variant.status != RunStatus.COMPLETED:
         return {}
     time = float(run.time[-1])
-    moved = np.linalg.norm(run.object_position[-1] - variant.object_position[-1])
-    turned = rotation_apart(run.object_quaternion_xyzw[-1:], variant.object_quaternion_xyzw[-1:])
-    return {PATH: Change(float(moved), time), TURN: Change(float(turned[0]), time)}
+    moved, turned = pose_differences(object_poses(run)[-1:], object_poses(variant)[-1:])
+    return {PATH: Change(moved, time), TURN: Change(turned, time)}
 
 
 def _cost_of_checking(attempts: Sequence[Mapping[str, Any]], milliseconds: float) -> Entry:

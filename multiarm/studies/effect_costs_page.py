@@ -11,8 +11,9 @@ effect left of the line at 1 can be left out.
 
 from __future__ import annotations
 
+import math
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import pandas
@@ -25,11 +26,11 @@ from multiarm.plots.style import GRID, INK, STYLE, inline_svg
 from multiarm.reports import pages
 from multiarm.studies.effect_costs import (
     CANDIDATE,
+    CHANGE_QUANTITIES,
     FORCE,
     JOINTS,
     PATH,
     PRESENT,
-    QUANTITIES,
     RECORDING,
     SETTING,
     SLIDES,
@@ -40,6 +41,23 @@ from multiarm.studies.effect_costs import (
 )
 from multiarm.studies.tables import NUMBER, REMARK, TEXT, Column, TextTable, attribute, text_table
 
+
+class Shown(NamedTuple):
+    """How a changed quantity is shown."""
+
+    head: str  # above a column
+    unit: str
+    factor: float  # to this unit
+
+
+DEGREES = math.degrees(1.0)
+SHOWN = {
+    PATH: Shown("path", "mm", 1e3),
+    TURN: Shown("turn", "deg", DEGREES),
+    JOINTS: Shown("joints", "deg", DEGREES),
+    SLIDES: Shown("slides", "mm", 1e3),
+    FORCE: Shown("force", "N", 1.0),
+}
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 NOISE = "noise"
 
@@ -114,10 +132,10 @@ def _cost(entry: Entry) -> str:
 
 def _change(ledger: Ledger, entry: Entry, name: str) -> str:
     """``the object's path by 41 mm``."""
-    arm, quantity = entry.changes[name].arm, QUANTITIES[name]
+    arm, what = entry.changes[name].arm, CHANGE_QUANTITIES[name].what
     whose = f"{arm}'s" if arm else "the"
     end = " at the end" if entry.name == RECORDING and entry.kind == SETTING else ""
-    return f"{whose} {quantity.what} by {size(ledger, entry, name)} {quantity.shown}{end}"
+    return f"{whose} {what} by {size(ledger, entry, name)} {SHOWN[name].unit}{end}"
 
 
 def size(ledger: Ledger, entry: Entry, name: str) -> str:
@@ -127,7 +145,7 @@ def size(ledger: Ledger, entry: Entry, name: str) -> str:
     value = entry.changes[name].value
     if 0.0 < value <= ledger.asked[name]:
         return NOISE
-    return number(QUANTITIES[name].factor * value, digits=2)
+    return number(SHOWN[name].factor * value, digits=2)
 
 
 def percent(share: Estimate) -> str:
@@ -144,7 +162,7 @@ def accuracy_text(ledger: Ledger) -> str:
     """What changes are measured against, and how the scene itself ran."""
     run = ledger.run
     accuracies = ", ".join(
-        f"{QUANTITIES[name].what} {ledger.asked[name]:.2g} {QUANTITIES[name].unit}"
+        f"{CHANGE_QUANTITIES[name].what} {ledger.asked[name]:.2g} {CHANGE_QUANTITIES[name].unit}"
         for name in (PATH, TURN, FORCE)
     )
     by = "requested" if ledger.asked_by_scene else "default, as the scene requests none"
@@ -180,12 +198,12 @@ def table(ledger: Ledger) -> TextTable:
 
     shown = [
         name
-        for name in QUANTITIES
+        for name in CHANGE_QUANTITIES
         if name not in (JOINTS, SLIDES) or any(name in e.changes for e in ledger.entries)
     ]
     sizes = [
         Column(
-            f"{QUANTITIES[name].head} {QUANTITIES[name].shown}",
+            f"{SHOWN[name].head} {SHOWN[name].unit}",
             NUMBER,
             partial(size, ledger, name=name),
         )
@@ -224,7 +242,7 @@ def _remark(entry: Entry) -> str:
 
 def figure(ledger: Ledger, with_title: bool = True) -> Figure:
     """Time and changes of every entry that has both, so not of the certificate."""
-    rows = ledger.table.dropna(subset="share").dropna(subset=list(QUANTITIES), how="all")
+    rows = ledger.table.dropna(subset="share").dropna(subset=list(CHANGE_QUANTITIES), how="all")
     with matplotlib.rc_context(STYLE):
         height = 1.6 + 0.36 * max(len(rows), 3)
         drawing = Figure(figsize=(11.0, height), layout="constrained")
@@ -232,7 +250,7 @@ def figure(ledger: Ledger, with_title: bool = True) -> Figure:
         _draw_costs(costs, rows)
         _draw_changes(changes, rows)
         keys = [
-            Line2D([], [], **_mark(name, INK), linestyle="none", label=QUANTITIES[name].head)
+            Line2D([], [], **_mark(name, INK), linestyle="none", label=SHOWN[name].head)
             for name in MARKS
         ]
         drawing.legend(handles=keys, loc="outside lower right", frameon=False, ncols=5)
@@ -256,11 +274,11 @@ def _draw_costs(axes: Axes, rows: pandas.DataFrame) -> None:
 
 def _draw_changes(axes: Axes, rows: pandas.DataFrame) -> None:
     axes.set_xscale("log")
-    axes.set_xlim(LEAST, 3.0 * max(10.0, rows[list(QUANTITIES)].max(axis=None)))
+    axes.set_xlim(LEAST, 3.0 * max(10.0, rows[list(CHANGE_QUANTITIES)].max(axis=None)))
     axes.axvspan(LEAST, 1.0, color=GRID, alpha=0.5, linewidth=0)
     axes.axvline(1.0, color=INK, linewidth=0.8)
     for place, (_, row) in enumerate(rows.iterrows()):
-        for name, change in row[list(QUANTITIES)].dropna().items():
+        for name, change in row[list(CHANGE_QUANTITIES)].dropna().items():
             mark = _mark(str(name), COLOURS[row["kind"]])
             axes.plot(max(change, LEAST), place, **mark, markersize=6.5, clip_on=False, zorder=3)
     axes.set_xlabel("largest change, in units of the accuracy")

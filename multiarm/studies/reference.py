@@ -23,17 +23,14 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.files import RunStatus
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
+from multiarm.studies.differences import (
+    Quantity,
+    largest_differences,
+    object_poses,
+    open_forces,
+    pose_differences,
+)
 from multiarm.studies.timing import OutOfTime, clocked_run
-
-
-class Quantity(NamedTuple):
-    """What runs are compared by; an error is the largest difference at an output time."""
-
-    what: str
-    unit: str
-    nouns: tuple[str, ...] = ()  # of the compared outputs (multiarm.simulation.comparison)
-
 
 QUANTITIES = {
     "motion": Quantity("worst of pose and joints", "m or rad"),
@@ -62,13 +59,12 @@ class Motion(NamedTuple):
         """As :func:`run_errors`; the force is None."""
         joints = [exact.joint_positions[arm] for arm in exact.arm_names]
         count = min(len(self.positions), len(exact))
-        position, quaternion, angles = np.split(self.positions[:count], (3, 7), axis=1)
-        off = position - exact.object_position[:count]
-        turned = rotation_apart(quaternion, exact.object_quaternion_xyzw[:count])
+        poses, angles = np.split(self.positions[:count], (7,), axis=1)
+        position, rotation = pose_differences(poses, object_poses(exact)[:count])
         apart = np.abs(angles - np.column_stack(joints)[:count])
         return {
-            "position": float(np.max(np.linalg.norm(off, axis=1))),
-            "rotation": float(np.max(turned)),
+            "position": position,
+            "rotation": rotation,
             "joints": float(np.max(apart, initial=0.0)),
             "force": None,
         }
@@ -106,9 +102,9 @@ def run_errors(
         position [m], rotation [rad], joints [rad or m], force [N]; None where there is nothing to
         compare, such as forces of which the equations determine none.
     """
-    differences = [d for d in compare(run, exact, undetermined).outputs.values() if d.compared]
+    differences = largest_differences(run, exact, undetermined, QUANTITIES)
     return {
-        name: max((d.worst for d in differences if d.noun in about.nouns), default=None)
+        name: differences[name].worst if name in differences else None
         for name, about in QUANTITIES.items()
         if about.nouns
     }
@@ -127,12 +123,6 @@ def digits_of(
     errors = run_errors(check, run, undetermined)
     known = {name: error for name, error in errors.items() if error is not None}
     return {"motion": motion_error(errors) or 0.0, **known}
-
-
-def open_forces(system: System, run: Trajectory) -> dict[str, np.ndarray]:
-    """By arm: contact forces that the equations of a system leave open in a run."""
-    with system.borrow() as data:
-        return undetermined_forces(data, run)
 
 
 def make_reference(

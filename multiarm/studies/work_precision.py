@@ -36,6 +36,7 @@ from multiarm.results.files import RunStatus
 from multiarm.results.outcome import plain
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene
+from multiarm.studies.differences import open_forces
 from multiarm.studies.peers import (
     PEERS,
     Clock,
@@ -54,7 +55,6 @@ from multiarm.studies.reference import (
     digits_of,
     make_reference,
     motion_error,
-    open_forces,
 )
 from multiarm.studies.settings import (
     BY_ACCURACY,

@@ -26,6 +26,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import rotation_apart, sample_state
 from multiarm.studies import reference as references
 from multiarm.studies import work_precision as studies
+from multiarm.studies.differences import open_forces
 from multiarm.studies.mujoco_peer import TorqueTape
 from multiarm.studies.peers import (
     NOT_INSTALLED,
@@ -37,7 +38,7 @@ from multiarm.studies.peers import (
     make_peers,
     sinusoid,
 )
-from multiarm.studies.reference import Motion, Reference, digits_of, make_reference, open_forces
+from multiarm.studies.reference import Motion, Reference, digits_of, make_reference
 from multiarm.studies.settings import (
     BY_ACCURACY,
     COARSEST,
