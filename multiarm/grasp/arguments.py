@@ -1,7 +1,9 @@
-"""Arguments of this package's functions: arrays of numbers, poses and unit vectors, checked."""
+"""Arguments of this package's functions: numbers, arrays, poses and unit vectors, checked."""
 
 from __future__ import annotations
 
+import math
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,19 @@ UNIT_TOLERANCE = 1e-6
 SHOWN = 7
 # How far the product of a rotation matrix with its transpose may be from the identity.
 RIGID = 1e-6
+
+
+def number_of(
+    value: Any, needed: str, *, above: float = -math.inf, at_least: float = -math.inf
+) -> float:
+    """A finite number within its bounds; else a GraspError that begins with ``needed``."""
+    try:
+        number = float(value) if isinstance(value, Real) else math.nan
+    except OverflowError:  # of a whole number or a fraction
+        number = math.inf
+    if not (math.isfinite(number) and number > above and number >= at_least):
+        raise GraspError(f"{needed}, not {value!r}")
+    return number
 
 
 def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False) -> np.ndarray:
@@ -38,7 +53,7 @@ def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False)
     """
     try:
         array = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise GraspError(f"{needed}, not {values!r}") from error
     if not any(_fits(array.shape, shape) for shape in shapes):
         shown = array.tolist() if array.size <= SHOWN else f"of shape {array.shape}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -153,6 +155,16 @@ def test_the_advice_about_a_missing_rank_holds():
     with refused(GraspError, "is_form_closure says which motion is free"):
         ma.grasp.wrench_cone(seven)
     assert np.abs(seven.wrenches.T @ ma.grasp.is_form_closure(seven).motion).max() < 1e-12
+
+
+@pytest.mark.parametrize("huge", [10**400, Fraction(10**400, 3)], ids=["int", "fraction"])
+def test_a_number_beyond_all_floats_is_refused(huge):
+    with pytest.raises(GraspError, match="positive factor"):
+        GRASP.body.scaled(huge)
+    with pytest.raises(GraspError, match="finite length"):
+        ma.grasp.design_block_grasp([1.2, 1.0, 0.8], offset=huge)
+    with pytest.raises(GraspError, match="lengths"):
+        ma.grasp.design_block_grasp([huge, 1.0, 0.8])
 
 
 # --- names ---------------------------------------------------------------------------------------

@@ -16,17 +16,15 @@ result that is not a closed surface with its normals outward is an error.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import numbers_of
+from multiarm.grasp.arguments import number_of, numbers_of
 from multiarm.grasp.body.deepest import largest_ball
 from multiarm.grasp.body.face import PLANE_TOLERANCE, Face, area_vector, cut_into_triangles
 from multiarm.notation import count_of
@@ -146,13 +144,6 @@ def positive(values: Any, count: int, what: str) -> np.ndarray:
     if not np.all(numbers > 0.0):
         raise GraspError(f"{needed}, not {values!r}")
     return numbers
-
-
-def positive_number(value: Any, needed: str) -> float:
-    """A finite number greater than 0; else a GraspError that begins with what is needed."""
-    if not (isinstance(value, Real) and math.isfinite(value) and float(value) > 0.0):
-        raise GraspError(f"{needed}, not {value!r}")
-    return float(value)
 
 
 # --- One solid, and plane faces from its triangles ------------------------------------------------
@@ -337,7 +328,7 @@ REPAIR = "; repair the mesh (in Blender: 3D-Print Toolbox, Make Manifold) or reb
 
 def read_mesh(file: str | Path, scale: float) -> Boundary:
     """The body in a mesh file; see `Polyhedron.mesh`."""
-    factor = positive_number(scale, f"{file}: a mesh is scaled by a positive factor")
+    factor = number_of(scale, f"{file}: a mesh is scaled by a positive factor", above=0.0)
     try:
         mesh = meshes.read_mesh(Path(file))
     except ValueError as error:

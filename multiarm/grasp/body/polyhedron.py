@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import numbers_of, pose_of
+from multiarm.grasp.arguments import number_of, numbers_of, pose_of
 from multiarm.grasp.body import boundaries
 from multiarm.grasp.body.face import OFF_PLANE, PLANE_TOLERANCE, Face
 from multiarm.notation import count_of
@@ -260,7 +260,7 @@ class Polyhedron:
             A mass that is not a positive number.
         """
         what = "the mass of a body is a positive number of kilograms"
-        return self._moments.of_mass(boundaries.positive_number(mass, what))
+        return self._moments.of_mass(number_of(mass, what, above=0.0))
 
     @cached_property
     def _moments(self) -> Moments:
@@ -296,7 +296,7 @@ class Polyhedron:
 
     def scaled(self, factor: float) -> Polyhedron:
         """The body with all lengths multiplied."""
-        times = boundaries.positive_number(factor, "a body is scaled by a positive factor")
+        times = number_of(factor, "a body is scaled by a positive factor", above=0.0)
         return self._with(self.vertices * times, self.rounding * times)
 
     def _with(self, vertices: np.ndarray, rounding: float) -> Polyhedron:

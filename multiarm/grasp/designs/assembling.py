@@ -18,12 +18,12 @@ and close the body when all of it is positive.  The smallest push ranks choices;
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import number_of
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.closure.balances import balance_inverses
 from multiarm.grasp.closure.form_closure import is_form_closure
@@ -136,19 +136,15 @@ def largest_gripper(grasp: Grasp) -> float:
 
 def length_of(value: Any, what: str) -> float:
     """A length [m]; a GraspError if it is no finite number."""
-    if not isinstance(value, Real) or not np.isfinite(float(value)):
-        raise GraspError(f"{what} is a finite length in metres, not {value!r}")
-    return float(value)
+    return number_of(value, f"{what} is a finite length in metres")
 
 
 def size_of_gripper(value: Any) -> float | None:
     """The requested size of a gripper [m] or None; a GraspError if it is not positive."""
     if value is None:
         return None
-    size = length_of(value, "the size of a gripper")
-    if not size > 0.0:
-        raise GraspError(f"the size of a gripper is a positive length, not {value!r}")
-    return size
+    length_of(value, "the size of a gripper")
+    return number_of(value, "the size of a gripper is a positive length", above=0.0)
 
 
 def sized(at_depth: Callable[[float], Grasp], depth: float, gripper_size: float | None) -> Grasp:

@@ -23,17 +23,15 @@ placements whose margin is good enough the best conditioned is taken.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import numbers_of
+from multiarm.grasp.arguments import number_of, numbers_of
 from multiarm.grasp.body.body_class import as_polyhedron
 from multiarm.grasp.body.face import across, frame_of
 from multiarm.grasp.closure.form_closure import is_form_closure
@@ -209,10 +207,8 @@ def _check_numbers(required: dict[str, Any], chosen: dict[str, Any]) -> None:
     """Finite numbers that are not negative; ``chosen`` ones may be left out."""
     numbers = {**required, **{name: value for name, value in chosen.items() if value is not None}}
     for name, value in numbers.items():
-        if not (isinstance(value, Real) and math.isfinite(value) and float(value) >= 0.0):
-            raise GraspError(f"{name} is a finite number and not negative, not {value!r}")
-    if not required["gripper_size"] > 0.0:
-        raise GraspError(f"gripper_size is a length, not {required['gripper_size']!r}")
+        number_of(value, f"{name} is a finite number and not negative", at_least=0.0)
+    number_of(required["gripper_size"], "gripper_size is a length", above=0.0)
     if not 0.0 < required["gap"] < 1.0 or required["nodes"] < 1:
         raise GraspError(
             f"gap lies between 0 and 1, nodes is positive; given: {required['gap']}, "

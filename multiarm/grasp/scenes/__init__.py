@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from multiarm.assembly.bases import Stand
 from multiarm.control.object_path import pose_path, reference_motion
 from multiarm.dynamics.forces.internal_forces import distribute, pressing_forces
 from multiarm.errors import GraspError
+from multiarm.grasp.arguments import number_of
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
@@ -186,12 +186,11 @@ def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
     """Check the numbers before the long search; ``chosen`` ones may be left out."""
     numbers = {**positive, **{name: value for name, value in chosen.items() if value is not None}}
     for name, value in numbers.items():
-        if not isinstance(value, Real) or not math.isfinite(value):
-            raise GraspError(f"{name} is a finite number, not {value!r}")
-        if name in positive and not float(value) > 0.0:
-            raise GraspError(f"{name} is greater than 0, not {value!r}")
-        if name == "squeeze" and float(value) < 0.0:
-            raise GraspError(f"squeeze is at least 0, not {value!r}")
+        number_of(value, f"{name} is a finite number")
+        if name in positive:
+            number_of(value, f"{name} is greater than 0", above=0.0)
+        if name == "squeeze":
+            number_of(value, "squeeze is at least 0", at_least=0.0)
 
 
 def _centred(grasp: FaceContacts) -> FaceContacts:
