@@ -43,9 +43,9 @@ if TYPE_CHECKING:
         register_joint,
         register_surface,
     )
+    from multiarm.simulation.many import simulate_many
     from multiarm.simulation.simulate import simulate
     from multiarm.simulation.stepper import Stepper
-    from multiarm.sweeps.many import simulate_many
     from multiarm.sweeps.result import Sweep, load_sweep
     from multiarm.sweeps.sweep import sweep
     from multiarm.viewer import replay
@@ -91,7 +91,7 @@ _HOMES = {
     "report": "reports.report",
     "sensitivities": "gradients.sensitivities",
     "simulate": "simulation.simulate",
-    "simulate_many": "sweeps.many",
+    "simulate_many": "simulation.many",
     "sweep": "sweeps.sweep",
 }
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from functools import partial
+from numbers import Integral
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import (
@@ -32,6 +33,11 @@ def _as_float(value: Any) -> float:
         return float(value)
     except (TypeError, ValueError, OverflowError):
         raise invalid(f"must be a number, got {shown(value)}") from None
+
+
+def is_integer(value: Any) -> bool:
+    """Whether a value is an integer of Python or NumPy; a truth value is none."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def finite_number(value: Any) -> float:

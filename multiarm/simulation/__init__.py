@@ -1,1 +1,1 @@
-"""Simulation: setup, run, events, and the certificate of the accuracy."""
+"""Simulation: setup, run, events, the certificate of the accuracy, and many runs in threads."""

@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +21,7 @@ from multiarm.errors import SceneError
 from multiarm.scene import parse_path
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.spec import OneOf, Spec
-from multiarm.scene.values import Number, Positive, Range, list_of, rising
+from multiarm.scene.values import Number, Positive, Range, is_integer, list_of, rising
 
 
 def plain_value(value: Any) -> Any:
@@ -42,11 +41,6 @@ def plain_value(value: Any) -> Any:
     raise invalid(
         f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists"
     )
-
-
-def is_integer(value: Any) -> bool:
-    """Whether a value is an integer of Python or NumPy; a truth value is none."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def _whole(value: Any) -> Any:

@@ -35,11 +35,11 @@ from multiarm.scene.code import located
 from multiarm.scene.faults import explain, fault_at, invalid, shown, unknown
 from multiarm.scene.spec import Spec
 from multiarm.scene.text import parse_yaml, read_text, written_yaml
+from multiarm.scene.values import is_integer
 from multiarm.sweeps.axes import (
     AxisSpec,
     Count,
     NonNegativeCount,
-    is_integer,
     paths_of,
     plain_value,
 )

@@ -14,7 +14,7 @@ from multiarm.errors import SweepError
 from multiarm.results.files import RunStatus, resolved
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
-from multiarm.sweeps.axes import is_integer
+from multiarm.scene.values import is_integer
 from multiarm.sweeps.folder import Header, PartWriter, create, is_sweep, read_header, read_rows
 from multiarm.sweeps.plan import SweepPlan, make_plan
 from multiarm.sweeps.quantities import UserQuantity

@@ -291,10 +291,10 @@ def test_what_differs_is_made_anew(change, arms):
 def test_threads_are_one_where_evaluations_call_python(welded_ur5_system, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "multiarm.sweeps.many.run_cases",
+        "multiarm.simulation.many.run_cases",
         lambda cases, system, threads, bar: asked.append(threads),
     )
-    monkeypatch.setattr("multiarm.sweeps.many.processors", lambda: 12)
+    monkeypatch.setattr("multiarm.simulation.many.processors", lambda: 12)
     ma.simulate_many(welded_ur5_system, parameters=[{}])
     ma.simulate_many(welded_ur5_system, parameters=[{}], threads=5)
     compiled = ma.compile_system(welded_ur5_system.scene, arms="compiled")

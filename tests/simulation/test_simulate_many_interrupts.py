@@ -19,14 +19,14 @@ from repository import ROOT
 
 import multiarm as ma
 from multiarm.errors import TrajectoryError
-from multiarm.sweeps.many import run_files
+from multiarm.simulation.many import run_files
 
 RUN = {"duration": 0.1, "accuracy": 1e-4}
 ENDLESS = {"integrator": "rk4", "step": 1e-3, "output_step": 0.1, "duration": 1e4}
 
 
 def test_progress_tells_time_and_runs_done_in_the_calling_thread(welded_ur5_system, monkeypatch):
-    monkeypatch.setattr("multiarm.sweeps.many.POLL", 1e-3)
+    monkeypatch.setattr("multiarm.simulation.many.POLL", 1e-3)
     monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
     told, seen = threading.Event(), []
 
@@ -241,7 +241,7 @@ def test_progress_true_is_a_bar_of_runs(welded_ur5_system, monkeypatch):
 
     console = Console(force_terminal=True, width=100, file=io.StringIO(), record=True)
     monkeypatch.setattr("multiarm.terminal.console.messages", lambda: console)
-    monkeypatch.setattr("multiarm.sweeps.many.POLL", 1e-3)
+    monkeypatch.setattr("multiarm.simulation.many.POLL", 1e-3)
     found = ma.simulate_many(welded_ur5_system, parameters=[{}] * 4, progress=True, **RUN)
     assert len(found) == 4
     text = console.export_text()

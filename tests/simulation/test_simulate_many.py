@@ -15,7 +15,7 @@ from refusals import refused
 
 import multiarm as ma
 from multiarm.errors import ModelError, SceneError, SolverError, TrajectoryError
-from multiarm.sweeps.many import describe, run_case
+from multiarm.simulation.many import describe, run_case
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 
@@ -214,7 +214,7 @@ def test_what_is_no_trouble_of_a_run_is_raised_after_the_others_ended(monkeypatc
             raise ZeroDivisionError("a bug")
         return ma.compile_system(scene, *given, **more)
 
-    monkeypatch.setattr("multiarm.sweeps.many.compile_system", compiled)
+    monkeypatch.setattr("multiarm.simulation.many.compile_system", compiled)
     system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}))
     with pytest.raises(ZeroDivisionError):
         ma.simulate_many(system, parameters=[{}, {"object.mass": 7.0}, {}], threads=2, **RUN)

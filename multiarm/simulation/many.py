@@ -29,11 +29,11 @@ from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
 from multiarm.scene.faults import shown
+from multiarm.scene.values import is_integer
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.record import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
-from multiarm.sweeps.axes import is_integer
 from multiarm.terminal.progress import ManyRunsProgress, displayed
 
 
