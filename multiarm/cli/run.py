@@ -38,7 +38,7 @@ from multiarm.jit.compilation import compile_time
 from multiarm.notation import count_of, number
 from multiarm.reports.run_facts import course_facts, figures_of, motion_facts
 from multiarm.results.event_log import counts, who
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.terminal.console import (
     STATUS_STYLES,
     accuracy,

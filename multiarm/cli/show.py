@@ -12,7 +12,8 @@ from multiarm.cli.files import check_targets
 from multiarm.cli.options import file_option, option, switch
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.notation import count_of
-from multiarm.results.files import RunStatus, resolved
+from multiarm.results.files import resolved
+from multiarm.results.outcome import RunStatus
 from multiarm.terminal.console import messages, print_warnings, print_written
 
 if TYPE_CHECKING:

@@ -27,7 +27,8 @@ from multiarm.cli.options import (
 )
 from multiarm.errors import SweepError
 from multiarm.notation import count_of, number
-from multiarm.results.files import RunStatus, atomic_output, save_figure
+from multiarm.results.files import atomic_output, save_figure
+from multiarm.results.outcome import RunStatus
 from multiarm.terminal.console import (
     STATUS_STYLES,
     columns,

@@ -23,7 +23,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.gradients.interpolation import Series, nodes
 from multiarm.gradients.segments import SHORTEST, Panel
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.setup import SMALLEST_TOLERANCE
 from multiarm.simulation.simulate import simulate

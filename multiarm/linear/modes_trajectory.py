@@ -21,7 +21,7 @@ from multiarm.linear.modes import Mode
 from multiarm.notation import count_of
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import failure_of

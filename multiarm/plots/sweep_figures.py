@@ -27,7 +27,7 @@ from matplotlib.ticker import NullLocator
 
 from multiarm.errors import SweepError
 from multiarm.plots.style import BLUE, INK, RED, STYLE
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.sweeps.result import LEVELS
 
 if TYPE_CHECKING:

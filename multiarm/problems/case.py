@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import SolverError
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System

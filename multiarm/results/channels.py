@@ -21,6 +21,8 @@ import numpy as np
 from multiarm.errors import TrajectoryError
 from multiarm.results.contact_states import RECORDED_STATES
 
+CLOSED = "this trajectory was closed; load it from its file, or simulate again"
+"""Message for reading a channel whose samples were released."""
 Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
 FLOOR = "floor"

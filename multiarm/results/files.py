@@ -18,19 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import MultiarmError
-from multiarm.notation import Word
-
-
-class RunStatus(Word):
-    """How a run may end."""
-
-    COMPLETED = "completed"
-    INTERRUPTED = "interrupted"
-    FAILED = "failed"
-
-
-CLOSED = "this trajectory was closed; load it from its file, or simulate again"
-"""Message for reading samples that were released."""
 
 # Control characters other than tab and newline, marks and overrides of the writing direction, line
 # and paragraph separators, and surrogates, which no encoding can write.

@@ -7,10 +7,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from multiarm.errors import TrajectoryError
-from multiarm.results.files import RunStatus
+from multiarm.notation import Word
+
+
+class RunStatus(Word):
+    """How a run may end."""
+
+    COMPLETED = "completed"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,7 @@ def plain(value: Any) -> Any:
         return float(value) if math.isfinite(value) else None
     if isinstance(value, (dict, Mapping)):  # dict first: checks for abstract classes are slow
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
+    if hasattr(value, "tolist"):  # an array or number of NumPy, which commands import late
         return plain(value.tolist())
     if isinstance(value, (list, Iterable)):
         return [plain(item) for item in value]

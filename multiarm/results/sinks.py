@@ -24,6 +24,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import (
+    CLOSED,
     Channel,
     Columns,
     first_fault,
@@ -31,8 +32,7 @@ from multiarm.results.channels import (
     recordable,
     width_of,
 )
-from multiarm.results.files import CLOSED, RunStatus
-from multiarm.results.outcome import Outcome, plain
+from multiarm.results.outcome import Outcome, RunStatus, plain
 from multiarm.results.trajectory import Trajectory
 
 Metadata = dict[str, Any] | Callable[[], dict[str, Any]]

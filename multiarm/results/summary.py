@@ -8,9 +8,8 @@ import numpy as np
 
 from multiarm.results.channels import channels_of
 from multiarm.results.energy import Energies, largest_imbalance
-from multiarm.results.files import RunStatus
 from multiarm.results.limit_use import Samples, limit_summary
-from multiarm.results.outcome import plain
+from multiarm.results.outcome import RunStatus, plain
 
 
 class RecordedRun(Samples, Energies, Protocol):

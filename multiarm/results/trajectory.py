@@ -24,9 +24,9 @@ from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of, work_channels
 from multiarm.results.energy import energy_at_start, energy_balance
 from multiarm.results.event_log import CLAUSE_SEPARATOR
-from multiarm.results.files import RunStatus, atomic_file
+from multiarm.results.files import atomic_file
 from multiarm.results.limit_use import JointUse, joint_uses, largest_shares, percent
-from multiarm.results.outcome import Outcome, plain
+from multiarm.results.outcome import Outcome, RunStatus, plain
 from multiarm.results.summary import summarise
 
 if TYPE_CHECKING:

@@ -39,6 +39,7 @@ import numpy as np
 from multiarm.errors import TrajectoryError
 from multiarm.notation import count_of
 from multiarm.results.channels import (
+    CLOSED,
     LARGEST,
     Channel,
     arm_channel,
@@ -50,8 +51,9 @@ from multiarm.results.channels import (
     wrench_and_tip_channels,
     wrench_channel,
 )
-from multiarm.results.files import CLOSED, RunStatus, atomic_file, resolved
+from multiarm.results.files import atomic_file, resolved
 from multiarm.results.hdf5 import FORMAT, HDF5_ERRORS, VERSION, StoredFile, opened, reading, reason
+from multiarm.results.outcome import RunStatus
 from multiarm.scene.run import LONGEST_RUN
 
 CHUNK_SAMPLES = 512

@@ -54,7 +54,7 @@ from multiarm.errors import MultiarmError
 from multiarm.notation import Word, number
 from multiarm.results.channels import arm_channel
 from multiarm.results.energy import largest_imbalance
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.comparison import (

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory, amend_file, load_trajectory
 from multiarm.scene import AccuracySpec

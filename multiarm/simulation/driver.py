@@ -51,7 +51,7 @@ from multiarm.jit.compilation import compile_time, running_time
 from multiarm.jit.structs import struct_of
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.scene import RunSpec
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports

@@ -24,7 +24,7 @@ from multiarm.dynamics.state import State, require_same_joints
 from multiarm.dynamics.system import System, require_control, require_state, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.jit.ahead import processors
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes

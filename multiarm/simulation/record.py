@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from multiarm.dynamics.system import System
-from multiarm.results.files import RunStatus
 from multiarm.results.limit_use import LIMITS, limits_record
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, dump_scene

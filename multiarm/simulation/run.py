@@ -17,7 +17,7 @@ from multiarm.integration.step_control import STIFF_AFTER
 from multiarm.jit.compilation import compile_time
 from multiarm.notation import count_of
 from multiarm.results.event_log import CLAUSE_SEPARATOR, EventLog
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import Sink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import FOR_STIFF_SCENES, Driver, End, where_of

@@ -12,7 +12,8 @@ from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_control, require_system
 from multiarm.errors import SceneError, TrajectoryError
-from multiarm.results.files import RunStatus, resolved
+from multiarm.results.files import resolved
+from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts

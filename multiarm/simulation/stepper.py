@@ -22,7 +22,7 @@ from multiarm.errors import ControlError, SolverError
 from multiarm.integration.step_control import shortest_step
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of, in_sequence
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec

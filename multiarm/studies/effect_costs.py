@@ -32,8 +32,7 @@ from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.notation import count_of
-from multiarm.results.files import RunStatus
-from multiarm.results.outcome import plain
+from multiarm.results.outcome import RunStatus, plain
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene
 from multiarm.scene.parameters import written_value

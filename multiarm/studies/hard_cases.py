@@ -24,8 +24,7 @@ from multiarm.errors import MultiarmError
 from multiarm.plots.decimation import decimate
 from multiarm.problems import Criterion, HardCase
 from multiarm.results.energy import ENERGIES, energy_balance
-from multiarm.results.files import RunStatus
-from multiarm.results.outcome import plain
+from multiarm.results.outcome import RunStatus, plain
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import dump_scene
 from multiarm.scene.faults import unknown

@@ -21,7 +21,7 @@ import numpy as np
 
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.studies.differences import (
     Quantity,

@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from multiarm.dynamics.system import System
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
 

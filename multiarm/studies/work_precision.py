@@ -32,8 +32,7 @@ import pandas
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
-from multiarm.results.files import RunStatus
-from multiarm.results.outcome import plain
+from multiarm.results.outcome import RunStatus, plain
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene
 from multiarm.studies.differences import open_forces

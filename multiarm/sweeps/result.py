@@ -21,7 +21,8 @@ import pandas
 from multiarm.errors import SweepError
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.results.files import RunStatus, resolved
+from multiarm.results.files import resolved
+from multiarm.results.outcome import RunStatus
 from multiarm.sweeps.folder import Header, read_header, read_rows
 from multiarm.sweeps.plan import SweepPlan
 from multiarm.sweeps.spec import Column, parse_sweep

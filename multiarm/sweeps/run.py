@@ -20,7 +20,8 @@ from uuid import uuid4
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
-from multiarm.results.files import RunStatus, printable
+from multiarm.results.files import printable
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import REGISTRIES, Scene, dump_scene, parse_scene, with_code

@@ -11,7 +11,8 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
-from multiarm.results.files import RunStatus, resolved
+from multiarm.results.files import resolved
+from multiarm.results.outcome import RunStatus
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
 from multiarm.scene.values import is_integer

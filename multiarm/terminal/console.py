@@ -20,7 +20,8 @@ from rich.text import Text
 
 from multiarm.errors import shortened
 from multiarm.notation import number
-from multiarm.results.files import RunStatus, printable
+from multiarm.results.files import printable
+from multiarm.results.outcome import RunStatus
 
 if TYPE_CHECKING:
     from multiarm.scene import NamedCode

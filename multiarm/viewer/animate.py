@@ -27,7 +27,7 @@ from multiarm.errors import GraspError, ReplayError
 from multiarm.geometry.triangle_mesh import TriangleMesh, merge
 from multiarm.grasp.body.face import cut_into_triangles
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
-from multiarm.results.files import RunStatus
+from multiarm.results.outcome import RunStatus
 from multiarm.scene import without_code
 from multiarm.scene.control import NoControl
 from multiarm.scene.faults import counted
