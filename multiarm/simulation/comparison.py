@@ -265,6 +265,17 @@ def rotation_apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return 2.0 * np.arctan2(np.linalg.norm(vector, axis=1), np.abs(scalar))
 
 
+def object_poses(run: Trajectory) -> np.ndarray:
+    """Poses of the object: position [m] and quaternion xyzw, shape (K, 7)."""
+    return np.column_stack([run.object_position, run.object_quaternion_xyzw])
+
+
+def pose_differences(poses: np.ndarray, others: np.ndarray) -> tuple[float, float]:
+    """Largest distance [m] and largest angle [rad] between two sequences of poses, (K, 7)."""
+    distances = np.linalg.norm(poses[:, :3] - others[:, :3], axis=1)
+    return float(np.max(distances)), float(np.max(rotation_apart(poses[:, 3:], others[:, 3:])))
+
+
 def _apart(output: Output, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Differences of an output, shape (k, columns); a rotation and a position have one."""
     if output.channel == "object/quaternion_xyzw":

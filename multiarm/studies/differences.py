@@ -12,12 +12,7 @@ import numpy as np
 
 from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.comparison import (
-    Difference,
-    compare,
-    rotation_apart,
-    undetermined_forces,
-)
+from multiarm.simulation.comparison import Difference, compare, undetermined_forces
 
 
 class Quantity(NamedTuple):
@@ -52,14 +47,3 @@ def open_forces(system: System, run: Trajectory) -> dict[str, np.ndarray]:
     """By arm: contact forces that the equations of a system leave open in a run."""
     with system.borrow() as data:
         return undetermined_forces(data, run)
-
-
-def object_poses(run: Trajectory) -> np.ndarray:
-    """Poses of the object: position [m] and quaternion xyzw, shape (K, 7)."""
-    return np.column_stack([run.object_position, run.object_quaternion_xyzw])
-
-
-def pose_differences(poses: np.ndarray, others: np.ndarray) -> tuple[float, float]:
-    """Largest distance [m] and largest angle [rad] between two sequences of poses, (K, 7)."""
-    distances = np.linalg.norm(poses[:, :3] - others[:, :3], axis=1)
-    return float(np.max(distances)), float(np.max(rotation_apart(poses[:, 3:], others[:, 3:])))

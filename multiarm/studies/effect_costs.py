@@ -36,15 +36,10 @@ from multiarm.results.outcome import RunStatus, plain
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene
 from multiarm.scene.parameters import written_value
+from multiarm.simulation.comparison import object_poses, pose_differences
 from multiarm.simulation.inspection import active_effects
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.differences import (
-    Quantity,
-    largest_differences,
-    object_poses,
-    open_forces,
-    pose_differences,
-)
+from multiarm.studies.differences import Quantity, largest_differences, open_forces
 from multiarm.studies.records import about_scene, accuracies, error_text, machine
 from multiarm.studies.timing import clocked_run
 from multiarm.tableaus import METHODS, VARIATIONAL

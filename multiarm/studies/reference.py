@@ -23,13 +23,8 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
-from multiarm.studies.differences import (
-    Quantity,
-    largest_differences,
-    object_poses,
-    open_forces,
-    pose_differences,
-)
+from multiarm.simulation.comparison import object_poses, pose_differences
+from multiarm.studies.differences import Quantity, largest_differences, open_forces
 from multiarm.studies.timing import OutOfTime, clocked_run
 
 QUANTITIES = {

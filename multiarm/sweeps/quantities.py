@@ -143,32 +143,31 @@ def _largest(*channels: np.ndarray) -> float:
     return max((float(np.max(np.abs(values), initial=0.0)) for values in channels), default=0.0)
 
 
-def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Desired position and quaternion of the object at the end of the run.
+def _pose_errors(trajectory: Trajectory) -> tuple[float, float]:
+    """Distance [m] and angle [rad] of the object's last pose from the desired one.
 
-    Without a path they are those at t = 0.
+    Without a path the desired pose is that at t = 0.
     """
     from multiarm.control.object_path import pose_path, reference_pose, route
+    from multiarm.simulation.comparison import object_poses, pose_differences
 
-    start = trajectory.object_position[0], trajectory.object_quaternion_xyzw[0].copy()
+    poses = object_poses(trajectory)
+    desired = poses[0]
     waypoints = trajectory.scene.control.object_waypoints
-    if not waypoints:
-        return start
-    pose = Pose(xyz=start[0].tolist(), quaternion_xyzw=start[1].tolist())
-    path = pose_path(*route(pose.matrix(), waypoints))
-    position, quaternion, *_ = reference_pose(float(trajectory.time[-1]), path)
-    return np.array(position), np.array(quaternion)
+    if waypoints:
+        start = Pose(xyz=desired[:3].tolist(), quaternion_xyzw=desired[3:].tolist())
+        path = pose_path(*route(start.matrix(), waypoints))
+        position, quaternion, *_ = reference_pose(float(trajectory.time[-1]), path)
+        desired = np.concatenate([position, quaternion])
+    return pose_differences(poses[-1:], desired[None])
 
 
 def _position_error(trajectory: Trajectory) -> float:
-    return float(np.linalg.norm(trajectory.object_position[-1] - _desired_pose(trajectory)[0]))
+    return _pose_errors(trajectory)[0]
 
 
 def _rotation_error(trajectory: Trajectory) -> float:
-    from multiarm.spatial import difference
-
-    turned = difference(_desired_pose(trajectory)[1], trajectory.object_quaternion_xyzw[-1].copy())
-    return float(np.linalg.norm(turned))
+    return _pose_errors(trajectory)[1]
 
 
 def _estimated_error(trajectory: Trajectory) -> float | None:
