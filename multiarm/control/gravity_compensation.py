@@ -18,8 +18,8 @@ inverse dynamics at rest under these forces, :math:`dW_o\,\lambda` that of their
 object, and :math:`dW_o^T y` that of the rates of the gaps while the object moves with the twist y
 and the arms rest.
 
-The twist y is what all arms share (:mod:`multiarm.dynamics.control_laws`): at fixed y an arm's
-torques :math:`g_i - W_i W_{oi}^T y` depend on its own state and the object's, and so does
+The twist y has the multipliers of the law (:mod:`multiarm.dynamics.control_laws`): at fixed y an
+arm's torques :math:`g_i - W_i W_{oi}^T y` depend on its own state and the object's, and so does
 :math:`r_i = W_{oi} W_{oi}^T y`.
 """
 
@@ -60,7 +60,7 @@ class CarryingWork(NamedTuple):
     """What the law has besides its torques."""
 
     derivatives: PreparedDerivatives
-    share_derivatives: PreparedDerivatives
+    at_fixed_multipliers: PreparedDerivatives
 
     @classmethod
     def of(cls, _data: Data) -> CarryingWork:
@@ -123,29 +123,29 @@ def differentiate_at_rest(struct, data, derivatives):
 
 
 @cfunc
-def differentiate_share(address, size, at, t):
+def differentiate_at_fixed_multipliers(address, size, at, t):
     """Call the derivative at fixed y that has been prepared."""
     struct = struct_at(address, size)
-    return call_derivatives(open_carrying(struct, at).share_derivatives, struct, at, t)
+    return call_derivatives(open_carrying(struct, at).at_fixed_multipliers, struct, at, t)
 
 
 @cfunc
-def write_share_derivatives(address, size, at, _t):
+def write_derivatives_at_fixed_multipliers(address, size, at, _t):
     """Add the derivatives of the torques at fixed y and by y, and those of the equations for y.
 
     Returns a status.
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    derivatives = open_derivatives(open_carrying(struct, at).share_derivatives)
+    derivatives = open_derivatives(open_carrying(struct, at).at_fixed_multipliers)
     status = differentiate_at_rest(struct, data, derivatives)
     if status != OK:
         return status
     motion, columns = open_equations(derivatives.motion), force_columns(data)
-    equations = data.slopes.share
-    for l in range(equations.shape[0]):
+    balance = data.slopes.balance
+    for l in range(balance.shape[0]):
         for c in range(motion.dF_o.shape[1]):
-            equations[l, c] -= motion.dF_o[l, c]
+            balance[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
         of_arm = arm_columns(work.first_joint[i + 1] - d0, False)
@@ -153,30 +153,30 @@ def write_share_derivatives(address, size, at, _t):
             for c in range(of_arm.rates):
                 if c < of_arm.twists or c >= of_arm.positions:  # y is no velocity of the state
                     column = column_of_state(columns, of_arm, d0, c)
-                    add_share(data, work, i, k, motion.rates[k, c], column)
-            for l in range(equations.shape[0]):
-                add_share(data, work, i, k, data.rows.W_o[k, l], columns.share + l)
+                    add_force_derivative(data, work, i, k, motion.rates[k, c], column)
+            for l in range(balance.shape[0]):
+                add_force_derivative(data, work, i, k, data.rows.W_o[k, l], columns.multipliers + l)
     add_inverse_dynamics(data, work, motion)
     return status
 
 
 @inlined
-def add_share(data, work, i, k, force, column):
+def add_force_derivative(data, work, i, k, force, column):
     """Add the derivative of contact force k, of arm i, to those of its torques and of ``r_i``."""
     d0 = work.first_joint[i]
     for j in range(work.first_joint[i + 1] - d0):
         data.slopes.torque[d0 + j, column] -= work.W[i, j, k - work.first_contact[i]] * force
-    for l in range(data.slopes.share.shape[0]):
-        data.slopes.share[l, column] += data.rows.W_o[k, l] * force
+    for l in range(data.slopes.balance.shape[0]):
+        data.slopes.balance[l, column] += data.rows.W_o[k, l] * force
 
 
 def prepare_carrying(data: Data, work: CarryingWork) -> None:
     """Prepare both derivatives, with the same arrays."""
     prepare_command_derivatives(write_gravity_compensation_derivatives, data, work)
-    whole, at_fixed_share = work.derivatives, work.share_derivatives
-    at_fixed_share.function = address_of(write_share_derivatives)
-    at_fixed_share.refer(work=whole.references["work"])
-    at_fixed_share.size = whole.size
+    whole, at_fixed_multipliers = work.derivatives, work.at_fixed_multipliers
+    at_fixed_multipliers.function = address_of(write_derivatives_at_fixed_multipliers)
+    at_fixed_multipliers.refer(work=whole.references["work"])
+    at_fixed_multipliers.size = whole.size
 
 
 def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
@@ -188,7 +188,7 @@ def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
         derivative=differentiate_gravity_compensation,
         work=CarryingWork,
         prepare=prepare_carrying,
-        share_derivative=differentiate_share,
+        share_derivative=differentiate_at_fixed_multipliers,
     )
     return (law,)
 

@@ -52,7 +52,7 @@ from multiarm.dynamics.contact_forces import add_joint_forces
 from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.forces.compiled import share_load, static_forces
+from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
 from multiarm.dynamics.momenta import times_arm_inertia
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ControlError
@@ -145,7 +145,7 @@ def write_contact_forces(law, data, work):
     """Distribute the wrench on the object over the contacts; writes ``data.rows.static_force``."""
     wrench, rows = data.control.object_wrench, data.rows
     if law.squeezes:
-        share_load(
+        distribute_wrench(
             wrench, rows.W_o, work.first_contact, data.bodies.object, law.forces_of_contacts,
             law.wrenches_of_arms, rows.static_force,
         )  # fmt: skip

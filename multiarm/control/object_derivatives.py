@@ -39,7 +39,7 @@ from multiarm.dynamics.equation_derivatives import (
     write_body,
     write_derivatives_at_rest,
 )
-from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, share_wrench
+from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, write_multipliers
 from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
@@ -165,7 +165,7 @@ def subtract_presses(law, data, work, wrench):
     for i in range(law.wrenches_of_arms.shape[0]):
         if pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
             W_o = data.rows.W_o[work.first_contact[i] : work.first_contact[i + 1]]
-            share_wrench(W_o, world, y)
+            write_multipliers(W_o, world, y)
             for k in range(W_o.shape[0]):
                 subtract_wrench(W_o[k], force_of(W_o[k], y), wrench)
 
@@ -193,7 +193,7 @@ def differentiate_press(i, law, struct, data, work, derivatives):
         return OK
     r0, r1 = work.first_contact[i], work.first_contact[i + 1]
     W_o, d0 = data.rows.W_o[r0:r1], work.first_joint[i]
-    share_wrench(W_o, world, y)
+    write_multipliers(W_o, world, y)
     clear(excess.a_j)
     clear(excess.force)
     copy(world, left)
@@ -216,7 +216,7 @@ def differentiate_press(i, law, struct, data, work, derivatives):
             put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
         for k in range(r1 - r0):
             subtract_wrench(W_o[k], excess.rates[r0 + k, c], left)
-        share_wrench(W_o, left, y)
+        write_multipliers(W_o, left, y)
         for k in range(r1 - r0):
             derivatives.desired[r0 + k, column] = excess.rates[r0 + k, c] + force_of(W_o[k], y)
     return status

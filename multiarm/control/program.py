@@ -85,7 +85,7 @@ class ControlProgram:
         Taken from the control's ``sample_time``.  Absent: they are evaluated all the time.
     reach : int
         What the torques of an arm depend on: the time (``OPEN_LOOP``), also the state of this arm
-        (``LOCAL``), also the numbers that all arms share by the last law (``CARRYING``,
+        (``LOCAL``), also the multipliers of the last law (``CARRYING``,
         :mod:`multiarm.dynamics.control_laws`), or anything (``COUPLED``).  Derivatives cost less
         where it is less, and are wrong where it is more than this says.
     """

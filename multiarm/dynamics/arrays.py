@@ -47,7 +47,7 @@ class CalledFunction(NamedTuple):
     address: int
     numbers_at: int = 0  # index of its first number or array in the system's struct
     derivative: int = 0  # address
-    share_derivative: int = 0  # of a law: address of that in which what the arms share is fixed
+    share_derivative: int = 0  # of a law: address of that at fixed multipliers
     state_alone: bool = False  # it is an effect of a user, who knows the state alone
 
 
@@ -60,7 +60,7 @@ def table_of(functions: Iterable[CalledFunction]) -> np.ndarray:
 
 
 # What the torques of an arm's drives depend on: the time, also the state of this arm, also the
-# numbers that all arms share by the last law, anything.
+# multipliers of the last law, anything.
 OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
 
 

@@ -39,13 +39,14 @@ of the law's torques to ``data.slopes.torque`` (n, columns), by the columns of
 
     ControlLaw(pull, Spring(stiffness), differentiate_pull)
 
-*What arms share.*  Where a law distributes a wrench over the arms, the torques of each are a
-function of its own state and the object's, and of six numbers s that all arms share, determined by
-six equations :math:`F_s = \sum_i r_i - w = 0`, in which :math:`r_i` is a function of the state of
-one arm and the object's, and of s.  The last law of a control that is ``CARRYING``
-(:class:`multiarm.control.program.ControlProgram`) states a *share derivative*: it adds the
+*Multipliers.*  A law that distributes a wrench w over the arms couples them by six Lagrange
+multipliers s alone, those of the wrench balance :math:`F_s = \sum_i r_i - w = 0`: the torques of an
+arm, and its part :math:`r_i` of the wrench, are functions of its own state, the object's, and of s.
+(Contact forces of least norm with :math:`W_o \lambda = w` are :math:`\lambda = W_o^T s`, so that
+:math:`r_i = W_{oi} W_{oi}^T s`.)  The last law of a control that is ``CARRYING``
+(:class:`multiarm.control.program.ControlProgram`) states its ``share_derivative``: this adds the
 derivatives of its torques at fixed s, and those by s, to ``data.slopes.torque``, and the
-derivatives of :math:`F_s` to ``data.slopes.share`` (6, columns).
+derivatives of :math:`F_s` to ``data.slopes.balance`` (6, columns).
 
 *Its work*, where it has any, is a ``NamedTuple`` of arrays that it writes.  Each
 :class:`multiarm.dynamics.data.Data` has its own, made by the classmethod ``of(data)``; they follow
@@ -119,7 +120,7 @@ class ControlLaw:
     prepare : callable, optional
         ``prepare(data, work)``, called before derivatives are taken: makes what these need.
     share_derivative : Kernel, optional
-        Like ``derivative``, at fixed shared numbers, see above.
+        Like ``derivative``, at fixed multipliers, see above.
     """
 
     kernel: Kernel

@@ -121,7 +121,7 @@ class ForceColumns(NamedTuple):
     rates: int
     states: int  # of effects
     time: int
-    share: int  # six of s, see multiarm.dynamics.control_laws
+    multipliers: int  # of a law, six, see multiarm.dynamics.control_laws
     end: int
 
 

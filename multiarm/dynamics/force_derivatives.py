@@ -5,7 +5,7 @@ They are what laws and effects state (:mod:`multiarm.dynamics.effect_kernels`,
 of the control come to the first actuator, and what this makes of them to the next one; so do their
 derivatives, ``data.slopes.torque``.  All other derivatives are those of one effect at a time,
 ``data.slopes.force``.  Columns are those of the state, then the effects' states, the time, and the
-numbers that arms share (:mod:`multiarm.dynamics.control_laws`).
+multipliers of a law (:mod:`multiarm.dynamics.control_laws`).
 
 *Differences* (:mod:`multiarm.geometry.stencils`) are of order four, or of order one where many
 evaluations cost more than an error is worth; those by the time look forward, with order two.  An
@@ -175,8 +175,8 @@ def differentiate_forces(struct, differences, powers, gather, out):
     ``gather(out, data, work, power, of_drives)``, a kernel, as they stand in the data: in
     ``slopes.torque`` (``of_drives``) or ``slopes.force``.  ``power`` is the place of the power of
     these forces, -1 without; ``powers`` are those of the effects, the last one is that of all.
-    Laws beyond ``differences.laws`` are differentiated at fixed numbers that arms share, and the
-    equations for these in ``slopes.share``.
+    Laws beyond ``differences.laws`` are differentiated at fixed multipliers, and the wrench balance
+    that determines these in ``slopes.balance``.
     """
     model, data, work = open_system(struct)
     controlled, status, total = model.control.shape[0] > 0, OK, data.effects.power.size - 1
@@ -272,7 +272,7 @@ def differentiate_control(struct, differences):
         if acted == OK:
             acted = call_listed(model.control, k, struct, data)
         if status == OK and acted == OK:
-            clear_table(data.slopes.share)
+            clear_table(data.slopes.balance)
             status = call_derivative(model.control, k, SHARE_DERIVATIVE, struct, data)
     return acted if status == OK else status
 

@@ -195,7 +195,7 @@ class ForceSlopes(NamedTuple):
     passive: Floats2  # of what passive effects do to the joints; as many rows, or none
     # (velocities + states, columns) of the forces of one effect, and the rates of its states
     force: Floats2
-    share: Floats2  # (6, columns) of the equations of the numbers that arms share
+    balance: Floats2  # (6, columns) of the wrench balance that determines a law's multipliers
 
 
 class InterpolationNumbers(Numbers):
@@ -396,7 +396,7 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             torque=np.zeros((joints, columns)),
             passive=np.zeros((joints if sizes.passive else 0, columns)),
             force=np.zeros((layout.nv + states, columns)),
-            share=np.zeros((6, columns)),
+            balance=np.zeros((6, columns)),
         ),
         interpolation=Interpolation(
             numbers=InterpolationNumbers(),

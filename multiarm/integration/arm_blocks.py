@@ -1,8 +1,8 @@
 r"""Blocks of the derivatives of the accelerations, for each arm: linear in the arms.
 
 Where control and effects are local, an arm's accelerations, and the forces of its contacts, are
-functions of its own state :math:`x_i`, of the object's :math:`x_o`, and of what all arms *share*:
-the object's acceleration, and the numbers of a control law that distributes a wrench over the arms
+functions of its own state :math:`x_i`, of the object's :math:`x_o`, and of the *couplings*: the
+object's acceleration, and the multipliers of a control law that distributes a wrench over the arms
 (:mod:`multiarm.dynamics.control_laws`).  With :math:`\chi` the derivatives of these,
 
 .. math::
@@ -43,7 +43,7 @@ class ArmBlocks(NamedTuple):
     e: Int
     works: Int  # powers: of the effects that do work, last of control and effects
     frames: Int  # velocities of the object, o
-    shared: Int  # unknowns that all arms share: accelerations of the object, six more of s
+    couplings: Int  # unknowns that couple the arms: the object's accelerations, six multipliers
     counts: Ints1  # (n,) effects' states of each arm
     states: Ints2  # (n, e) their places among all
     # (n, P + 2 o + 1 + u) column of each one of ``derivatives`` among those of forces; -1: none
@@ -52,7 +52,7 @@ class ArmBlocks(NamedTuple):
     # struct of multiarm.dynamics.equation_derivatives, for all arms; its K has the factors of each
     equations: Ints1
     differences: ForceDifferences
-    # for u shared unknowns: A, A_o, U, before the solution those of F, (n, R, P + 2 o + 1 + u); B_i
+    # for u couplings: A, A_o, U, before the solution those of F, (n, R, P + 2 o + 1 + u); B_i
     # (n, u, P); B_o, then the powers of the forces on the object (u + w, 2 o + 1)
     derivatives: Floats3
     on_object: Floats3
@@ -69,7 +69,7 @@ class ArmBlocks(NamedTuple):
     D: Floats3  # (n, u, d + e)
     node: Floats2
     node_pivots: Ints1
-    # of a stage: derivatives of the shared unknowns (u,), rates of the object (2 o,), unknowns of
+    # of a stage: derivatives of the couplings (u,), rates of the object (2 o,), unknowns of
     # each arm (n, d + e)
     chi: Floats1
     rates: Floats1
@@ -94,8 +94,8 @@ class BlockColumns(NamedTuple):
     pose: int
     twist: int
     time: int
-    accelerations: int  # of the object; here the shared unknowns begin
-    share: int
+    accelerations: int  # of the object; here the couplings begin
+    multipliers: int
     end: int
 
 
@@ -104,16 +104,16 @@ def block_columns(blocks):
     """The columns for the sizes of these blocks."""
     pose = 2 * blocks.d + blocks.e
     time = pose + 2 * blocks.frames
-    shared = time + 1
+    couplings = time + 1
     return BlockColumns(
         blocks.d,
         2 * blocks.d,
         pose,
         pose + blocks.frames,
         time,
-        shared,
-        shared + blocks.frames,
-        shared + blocks.shared,
+        couplings,
+        couplings + blocks.frames,
+        couplings + blocks.couplings,
     )
 
 
@@ -133,21 +133,21 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     e = max(map(len, owned))
     own_columns, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants
-    shares = len(constants.control) > 0 and constants.control_reach == CARRYING
-    u, of_object = (2 if shares else 1) * frames, 2 * frames + 1
+    distributes = len(constants.control) > 0 and constants.control_reach == CARRYING
+    u, of_object = (2 if distributes else 1) * frames, 2 * frames + 1
     blocks = ArmBlocks(
         d=d,
         m=m,
         e=e,
         works=works,
         frames=frames,
-        shared=u,
+        couplings=u,
         counts=np.array(list(map(len, owned)), dtype=np.int64),
         states=np.full((n, e), -1, dtype=np.int64),
         sources=np.full((n, own_columns + of_object + u), -1, dtype=np.int64),
         powers=effects.powers,
         equations=equations,
-        differences=ForceDifferences(local=1, laws=len(constants.control) - shares, order=1),
+        differences=ForceDifferences(local=1, laws=len(constants.control) - distributes, order=1),
         derivatives=np.zeros((n, rows, own_columns + of_object + u)),
         on_object=np.zeros((n, u, own_columns)),
         by_object=np.zeros((u + works, of_object)),
@@ -175,7 +175,8 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         columns[at.states : at.states + len(states)] = np.add(of_forces.states, states)
         columns[at.pose : at.time] = range(2 * frames)
         columns[at.time] = of_forces.time
-        columns[at.share : at.end] = range(of_forces.share, of_forces.share + u - frames)
+        first = of_forces.multipliers
+        columns[at.multipliers : at.end] = range(first, first + u - frames)
     return blocks
 
 

@@ -14,9 +14,9 @@ effects, which are as these state them (:mod:`multiarm.dynamics.force_derivative
 and effects are *local*, an arm's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this arm
 and of the object only, and :math:`f_o` on the object's.
 
-*What arms share by a control law*, six numbers s (:mod:`multiarm.dynamics.control_laws`), are six
-more unknowns: with them an arm's torques are local too, and there are six more equations
-:math:`F_s = \sum_i r_i - w = 0`.
+*The multipliers* s of a control law (:mod:`multiarm.dynamics.control_laws`) are six more unknowns:
+with them an arm's torques are local too, and the wrench balance :math:`F_s = \sum_i r_i - w = 0`
+is six more equations.
 
 *Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
 :math:`\chi = d\dot v_o`, and then the object by its mobility,
@@ -30,12 +30,12 @@ more unknowns: with them an arm's torques are local too, and there are six more 
     B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
           - \partial_o (M_o \dot v_o - f_o)\Big) .
 
-With s the *shared* unknowns are twelve: :math:`\chi` has ds below it, U the columns of s beside
+With s the *couplings* are twelve: :math:`\chi` has ds below it, U the columns of s beside
 its own, S the rows :math:`(0, \partial F_s / \partial s)`, and the right sides of B the rows
 :math:`-\partial r_i, -\sum_i \partial_o r_i`.
 
 *Powers* of local forces are those of the forces on each joint and on the object, so that each arm
-has its own share of them; their derivatives follow by the product rule.
+has its own part of them; their derivatives follow by the product rule.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def differentiate_arms(step, blocks, t, h):
     step.stage.evaluations += differences.evaluations
     if status != OK:
         return status
-    gather_share(blocks, data)
+    gather_balance(blocks, data)
     return OK if usable and solve_arms(blocks, work) else NOT_FINITE
 
 
@@ -167,21 +167,21 @@ def gather(blocks, data, work, power, of_drives):
             blocks.by_object[l, c] -= slope
             power_slope += slope * data.state.object_twist[l]
         if power >= 0:
-            blocks.by_object[blocks.shared + total, c] += power_slope
+            blocks.by_object[blocks.couplings + total, c] += power_slope
         if 0 <= power < total:
-            blocks.by_object[blocks.shared + power, c] += power_slope
+            blocks.by_object[blocks.couplings + power, c] += power_slope
 
 
 @kernel
-def gather_share(blocks, data):
-    """Add the derivatives of the equations of what arms share by a law."""
+def gather_balance(blocks, data):
+    """Add the derivatives of the wrench balance that determines a law's multipliers."""
     of_forces, at, o = force_columns(data), block_columns(blocks), blocks.frames
-    for l in range(blocks.shared - o):
-        slopes = data.slopes.share[l]
+    for l in range(blocks.couplings - o):
+        slopes = data.slopes.balance[l]
         for c in range(2 * o):
             blocks.by_object[o + l, c] += slopes[c]
-        for c in range(blocks.shared - o):
-            blocks.S[o + l, o + c] += slopes[of_forces.share + c]
+        for c in range(blocks.couplings - o):
+            blocks.S[o + l, o + c] += slopes[of_forces.multipliers + c]
         for i in range(blocks.counts.size):
             for c in range(at.states):
                 source = blocks.sources[i, c]
@@ -197,7 +197,7 @@ def factor_arms(blocks, data, work):
     """Factors of the arms' equations, and ``M_o`` in S; returns whether they can be used."""
     usable, S, K = True, blocks.S, open_equations(blocks.equations).K
     frames = blocks.frames
-    for l in range(blocks.shared):
+    for l in range(blocks.couplings):
         clear(S[l])
         for c in range(frames):
             S[l, c] = data.bodies.object_inertia[l, c] if l < frames else 0.0
@@ -215,7 +215,7 @@ def factor_arms(blocks, data, work):
 @kernel
 def solve_arms(blocks, work):
     """From the derivatives of F to those of the accelerations; returns whether it succeeded."""
-    S, u, K = blocks.S, blocks.shared, open_equations(blocks.equations).K
+    S, u, K = blocks.S, blocks.couplings, open_equations(blocks.equations).K
     at, of_object = block_columns(blocks), blocks.by_object.shape[1]
     for l in range(u):
         for c in range(of_object):
@@ -263,12 +263,12 @@ def write_time_slope(blocks, struct, slope):
     for l in range(blocks.frames):
         slope[places.velocity + l] = blocks.by_object[l, time]
     for k in range(blocks.works):
-        slope[places.works + k] = blocks.by_object[blocks.shared + k, time]
+        slope[places.works + k] = blocks.by_object[blocks.couplings + k, time]
     for i in range(blocks.counts.size):
         A, first = blocks.derivatives[i], places.rates + work.first_joint[i]
         for j in range(work.first_joint[i + 1] - work.first_joint[i]):
             s = A[j, at.time]
-            for l in range(blocks.shared):
+            for l in range(blocks.couplings):
                 s += A[j, at.accelerations + l] * blocks.by_object[l, time]
             slope[first + j] = s
         for k in range(blocks.counts[i]):

@@ -2,8 +2,8 @@ r"""The linear systems of a Rosenbrock method's stages, arm by arm: linear in th
 
 With the blocks A, B, U of :mod:`multiarm.integration.arm_blocks`, a stage has the unknowns
 :math:`k_i`, the rates of an arm's velocities and effects' states, those of the object :math:`k_o`,
-and :math:`\chi`, the derivatives along the stage of what all arms share: the object's
-acceleration, and the numbers that they share by a control law.  With R of
+and :math:`\chi`, the derivatives along the stage of the couplings: the object's acceleration, and
+the multipliers of a control law.  With R of
 :mod:`multiarm.integration.rosenbrock`, right-hand sides r (x: of the object's pose, q: of the
 joints' positions) and the first six of :math:`\chi`, these rates are functions of the others,
 
@@ -42,7 +42,7 @@ def factor_stages(gamma, blocks, struct, velocity, h):
     """Factors of the stages' systems; returns whether they can be used."""
     _, _, work = open_system(struct)
     d, at, node, usable = blocks.d, block_columns(blocks), blocks.node, True
-    u = blocks.shared
+    u = blocks.couplings
     for l in range(u):
         clear(node[l])
         along_object(gamma, h, velocity, blocks.by_object[l], blocks.frames, node[l])
@@ -122,7 +122,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
     chi, k_o, frames = blocks.chi, blocks.rates, blocks.frames
     clear(chi)
     write_object_rates(gamma, h, velocity, places, right, chi, k_o)
-    for l in range(blocks.shared):
+    for l in range(blocks.couplings):
         s = 0.0
         for c in range(k_o.size):
             s += blocks.by_object[l, c] * k_o[c]
@@ -140,14 +140,14 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
                 s += gamma * row[c] * right[places.joints + d0 + c]
             k_i[r] = right[unknown_place(blocks, i, places, d0, joints, r)] + h * s
         solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
-        for l in range(blocks.shared):
+        for l in range(blocks.couplings):
             s = 0.0
             for c in range(joints):
                 s += gamma * B[l, c] * right[places.joints + d0 + c]
             for c in range(size):
                 s += D[l, c] * k_i[c]
             chi[l] += s
-    solve_lu(blocks.node, blocks.shared, blocks.node_pivots, chi)
+    solve_lu(blocks.node, blocks.couplings, blocks.node_pivots, chi)
     write_object_rates(gamma, h, velocity, places, right, chi, k_o)
     for l in range(frames):
         out[l], out[places.velocity + l] = k_o[l], k_o[frames + l]
@@ -155,7 +155,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
         d0, joints = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
         for r in range(joints + blocks.counts[i]):
             s = blocks.unknowns[i, r]
-            for l in range(blocks.shared):
+            for l in range(blocks.couplings):
                 s += blocks.V[i, r, l] * chi[l]
             out[unknown_place(blocks, i, places, d0, joints, r)] = s
             if r < joints:
@@ -188,7 +188,7 @@ def add_powers(gamma, blocks, work, places, h, right, out):
     """Rates of the works along the rates of the state, which are known."""
     at, first = block_columns(blocks), blocks.d + blocks.m + blocks.e
     for k in range(blocks.works):
-        total, row = 0.0, blocks.by_object[blocks.shared + k]
+        total, row = 0.0, blocks.by_object[blocks.couplings + k]
         for c in range(blocks.rates.size):
             total += row[c] * blocks.rates[c]
         for i in range(blocks.counts.size):
@@ -196,7 +196,7 @@ def add_powers(gamma, blocks, work, places, h, right, out):
             row = blocks.derivatives[i, first + k]
             for c in range(blocks.rates.size):
                 total += row[at.pose + c] * blocks.rates[c]
-            for l in range(blocks.frames, blocks.shared):
+            for l in range(blocks.frames, blocks.couplings):
                 total += row[at.accelerations + l] * blocks.chi[l]
             for j in range(joints):
                 total += row[j] * out[places.joints + d0 + j]

@@ -119,28 +119,28 @@ def derivatives_of(system, stepping):
     n, size = 6 + layout.joints, stepping.step.tolerance.size
     d, m, e = blocks.d, blocks.m, blocks.e
     found, own, own_columns = np.zeros((size + works, size)), 2 * d + e, []
-    u, of_object = blocks.shared, [*range(6), *range(n, n + 6)]
-    shared = np.zeros((u, size))
-    shared[:, of_object] = blocks.by_object[:u, :12]
+    u, of_object = blocks.couplings, [*range(6), *range(n, n + 6)]
+    chi = np.zeros((u, size))
+    chi[:, of_object] = blocks.by_object[:u, :12]
     found[size:, of_object] = blocks.by_object[u:, :12]
     for i, (first, last) in enumerate(itertools.pairwise(layout.first_joint)):
         joints, states = np.arange(first, last), blocks.states[i, : blocks.counts[i]]
         columns = np.r_[6 + joints, n + 6 + joints, 2 * n + states]
         local = np.r_[: last - first, d : d + last - first, 2 * d : 2 * d + states.size]
-        shared[:, columns] = blocks.on_object[i][:, local]
+        chi[:, columns] = blocks.on_object[i][:, local]
         own_columns.append((columns, local))
-    found[n : n + 6] = shared[:6]
+    found[n : n + 6] = chi[:6]
     for i, (first, last) in enumerate(itertools.pairwise(layout.first_joint)):
         A, (columns, local) = blocks.derivatives[i], own_columns[i]
         rows = n + 6 + np.arange(first, last)
         found[np.ix_(rows, columns)] = A[: last - first, local]
         found[np.ix_(rows, np.r_[:6, n : n + 6])] = A[: last - first, own : own + 12]
-        found[rows] += A[: last - first, own + 13 :] @ shared
+        found[rows] += A[: last - first, own + 13 :] @ chi
         states = columns[2 * (last - first) :]
         found[np.ix_(states, columns)] = A[d + m : d + m + states.size, local]
         found[np.ix_(states, of_object)] = A[d + m : d + m + states.size, own : own + 12]
-        found[states] += A[d + m : d + m + states.size, own + 19 :] @ shared[6:]
+        found[states] += A[d + m : d + m + states.size, own + 19 :] @ chi[6:]
         found[size:, columns] += A[d + m + e :, local]
         found[size:, of_object] += A[d + m + e :, own : own + 12]
-        found[size:] += A[d + m + e :, own + 19 :] @ shared[6:]
+        found[size:] += A[d + m + e :, own + 19 :] @ chi[6:]
     return found[n:, :n], found[n:, n:]

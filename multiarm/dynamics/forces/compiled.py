@@ -70,7 +70,7 @@ def static_forces(W_o, weight, force):
     lever arm.
     """
     y = np.empty(6)
-    share_wrench(W_o, weight, y)
+    write_multipliers(W_o, weight, y)
     for k in range(W_o.shape[0]):
         force[k] = 0.0
         for i in range(6):
@@ -78,8 +78,8 @@ def static_forces(W_o, weight, force):
 
 
 @allocating
-def share_wrench(W_o, wrench, y):
-    """Write the ``y`` of these forces :math:`W_o^T y` for a wrench (6,)."""
+def write_multipliers(W_o, wrench, y):
+    """Write the multipliers ``y`` of these forces :math:`W_o^T y` for a wrench (6,)."""
     A, b, scale = np.empty((6, 6)), np.empty(6), np.empty(6)
     write_wrench_products(W_o, A, scale)
     for i in range(6):
@@ -91,7 +91,7 @@ def share_wrench(W_o, wrench, y):
 
 @kernel
 def pressing_wrench(rotation, on_object, world):
-    """Write an arm's wrench of :func:`share_load` in world axes; returns whether there is any."""
+    """Write an arm's wrench on the object in world axes; returns whether there is any."""
     presses = False
     for a in range(6):
         world[a], presses = 0.0, presses or on_object[a] != 0.0
@@ -103,7 +103,7 @@ def pressing_wrench(rotation, on_object, world):
 
 
 @allocating
-def share_load(wrench, W_o, rows, rotation, of_contacts, of_arms, force):
+def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_arms, force):
     r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
 
     Parameters
