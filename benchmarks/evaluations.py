@@ -35,7 +35,7 @@ from timing import (
 )
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.start import project_velocity
+from multiarm.assembly.start import project_start
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
@@ -146,7 +146,8 @@ def moving_state(system: System, seed: int) -> State:
     """The start with a random velocity of some tenths [rad/s, m/s] that the joints allow."""
     state = system.initial_state()
     state.velocity[:] = 0.3 * np.random.default_rng(seed).normal(size=state.velocity.size)
-    return project_velocity(system, state)
+    with system.borrow() as data:
+        return project_start(data, system.scene, state)[0]
 
 
 def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from multiarm.assembly.loop_closure import Linkage, close_gaps, projection_tolerance
+from multiarm.assembly.linkage import Linkage, projection_tolerance
+from multiarm.assembly.loop_closure import close_gaps
 from multiarm.control.object_path import pose_of, quintic, route
 from multiarm.control.program import JointPath
 from multiarm.dynamics.data import Data

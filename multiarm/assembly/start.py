@@ -29,15 +29,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from multiarm.assembly.loop_closure import (
+from multiarm.assembly.linkage import (
     Linkage,
-    close_gaps,
     gap_rates_by_arm,
     gaps_by_arm,
     joints_at_limit,
     projection_tolerance,
     scene_size,
 )
+from multiarm.assembly.loop_closure import close_gaps
 from multiarm.assembly.robots import Robots
 from multiarm.assembly.start_faults import cannot_close, inside, too_far
 from multiarm.contacts.motion import BodyMotion
@@ -47,10 +47,8 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import lost_contact, require_ok
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
-from multiarm.dynamics.status import OK
-from multiarm.dynamics.system import StartReport, System
+from multiarm.dynamics.system import StartReport
 from multiarm.errors import ModelError, SceneError
-from multiarm.integration.projection import project_velocities
 from multiarm.integration.reporting_guards import contacts_off_patch
 from multiarm.jit.rows import fields_of
 from multiarm.scene import Scene
@@ -195,21 +193,6 @@ def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartR
             + "\n".join(f"  {fault}" for fault in error.faults)
             + "\n`system.initial_state()` satisfies the joints; begin near it"
         ) from error
-
-
-def project_velocity(system: System, state: State) -> State:
-    """Project the velocities of a state on the constraints, in the inertia metric (thesis, 4.2).
-
-    The correction is the one that loses the least kinetic energy: an inelastic impact that closes
-    all gap rates.  Positions stay.
-    """
-    with system.borrow() as data:
-        place_state(data, 0.0, state)
-        status = update_kinematics(data.struct)
-        if status == OK:
-            status = project_velocities(data.struct)
-        require_ok(data, status)
-        return data.get_state()
 
 
 def check_patches(data: Data, start: State) -> None:

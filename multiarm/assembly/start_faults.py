@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.assembly.loop_closure import (
-    FARTHEST,
-    MOST_STEPS,
-    Closing,
+from multiarm.assembly.linkage import (
     Linkage,
-    Outcome,
     gaps_by_arm,
     joints_at_limit,
     projection_tolerance,
 )
+from multiarm.assembly.loop_closure import FARTHEST, MOST_STEPS, Closing, Outcome
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.data import Data

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.assembly.loop_closure import scene_size
+from multiarm.assembly.linkage import scene_size
 from multiarm.assembly.postures import overlapping_links
 from multiarm.control.gravity_compensation import uncarried_weight
 from multiarm.dynamics.system import System

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Set
 
-from multiarm.assembly.loop_closure import scene_size
+from multiarm.assembly.linkage import scene_size
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.contact_geometry import patch_margin

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.loop_closure import projection_tolerance
+from multiarm.assembly.linkage import projection_tolerance
 from multiarm.assembly.start import project_start
 from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics import evaluation

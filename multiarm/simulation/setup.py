@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multiarm.assembly.loop_closure import projection_tolerance, scene_size
+from multiarm.assembly.linkage import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics

@@ -21,7 +21,7 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.loop_closure import projection_tolerance
+from multiarm.assembly.linkage import projection_tolerance
 from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError, SceneError
 

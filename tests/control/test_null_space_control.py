@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics import panda_trio, ur5_pair
+from mechanics import panda_trio, project_velocity, ur5_pair
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.assembly.inverse_kinematics import InverseKinematics
-from multiarm.assembly.start import project_velocity
 from multiarm.control.null_space import nearest_accelerations
 from multiarm.errors import SceneError
 

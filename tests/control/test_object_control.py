@@ -6,14 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import G, panda_trio, single_arm, two_arm_block, ur5_pair
+from mechanics import G, panda_trio, project_velocity, single_arm, two_arm_block, ur5_pair
 from refusals import refused
 from repository import SCENES
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.control.object_control import write_spring_wrench
 from multiarm.control.object_law import ObjectLaw
 from multiarm.control.object_path import PosePath

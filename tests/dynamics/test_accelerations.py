@@ -21,6 +21,7 @@ from mechanics import (
     plain_gaps,
     plain_system,
     planar_pair,
+    project_velocity,
     random_state,
     scene_of,
     single_arm,
@@ -35,7 +36,6 @@ from repository import SCENES, WORKED
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.errors import ModelError
 from multiarm.scene import Pose
 

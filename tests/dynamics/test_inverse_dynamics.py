@@ -8,6 +8,7 @@ from mechanics import (
     first_difference,
     panda_trio,
     planar_pair,
+    project_velocity,
     two_arm_block,
     ur5_pair,
 )
@@ -16,7 +17,6 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.forces.internal_forces import InternalForces
 from multiarm.errors import GraspError, ModelError, SolverError
 

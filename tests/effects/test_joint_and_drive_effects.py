@@ -12,6 +12,7 @@ import pytest
 from mechanics import (
     chain_urdf,
     data_of,
+    project_velocity,
     random_state,
     scene_of,
     single_arm,
@@ -22,7 +23,6 @@ from random_scenes import random_scene
 from refusals import refused
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import EFFECTS
 from multiarm.errors import SceneError
 

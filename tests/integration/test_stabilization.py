@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import data_of, plain_gaps, plain_system, random_state, ur5_pair
+from mechanics import data_of, plain_gaps, plain_system, project_velocity, random_state, ur5_pair
 from repository import WORKED
 from steps import state_of
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.equations import evaluate_projected, evaluate_state, keeps_factors
 from multiarm.dynamics.status import OK
 from multiarm.integration.projection import FEEDBACK_RATIO, project

@@ -13,7 +13,7 @@ from mechanics import (
 from refusals import refused
 
 import multiarm as ma
-from multiarm.assembly.loop_closure import projection_tolerance, scene_size
+from multiarm.assembly.linkage import projection_tolerance, scene_size
 from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ControlError, ModelError

@@ -8,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from event_scenes import AS_WRITTEN, AWAY, AWAY_HEIGHT, arm, ball, scene
-from mechanics import scene_of, single_arm, state_at
+from mechanics import project_velocity, scene_of, single_arm, state_at
 from refusals import refused
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.contacts.surfaces import QUERY_WIDTH, Query, local_distance
 from multiarm.contacts.table import pack
 from multiarm.errors import SceneError

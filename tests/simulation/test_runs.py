@@ -14,6 +14,7 @@ from mechanics import (
     panda_trio,
     plain_system,
     planar_pair,
+    project_velocity,
     random_state,
     two_arm_block,
     ur5_pair,
@@ -24,7 +25,6 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.errors import ControlError, ModelError, SceneError, TrajectoryError
 from multiarm.integration.methods import stepping_of
 from multiarm.problems import ring_of_arms

@@ -15,12 +15,12 @@ from linkages import compiled, state_on
 from matrix_systems import system_matrices
 from mechanics import (
     data_of,
+    project_velocity,
     single_arm,
     state_at,
 )
 
 import multiarm as ma
-from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.residuals import constraint_residual

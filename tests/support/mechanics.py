@@ -1,7 +1,8 @@
 """Systems with known mechanics, and plain NumPy statements of what the kernels compute.
 
-Except for ``kernel_rows``, nothing here calls the package's kernels: gaps come from poses and
-surfaces as a textbook draws them, rates from their differences, poses from Pinocchio's kinematics.
+Except for ``kernel_rows`` and ``project_velocity``, nothing here calls the package's kernels: gaps
+come from poses and surfaces as a textbook draws them, rates from their differences, poses from
+Pinocchio's kinematics.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.table import PAIR, Code, ContactTable, pack
+from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.variables import Status
 from multiarm.geometry.records import (
     CONE,
@@ -38,6 +42,7 @@ from multiarm.geometry.records import (
     SURFACE_ON_OBJECT,
     TORUS,
 )
+from multiarm.integration.projection import project_velocities
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 from multiarm.jit.rows import fields_of
@@ -206,6 +211,19 @@ def random_state(system, rng, turn: float = 0.3, speed: float = 1.0):
             arm: speed * rng.standard_normal(q.size) for arm, q in start.joint_positions.items()
         },
     )
+
+
+def project_velocity(system, state):
+    """The state with velocities on the constraints, as a run projects them (thesis, 4.2).
+
+    The correction is the one that loses the least kinetic energy: an inelastic impact that closes
+    all gap rates.
+    """
+    with system.borrow() as data:
+        place_state(data, 0.0, state)
+        require_ok(data, update_kinematics(data.struct))
+        require_ok(data, project_velocities(data.struct))
+        return data.get_state()
 
 
 def state_at(system, run, k):
