@@ -169,6 +169,10 @@ class Layout:
             *configuration.shape[:-1], self.frames, 7
         )
 
+    def quaternions(self, configuration: np.ndarray) -> np.ndarray:
+        """Orientations of the frames, quaternions xyzw; a view, shape (..., F, 4)."""
+        return self.poses(configuration)[..., 3:]
+
     def joint_positions(self, configuration: np.ndarray) -> np.ndarray:
         """Positions of all joints [rad or m]; a view, shape (..., n)."""
         return configuration[..., 7 * self.frames :]
@@ -180,6 +184,11 @@ class Layout:
     def joint_rates(self, velocity: np.ndarray) -> np.ndarray:
         """What a vector like a velocity has of all joints; a view, shape (..., n)."""
         return velocity[..., self.of_joints]
+
+    @property
+    def turns(self) -> list[slice]:
+        """The angular part of each frame in a velocity; of a displacement, its rotation vector."""
+        return [slice(TWIST * f + 3, TWIST * (f + 1)) for f in range(self.frames)]
 
     @property
     def of_frames(self) -> slice:

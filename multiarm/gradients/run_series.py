@@ -110,7 +110,8 @@ class RunSeries:
     def states(self, times: list[float]) -> list[State]:
         """The states at some times within one panel."""
         numbers, _ = self.series(times[0]).at(times)
-        numbers[:, 3:7] /= np.linalg.norm(numbers[:, 3:7], axis=1, keepdims=True)
+        quaternions = self._layout.quaternions(numbers)
+        quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
         return [self._state(row) for row in numbers]
 
     def series(self, t: float) -> Series:

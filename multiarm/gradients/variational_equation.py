@@ -37,6 +37,9 @@ from multiarm.assembly.linkage import projection_tolerance
 from multiarm.assembly.start import project_start
 from multiarm.contacts.table import TANGENT, Code
 from multiarm.dynamics import evaluation
+from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import State
@@ -110,9 +113,9 @@ def state_matrices(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
     at, size = layout.columns, 2 * layout.nv
     A, B = np.zeros((size, size)), np.zeros((size, layout.joints))
     A[layout.displacement_columns, layout.velocity_columns] = 1.0
-    for f, twist in enumerate(layout.twists(derivatives.evaluation.state.velocity)):
-        turn = slice(6 * f + 3, 6 * f + 6)
-        A[turn, turn] = skew(twist[3:])
+    v = derivatives.evaluation.state.velocity
+    for turn in layout.turns:
+        A[turn, turn] = skew(v[turn])
     for velocity, acceleration in (
         ("object_twist", "object_acceleration"),
         ("joint_velocities", "joint_accelerations"),
@@ -175,6 +178,7 @@ class Parameter:
         self.path, self.size = path, positive(f"parameters[{path!r}]", size)
         self._system, step = system, PART * self.size
         self._weights = np.array(CENTRAL_4.weights) / step
+        self._gap_roundings = _gap_roundings(system)
         self._systems = [
             _with_value(system, path, value + offset * step) for offset in CENTRAL_4.offsets
         ]
@@ -240,7 +244,8 @@ class Parameter:
         moves = np.zeros((len(systems), 2 * state.layout.nv))
         evaluated = [self._evaluated(system, t, state) for system in systems]
         gaps = np.array([residuals for _, residuals in evaluated])
-        if np.ptp(gaps, axis=0).max(initial=0.0) > self._closed(state):
+        fastest = max(1.0, np.abs(state.velocity).max())
+        if np.ptp(gaps, axis=0).max(initial=0.0) > self._gap_roundings * fastest:
             C = motions.constraint
             lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
             closing = np.linalg.pinv(C / lengths[:, None], SYSTEM_TOLERANCE) / lengths
@@ -254,12 +259,6 @@ class Parameter:
         rate = np.zeros(2 * state.layout.nv)
         rate[state.layout.velocity_columns] = weights @ [changes for changes, _ in evaluated]
         return rate, weights @ moves
-
-    def _closed(self, state: State) -> float:
-        """Changes of gaps [m] and gap rates [m/s] that are roundings, at a state."""
-        with self._system.borrow() as data:
-            fastest = np.abs(state.velocity).max()
-            return projection_tolerance(data) * max(1.0, fastest)
 
     def _evaluated(self, system: System, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Accelerations of one system, and its gaps and gap rates."""
@@ -289,6 +288,14 @@ def _jump(changes: np.ndarray, roundings: float) -> bool:
     curvatures = 0.25 * (far_ahead + far_back) - (ahead + back)
     uneven, largest = np.abs([slopes, curvatures]).max(), np.abs([ahead, back]).max()
     return bool(uneven > roundings + UNEVEN * largest)
+
+
+def _gap_roundings(system: System) -> float:
+    """Gaps that are roundings of the coordinates at the scene's start [m]."""
+    with system.borrow() as data:
+        place_state(data, 0.0, system.initial_state())
+        require_ok(data, update_kinematics(data.struct))
+        return projection_tolerance(data)
 
 
 def _start(system: System, state: State | None) -> State:

@@ -256,9 +256,8 @@ def linearise(
     velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])
     ev, positions, rates = D.evaluation, list(at.positions), list(at.velocities)
     chart, v0 = velocities.copy(), ev.state.velocity
-    for f, twist in enumerate(layout.twists(v0)):
-        turn = slice(6 * f + 3, 6 * f + 6)
-        chart[turn, :p] += 0.5 * np.cross(twist[3:], at.displacement[turn], axisb=0, axisc=0)
+    for turn in layout.turns:
+        chart[turn, :p] += 0.5 * np.cross(v0[turn], at.displacement[turn], axisb=0, axisc=0)
     inner = D.rows["effect_state_rates"]
     first_force = D.rows["contact_forces"].start
     forces = np.r_[D.rows["contact_forces"]]

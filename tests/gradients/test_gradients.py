@@ -440,16 +440,35 @@ def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, 
             parameter.of_start(0.0, state)
 
 
-def test_numbers_that_move_the_joints_move_the_run_with_them():
-    """Where a contact's place is a number of the scene, nearby motions obey other constraints."""
+PLACE_OF_A_JOINT = "joints[1].at.xyz[2]"
+
+
+def pair_with_written_joints():
+    """Two arms whose joints' places on the object are numbers of the scene."""
     joints = [{"kind": "ball"}, {"kind": "revolute"}]
     for joint, frame in zip(
         joints, ma.compile_system(ur5_pair(*joints)).frames.values(), strict=True
     ):
         turn = Rotation.from_matrix(frame.on_object[:3, :3])
         joint["at"] = {"xyz": frame.on_object[:3, 3].tolist(), "rpy": turn.as_euler("xyz").tolist()}
-    scene = ur5_pair(*joints, control=OPEN_LOOP)
-    path, T = "joints[1].at.xyz[2]", 0.4
+    return ur5_pair(*joints, control=OPEN_LOOP)
+
+
+def test_which_numbers_move_the_joints_does_not_depend_on_what_was_evaluated_before():
+    """Changes of gaps count from 100 roundings of the scene's coordinates on, at its start."""
+    system = ma.compile_system(pair_with_written_joints())
+    parameter, state = Parameter(system, PLACE_OF_A_JOINT), system.initial_state()
+    motions = ma.derivatives(system, 0.0, state).motions
+    _, expected = parameter.at(0.0, state, motions)
+    assert np.abs(expected).max() > 0.1
+    ma.evaluate(system, 0.0, system.state(object_position=[1e13, 0.0, 0.0]))
+    _, offset = parameter.at(0.0, state, motions)
+    np.testing.assert_array_equal(offset, expected)
+
+
+def test_numbers_that_move_the_joints_move_the_run_with_them():
+    """Where a contact's place is a number of the scene, nearby motions obey other constraints."""
+    scene, path, T = pair_with_written_joints(), PLACE_OF_A_JOINT, 0.4
     system = ma.compile_system(scene)
     # the start is assembled by iterations, which is smooth to about this part
     smooth = 1e-5
