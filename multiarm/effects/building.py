@@ -46,7 +46,7 @@ class Link(NamedTuple):
     translation: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass
 class BuildContext:
     """The system for which an effect is built.
 
@@ -59,7 +59,7 @@ class BuildContext:
     outlines : dict of str to tuple of JointOutline
         Each arm's joints as its URDF has them.
     links : list of (int, int)
-        Arm and joint of every link that some effect acts on.
+        Arm and joint of every link that some effect acts on; :meth:`link` adds them.
     """
 
     scene: Scene

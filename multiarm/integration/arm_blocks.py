@@ -125,13 +125,13 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     layout, effects = data.model.layout, data.model.effects
     n, d = layout.owner_count, max(layout.joint_counts)
     m, works = max(layout.contact_counts), step.z.size - step.tolerance.size
-    owned: list[list[int]] = [[] for _ in range(n)]
+    states_by_arm: list[list[int]] = [[] for _ in range(n)]
     if effects.local:
         state_joints = [joint for effect in effects.kernels for joint in effect.state_joints]
         for state, joint in enumerate(state_joints):
-            owned[layout.arm_of_joint(joint)].append(state)
-    e = max(map(len, owned))
-    own_columns, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
+            states_by_arm[layout.arm_of_joint(joint)].append(state)
+    e = max(map(len, states_by_arm))
+    of_arm, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants
     distributes = len(constants.control) > 0 and constants.control_reach == CARRYING
     u, of_object = (2 if distributes else 1) * frames, 2 * frames + 1
@@ -142,14 +142,14 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         works=works,
         frames=frames,
         couplings=u,
-        counts=np.array(list(map(len, owned)), dtype=np.int64),
+        counts=np.array(list(map(len, states_by_arm)), dtype=np.int64),
         states=np.full((n, e), -1, dtype=np.int64),
-        sources=np.full((n, own_columns + of_object + u), -1, dtype=np.int64),
+        sources=np.full((n, of_arm + of_object + u), -1, dtype=np.int64),
         powers=effects.powers,
         equations=equations,
         differences=ForceDifferences(local=1, laws=len(constants.control) - distributes, order=1),
-        derivatives=np.zeros((n, rows, own_columns + of_object + u)),
-        on_object=np.zeros((n, u, own_columns)),
+        derivatives=np.zeros((n, rows, of_arm + of_object + u)),
+        on_object=np.zeros((n, u, of_arm)),
         by_object=np.zeros((u + works, of_object)),
         W_o=np.zeros((layout.contacts, frames)),
         K_pivots=np.zeros((n, d + m), dtype=np.int64),
@@ -167,7 +167,7 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     )
     at = block_columns(blocks)
     of_forces = columns_of_forces(layout.nv, layout.joints, effects.states)
-    for i, states in enumerate(owned):
+    for i, states in enumerate(states_by_arm):
         joints, columns = np.arange(layout.joints)[layout.joints_of(i)], blocks.sources[i]
         blocks.states[i, : len(states)] = states
         columns[: joints.size] = of_forces.positions + joints

@@ -258,17 +258,14 @@ def add_friction_power(struct, full):
     first = data.state.velocity.size + data.effects.states.size
     for s in range(slides.row.size):
         i, mu, row = slides.arm[s], slides.mu[s], slides.row[s]
-        own, pull = (
-            arm_columns(work.first_joint[i + 1] - work.first_joint[i], False),
-            mu * data.rows.force[row],
-        )
+        of_arm = arm_columns(work.first_joint[i + 1] - work.first_joint[i], False)
+        pull = mu * data.rows.force[row]
         respond_to_forces(data, full, data.state.velocity.size + row)
         for c in range(full.row.size):
             full.row[c] *= mu * slides.speed[s]
-        for c in range(own.end):
-            full.row[column_of_state(columns, own, work.first_joint[i], c)] += (
-                pull * friction.speed[s, c]
-            )
+        for c in range(of_arm.end):
+            column = column_of_state(columns, of_arm, work.first_joint[i], c)
+            full.row[column] += pull * friction.speed[s, c]
         for power in (slides.numbers.power, data.effects.power.size - 1):
             of_power = full.applied[first + power]
             for c in range(full.row.size):

@@ -7,23 +7,14 @@ Functions read a run in blocks, so that memory does not grow with its length.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.results.recorded_run import RecordedRun
+
 ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
 """Channels of which the energy balance is made."""
-
-
-class Energies(Protocol):
-    """What a `Trajectory` tells of its energies."""
-
-    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Samples start..stop of a channel."""
-
-    def blocks(self, *names: str) -> Iterator[list[np.ndarray]]:
-        """The same samples of the named channels, a bounded number at a time."""
 
 
 class Imbalance(NamedTuple):
@@ -54,13 +45,13 @@ def energy_balance(
     return kinetic + potential - at_start - work
 
 
-def energy_at_start(run: Energies) -> float:
+def energy_at_start(run: RecordedRun) -> float:
     """Energy less work done at the first sample [J]: the energy at the start, if exact."""
     kinetic, potential, work = (run.read(name, 0, 1).sum() for name in ENERGIES)
     return float(kinetic + potential - work)
 
 
-def largest_imbalance(run: Energies) -> Imbalance:
+def largest_imbalance(run: RecordedRun) -> Imbalance:
     """The largest magnitude of the energy balance of a run with samples."""
     at_start = energy_at_start(run)
     worst, sample, exchanged, first = -1.0, 0, abs(at_start), 0

@@ -17,14 +17,15 @@ taken at the stored samples: a peak between two of them is not seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, arm_channel
+from multiarm.results.channels import arm_channel
+from multiarm.results.recorded_run import RecordedRun
 
 LIMITS = "joint_limits"
 """Entry of a run's provenance: arm -> limits of its joints, see :func:`limits_record`."""
@@ -40,25 +41,6 @@ _REMEDIES = {
     "range": "take another posture or base, or let the joint stop there "
     "(`effects: {joint_limits: urdf}`)",
 }
-
-
-class Samples(Protocol):
-    """What a `Trajectory` tells of its joints."""
-
-    @property
-    def arm_names(self) -> tuple[str, ...]:
-        """Names of the arms, in the order of the scene."""
-
-    @property
-    def channels(self) -> Mapping[str, Channel]:
-        """Recorded quantities by name."""
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """With the entry LIMITS."""
-
-    def blocks(self, *names: str) -> Iterator[list[np.ndarray]]:
-        """The same samples of the named channels, a bounded number at a time."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +103,7 @@ def limits_record(
     return {"effort": efforts.tolist(), "speed": speeds.tolist(), "range": ranges.tolist()}
 
 
-def joint_uses(trajectory: Samples) -> list[JointUse]:
+def joint_uses(trajectory: RecordedRun) -> list[JointUse]:
     """The use of the limits by each joint of a run, in the order of the arms, base to tip.
 
     Raises
@@ -165,13 +147,13 @@ def percent(share: float) -> str:
     return "below 0.1 %" if share < 1e-3 else f"{100.0 * share:.3g} %"
 
 
-def largest_shares(trajectory: Samples) -> dict[str, float | None]:
+def largest_shares(trajectory: RecordedRun) -> dict[str, float | None]:
     """The largest share of any joint of a run: of effort, speed and range; None where unknown."""
     largest = peaks(joint_uses(trajectory))
     return {name: None if peak is None else peak.share for name, peak in largest.items()}
 
 
-def limit_summary(trajectory: Samples) -> dict[str, Any]:
+def limit_summary(trajectory: RecordedRun) -> dict[str, Any]:
     """Rows of all joints, and what is largest, in types of JSON."""
     uses = joint_uses(trajectory)
     largest = {name: peak and asdict(peak) for name, peak in peaks(uses).items()}
@@ -207,7 +189,7 @@ def _interval(entry: Any) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def _largest(trajectory: Samples, channel: str, bounds: np.ndarray) -> list[Share | None]:
+def _largest(trajectory: RecordedRun, channel: str, bounds: np.ndarray) -> list[Share | None]:
     """For each column of a channel the largest share of its bounds, the first of equal ones."""
     known = np.isfinite(bounds).all(axis=1)
     lower, upper = bounds[known].T

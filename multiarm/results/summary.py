@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from multiarm.results.channels import channels_of
-from multiarm.results.energy import Energies, largest_imbalance
-from multiarm.results.limit_use import Samples, limit_summary
-from multiarm.results.outcome import RunStatus, plain
-
-
-class RecordedRun(Samples, Energies, Protocol):
-    """What a `Trajectory` tells of its run."""
-
-    @property
-    def status(self) -> RunStatus:
-        """How it ended."""
-
-    @property
-    def message(self) -> str:
-        """The same in words."""
-
-    @property
-    def statistics(self) -> dict[str, Any]:
-        """Steps, evaluations, wall time and the like."""
-
-    def __len__(self) -> int:
-        """Number of samples."""
+from multiarm.results.energy import largest_imbalance
+from multiarm.results.limit_use import limit_summary
+from multiarm.results.outcome import plain
+from multiarm.results.recorded_run import RecordedRun
 
 
 def summarise(run: RecordedRun) -> dict[str, Any]:
