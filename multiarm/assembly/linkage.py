@@ -29,7 +29,7 @@ from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.failures import arm_inertia_text, require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.jit.rows import fields_of
@@ -150,11 +150,7 @@ class Linkage:
         try:
             return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
         except np.linalg.LinAlgError:
-            raise SolverError(
-                f"the inertia matrix of arm '{data.model.arm_names[i]}' is not positive definite: "
-                f"a joint moves links without mass or inertia; give them some in the URDF, or lock "
-                f"the joint"
-            ) from None
+            raise SolverError(arm_inertia_text(data.model.arm_names[i])) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""

@@ -41,11 +41,7 @@ def failure_text(data: Data, status: int) -> str:
     if lost:
         return lost
     if status == ARM_INERTIA:
-        return (
-            f"the inertia matrix of arm '{_arm_that_failed(data)}' is not positive definite: a "
-            f"joint moves links without mass or inertia; give them some in the URDF, or lock the "
-            f"joint"
-        )
+        return arm_inertia_text(_arm_that_failed(data))
     if status == ARM_NOT_FINITE:
         return (
             f"numbers of arm '{_arm_that_failed(data)}' are not finite; take smaller steps, or "
@@ -68,6 +64,14 @@ def failure_text(data: Data, status: int) -> str:
     if status == KERNEL_FAILED:
         return _kernel_text(data)
     return f"the evaluation failed (status {status})"
+
+
+def arm_inertia_text(arm: str) -> str:
+    """Why the inertia matrix of an arm has no factors, and what to do."""
+    return (
+        f"the inertia matrix of arm '{arm}' is not positive definite: a joint moves links without "
+        f"mass or inertia; give them some in the URDF, or lock the joint"
+    )
 
 
 def _arm_that_failed(data: Data) -> str:
