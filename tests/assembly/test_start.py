@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from commands import multiarm
-from mechanics import UR5_POSTURE, plain_gaps, scene_of, single_arm, ur5_pair
+from mechanics import UR5_POSTURE, plain_gaps, scene_of, single_arm, sledge_urdf, ur5_pair
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +20,7 @@ from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.errors import MultiarmError, SceneError
+from multiarm.errors import MultiarmError, SceneError, SolverError
 from multiarm.problems import HARD_CASES
 from multiarm.scene import Shape, dump_scene
 from multiarm.simulation.inspection import inspect_system
@@ -73,6 +73,14 @@ def test_a_start_whose_gaps_still_shrink_is_not_called_out_of_reach(monkeypatch)
         ma.compile_system(ur5_pair(joint, {"kind": "weld"}))
     assert "steps were too few, left: " in str(caught.value)
     assert "reach" not in str(caught.value)
+
+
+def test_an_arm_that_moves_a_link_without_mass_is_refused(tmp_path):
+    urdf = tmp_path / "sledge.urdf"
+    urdf.write_text(sledge_urdf(mass=0.0))
+    arm = {"urdf": str(urdf), "tip": "tip", "posture": [0.0]}
+    with refused(SolverError, "arm 'a'"):
+        ma.compile_system(scene_of({"a": arm}, [{"arm": "a", "kind": "weld"}]))
 
 
 def test_an_object_out_of_the_arms_reach_gives_way():
