@@ -110,7 +110,7 @@ def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_arms, force):
     ----------
     wrench : (6,)
         About the centre of mass, world axes [N, N m].
-    W_o : (N, 6), rows : int (n + 1,)
+    W_o : (N, 6), rows : int (n + 1,), or longer
         Rows of all contacts in world axes, and where each arm's begin.
     rotation : (9,)
         Of the object, row by row.
@@ -121,7 +121,7 @@ def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_arms, force):
     """
     desired, remaining, world = np.empty(of_contacts.size), np.empty(6), np.empty(6)
     copy(of_contacts, desired)
-    for i in range(rows.size - 1):
+    for i in range(of_arms.shape[0]):
         if pressing_wrench(rotation, of_arms[i], world):
             r0, r1 = rows[i], rows[i + 1]
             static_forces(W_o[r0:r1], world, force[r0:r1])
