@@ -50,5 +50,7 @@ def uncarried_wrench(data: Data) -> np.ndarray:
 
     After the laws have been evaluated in these data; zeros where none commands one.
     """
+    if not data.model.laws:
+        return np.zeros(6)
     rows = data.arrays.rows
     return data.arrays.control.object_wrench - rows.W_o.T @ rows.static_force

@@ -134,7 +134,8 @@ def reset_guards(guards: Guards) -> None:
 
 def forget_forces(guards: Guards) -> None:
     """Let thresholds be parts of the forces from now on."""
-    guards.scales[:] = np.eye(SCALES)[UNIT]
+    guards.scales[:] = 0.0
+    guards.scales[UNIT] = 1.0
 
 
 def turn_round(guards: Guards, g: int) -> None:
