@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mechanics import panda_trio, project_velocity, ur5_pair
+from mechanics import data_of, panda_trio, project_velocity, ur5_pair
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
@@ -130,6 +130,23 @@ def test_an_impedance_draws_the_arm_back_and_leaves_the_object_alone(rng):
     np.testing.assert_allclose(ev.object_acceleration, 0.0, atol=1e-9)
     # over a short time the rate is -k x t, less what the damping takes of it
     np.testing.assert_allclose(speed[-1], -k * away * 2e-3, rtol=0.02, atol=1e-9)
+
+
+def test_over_a_floor_the_targets_of_all_arms_are_independent():
+    """The floor is an owner of contacts without a joint; derivatives stay in closed form."""
+    floor = {"floor": {"at": {"xyz": [0, 0, -0.5]}}}
+    control = {"kind": "object_impedance", **SPRING, "relative_stiffness": 5.0, "squeeze": 10.0}
+    scene = ur5_pair({"kind": "weld"}, {"kind": "ball"}, control=control)
+    torques, slopes = [], []
+    for effects in ({}, floor):
+        system = ma.compile_system(scene.replace(effects=effects))
+        ev = ma.evaluate(system, 0.0, system.initial_state())
+        (command,) = filter(None, data_of(system).closed.law_works)
+        assert command.targets.independent
+        torques.append(np.concatenate([*ev.joint_torques.values()]))
+        slopes.append(ma.derivatives(system).matrix[:12])
+    np.testing.assert_allclose(torques[1], torques[0], atol=1e-9)
+    np.testing.assert_allclose(slopes[1], slopes[0], atol=1e-9 * np.abs(slopes[0]).max())
 
 
 def test_contact_forces_do_not_feel_the_springs(rng):
