@@ -168,11 +168,11 @@ def sample_time(clock, settings, k):
 
 
 @kernel
-def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
-    """Project the state in ``data``, unless ``projected``, and evaluate it; returns a status."""
+def project_and_evaluate(struct, clock, settings, on_joints, t, alpha, beta):
+    """Project the state in ``data`` unless it is ``on_joints``, evaluate it; returns a status."""
     _, data, _ = open_system(struct)
     projects = settings.stabilization == PROJECTION
-    if projects and not projected:
+    if projects and not on_joints:
         status = project(struct, settings.gap_tolerance)
         clock.projections += 1
         clock.evaluations += cost_of_projection(data)
@@ -181,7 +181,7 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
     data.time.now = t
     clock.evaluations += 1
     if projects:
-        status = evaluate_on_branch(struct, settings.gap_tolerance, not projected, alpha, beta)
+        status = evaluate_on_branch(struct, settings.gap_tolerance, not on_joints, alpha, beta)
         clock.evaluations += data.interpolation.numbers.evaluations
         return status
     return evaluate_state(struct, alpha, beta)
@@ -254,16 +254,15 @@ def emit_samples(struct, method, step, clock, settings, block):
         if rows >= block.shape[0]:
             return BLOCK_FULL
         alpha, beta = gains(settings, max(clock.h_before, clock.step))
-        projected = True
-        if due >= t - near:
+        on_joints = due >= t - near
+        if on_joints:
             load_chart(step.z, step.base, data)
             works = step.z[chart_places(data).works :]
         else:
-            projected = False
             interpolate(method, step, (due - clock.t_before) / clock.h_before, step.z_stage)
             load_chart(step.z_stage, step.base_old, data)
             works = step.z_stage[chart_places(data).works :]
-        status = project_and_evaluate(struct, clock, settings, projected, due, alpha, beta)
+        status = project_and_evaluate(struct, clock, settings, on_joints, due, alpha, beta)
         if status != OK:
             return status
         status = record_and_write(struct, due, works, block[rows])

@@ -77,7 +77,7 @@ def halfspaces(normals: Any, offsets: Any) -> Boundary:
     if not lengths.all():
         raise GraspError("half-spaces have directions: no normal is zero")
     n, h = directions / lengths[:, None], levels / lengths
-    inside = _deepest_point(n, h)
+    inside = _centre_of_largest_ball(n, h)
     depths = h - n @ inside
     reach = float(depths.min())
     try:
@@ -97,7 +97,7 @@ def halfspaces(normals: Any, offsets: Any) -> Boundary:
     return Boundary(vertices + inside, [faces[k] for k in order], names, rounding)
 
 
-def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
+def _centre_of_largest_ball(n: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Centre of the largest ball inside the half-spaces, shape (3,).
 
     Far from the origin the first one is rough; the second is solved for about it.

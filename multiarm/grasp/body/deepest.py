@@ -86,7 +86,9 @@ def middle_of(shape: Polygon) -> np.ndarray:
 
     size = float(np.ptp(np.reshape(shape.bounds, (2, 2)), axis=0).max())
     if not shape.interiors and shape.convex_hull.area <= (1.0 + CONVEX) * shape.area:
-        corners = np.array(shapely.orient_polygons(shape).exterior.coords)
+        corners = np.array(
+            shapely.remove_repeated_points(shapely.orient_polygons(shape)).exterior.coords
+        )
         middle = corners[:-1].mean(axis=0)
         ends = (corners - middle) / size
         along = np.diff(ends, axis=0)
