@@ -255,7 +255,7 @@ def _check_settings(scenes: list[Scene], options: Mapping[str, Any]) -> None:
     for run in {id(scene.run): scene.run for scene in scenes}.values():
         run_spec(run, settings)
     if options.get("max_step") is not None:
-        positive("max_step", options["max_step"])
+        positive("max_step", options["max_step"], or_infinite=True)
 
 
 def run_cases(
