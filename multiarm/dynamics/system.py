@@ -6,13 +6,11 @@ An evaluation borrows a :class:`multiarm.dynamics.data.Data` of the
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -32,6 +30,7 @@ from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
+from multiarm.scene.values import is_finite
 
 
 def require_system(system: Any, call: str) -> System:
@@ -61,7 +60,7 @@ def require_time(t: Any) -> float:
     """
     if isinstance(t, State):
         raise ModelError("t: a time [s] is needed, got a state; the order is system, t, state")
-    if not isinstance(t, Real) or not math.isfinite(t):
+    if not is_finite(t):
         raise ModelError(f"t: a finite time [s] is needed, got {shown(t)}")
     return float(t)
 

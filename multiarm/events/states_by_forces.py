@@ -115,10 +115,9 @@ class StatesByForces:
     def keep_closed(self, without_friction: Set[int]) -> None:
         """Hold constraints that hold both ways and have no force, if no other rows do.
 
-        Of the rows of the problem's own constraints, those ``without_friction`` are not held.
+        Rows of the problem that are held in any mode keep contacts closed too; only its
+        constraints' own rows stay in ``held``, and of these not those ``without_friction``.
         """
-        rows = list(self._at)
-        self.held = [k for k in self.held if k < len(rows) and rows[k] not in without_friction]
         for u, constraint in self._constraints.items():
             unloaded = self.states[u] in (ContactState.OPEN, ContactState.RESTING)
             if not (constraint.bilateral and unloaded and self._can_open(constraint)):
@@ -130,6 +129,8 @@ class StatesByForces:
                 self.directions[u] = slip / size
             slides = u in self.directions
             self.states[u] = ContactState.SLIDING if slides else ContactState.TOUCHING
+        rows = list(self._at)
+        self.held = [k for k in self.held if k < len(rows) and rows[k] not in without_friction]
 
     def _can_open(self, constraint: Constraint) -> bool:
         """Whether the held rows let the gap of a constraint move."""

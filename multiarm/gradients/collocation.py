@@ -28,7 +28,6 @@ from numpy.polynomial.legendre import legroots
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 COUNT = 5
-ORDER = 2 * COUNT - 1
 
 
 def _radau(count: int) -> tuple[np.ndarray, np.ndarray]:

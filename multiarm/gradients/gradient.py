@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from multiarm.control.recorded import INTERPOLATIONS, polynomials
 from multiarm.dynamics.sensitivity import ByPath, Sensitivity
 from multiarm.dynamics.state import State, checked_vector
-from multiarm.dynamics.system import System, require_system, require_time
+from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ModelError
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.linearised_run import Done, Linearisation, LinearisedRun, Parameters
@@ -44,7 +44,7 @@ from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.faults import shown, unknown
 from multiarm.scene.registry import called
-from multiarm.simulation.setup import increasing_times, positive
+from multiarm.simulation.setup import finite_time, increasing_times, positive
 from multiarm.terminal.progress import Progress, Report, displayed
 
 __all__ = ["Gradient", "gradient"]
@@ -235,7 +235,7 @@ def gradient(
     for name, function in (("final", final), ("running", running)):
         if function is not None and not callable(function):
             raise ModelError(f"gradient: `{name}` is a function f(t, state), got {shown(function)}")
-    begin, duration = require_time(start_time), positive("duration", duration)
+    begin, duration = finite_time(start_time, "start_time"), positive("duration", duration)
     integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
         linearised = LinearisedRun(

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, require_system, require_time
+from multiarm.dynamics.system import System, require_system
 from multiarm.errors import SceneError
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.linearised_run import Done, Linearisation, LinearisedRun, Parameters
@@ -35,7 +35,7 @@ from multiarm.gradients.variational_equation import TINY
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.setup import increasing_times
+from multiarm.simulation.setup import finite_time, increasing_times
 from multiarm.terminal.progress import Progress, Report, displayed
 
 __all__ = ["Sensitivities", "sensitivities"]
@@ -174,7 +174,8 @@ def sensitivities(
         As of :func:`multiarm.gradient`; also for times that do not increase from the start on.
     """
     system = require_system(system, "ma.sensitivities(system, times)")
-    start, begin = None if state is None else system.checked(state), require_time(start_time)
+    start = None if state is None else system.checked(state)
+    begin = finite_time(start_time, "start_time")
     at = increasing_times(times, "times")
     if at[0] < begin or not at[-1] > begin:
         raise SceneError(

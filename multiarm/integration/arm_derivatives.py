@@ -60,7 +60,7 @@ from multiarm.jit.kernels import clear, inlined, kernel
 
 
 @kernel
-def differentiate_arms(step, blocks, t, h):
+def differentiate_arms(step, blocks, h):
     """Write the derivatives at the beginning of a step, right after its evaluation.
 
     Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular, ``SINGULAR`` where

@@ -167,7 +167,7 @@ def differentiate_anew(step, work, blocks, full, t, h):
     if status != OK:
         return status
     if not step.stage.projects and acts_locally(step) and is_regular(step.system):
-        status = differentiate_arms(step, blocks, t, h)
+        status = differentiate_arms(step, blocks, h)
         if status != SINGULAR:
             work.derived.arm_by_arm = True
             write_time_slope(blocks, step.system, work.time_slope)

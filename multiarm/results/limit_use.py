@@ -103,7 +103,7 @@ def limits_record(
     return {"effort": efforts.tolist(), "speed": speeds.tolist(), "range": ranges.tolist()}
 
 
-def joint_uses(trajectory: RecordedRun) -> list[JointUse]:
+def joint_uses(run: RecordedRun) -> list[JointUse]:
     """The use of the limits by each joint of a run, in the order of the arms, base to tip.
 
     Raises
@@ -111,13 +111,13 @@ def joint_uses(trajectory: RecordedRun) -> list[JointUse]:
     TrajectoryError
         The limits that are stored with the run cannot be read.
     """
-    limits, channels = trajectory.provenance.get(LIMITS, {}), trajectory.channels
+    limits, channels = run.provenance.get(LIMITS, {}), run.channels
     uses = []
-    for arm in trajectory.arm_names:
+    for arm in run.arm_names:
         names = {quantity: arm_channel(arm, channel) for quantity, channel in _CHANNELS.items()}
         joints = next((channels[n].column_labels for n in names.values() if n in channels), ())
         shares = [
-            _largest(trajectory, name, _bounds(limits, arm, quantity, len(joints)))
+            _largest(run, name, _bounds(limits, arm, quantity, len(joints)))
             if name in channels
             else [None] * len(joints)
             for quantity, name in names.items()
@@ -147,15 +147,15 @@ def percent(share: float) -> str:
     return "below 0.1 %" if share < 1e-3 else f"{100.0 * share:.3g} %"
 
 
-def largest_shares(trajectory: RecordedRun) -> dict[str, float | None]:
+def largest_shares(run: RecordedRun) -> dict[str, float | None]:
     """The largest share of any joint of a run: of effort, speed and range; None where unknown."""
-    largest = peaks(joint_uses(trajectory))
+    largest = peaks(joint_uses(run))
     return {name: None if peak is None else peak.share for name, peak in largest.items()}
 
 
-def limit_summary(trajectory: RecordedRun) -> dict[str, Any]:
+def limit_summary(run: RecordedRun) -> dict[str, Any]:
     """Rows of all joints, and what is largest, in types of JSON."""
-    uses = joint_uses(trajectory)
+    uses = joint_uses(run)
     largest = {name: peak and asdict(peak) for name, peak in peaks(uses).items()}
     return {"joints": [use.row() for use in uses], "largest": largest}
 
@@ -189,13 +189,13 @@ def _interval(entry: Any) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def _largest(trajectory: RecordedRun, channel: str, bounds: np.ndarray) -> list[Share | None]:
+def _largest(run: RecordedRun, channel: str, bounds: np.ndarray) -> list[Share | None]:
     """For each column of a channel the largest share of its bounds, the first of equal ones."""
     known = np.isfinite(bounds).all(axis=1)
     lower, upper = bounds[known].T
     columns = np.flatnonzero(known).tolist()
     best: dict[int, Share] = {}
-    for time, values in trajectory.blocks("time", channel):
+    for time, values in run.blocks("time", channel):
         with np.errstate(over="ignore"):  # stored ranges may be as narrow as any
             shares = np.abs(values[:, known] - (lower / 2 + upper / 2)) / (upper / 2 - lower / 2)
         shares = np.minimum(shares, np.finfo(float).max)

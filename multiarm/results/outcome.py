@@ -31,8 +31,11 @@ class Outcome:
     remarks: list[str] = field(default_factory=list)  # what a user should know besides, clauses
 
     def __post_init__(self) -> None:
-        if self.status not in (known := tuple(RunStatus)):
-            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {known}")
+        try:  # files store the word
+            object.__setattr__(self, "status", RunStatus(self.status))
+        except ValueError:
+            known = tuple(RunStatus)
+            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {known}") from None
 
 
 def plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from functools import partial
-from numbers import Integral
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import (
@@ -38,6 +38,14 @@ def _as_float(value: Any) -> float:
 def is_integer(value: Any) -> bool:
     """Whether a value is an integer of Python or NumPy; a truth value is none."""
     return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def is_finite(value: Any) -> bool:
+    """Whether a value is a real number within the range of floats."""
+    try:
+        return isinstance(value, Real) and math.isfinite(value)
+    except OverflowError:  # of an integer or a fraction
+        return False
 
 
 def finite_number(value: Any) -> float:

@@ -24,11 +24,10 @@ to first order,
 The generalised forces :math:`\partial E / \partial q` (weight and the change of the inertia with
 the posture) are differences of the energy at the sample where the balance is worst, the momenta
 :math:`p` those of that sample. For :math:`|\delta q_i|` stands the required accuracy (or else the
-estimated error), for :math:`|\delta v_i|` and :math:`|\delta W|` the largest
-differences that the two runs show. Gaps that are not closed add the work of the contact forces on
-them, :math:`\sum_k |\lambda_k| |\varphi|` and :math:`\sum_k |\lambda_k| \int |\dot\varphi| dt`. The
-sum, times 3 for terms of higher order, plus the rounding of the energies, is the
-bound.
+estimated error), for :math:`|\delta v_i|` and :math:`|\delta W|` the largest differences that the
+two runs show. Gaps that are not closed add the work of the contact forces on them,
+:math:`\sum_k |\lambda_k| |\varphi|` and :math:`\sum_k |\lambda_k| \int |\dot\varphi| dt`. The sum,
+times 3 for terms of higher order, plus the rounding of the energies, is the bound.
 
 **Residual.** A relative error :math:`\rho` of the accelerations moves things by about :math:`\rho`
 times what they move anyway, metres and radians: it must stay below the accuracy. Double precision

@@ -36,6 +36,11 @@ from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
 from multiarm.terminal.progress import ManyRunsProgress, displayed
 
+POLL = 0.05
+"""[s] between two polls of progress and Ctrl-C."""
+
+ManyProgress = Callable[[float, int], None]
+
 
 def simulate_many(
     system: System,
@@ -171,6 +176,8 @@ def describe(
     """The cases of a call of :func:`simulate_many`, all checked before the first one begins."""
     if states is None and parameters is None:
         raise ModelError("simulate_many needs `states`, `parameters`, or equally many of both")
+    if isinstance(states, State):
+        raise ModelError("states is one state; give a list of states, one for each run")
     if isinstance(parameters, Mapping):
         raise ModelError("parameters is one table; give a list of tables, one for each run")
     starts = None if states is None else list(states)
@@ -248,13 +255,7 @@ def _check_settings(scenes: list[Scene], options: Mapping[str, Any]) -> None:
     for run in {id(scene.run): scene.run for scene in scenes}.values():
         run_spec(run, settings)
     if options.get("max_step") is not None:
-        positive("max_step", options["max_step"])
-
-
-POLL = 0.05
-"""[s] between two polls of progress and Ctrl-C."""
-
-ManyProgress = Callable[[float, int], None]
+        positive("max_step", options["max_step"], or_infinite=True)
 
 
 def run_cases(
@@ -285,23 +286,27 @@ def run_cases(
             stopped.set()
 
     count = max(1, min(threads, len(cases)))
-    with deferred_interrupt() as interrupt, ThreadPoolExecutor(count, "multiarm") as pool:
-        try:
-            workers = [pool.submit(work) for _ in range(count)]
-            while wait(workers, POLL).not_done:
-                if interrupt.pressed:
-                    stopped.set()
-                report()
-        finally:
-            stopped.set()  # else the pool would wait for all remaining cases
-    for worker in workers:
-        worker.result()
-    report()
+    with deferred_interrupt() as interrupt:
+        with ThreadPoolExecutor(count, "multiarm") as pool:
+            try:
+                workers = [pool.submit(work) for _ in range(count)]
+                while wait(workers, POLL).not_done:
+                    if interrupt.pressed:
+                        stopped.set()
+                    report()
+            finally:
+                stopped.set()  # else the pool would wait for all remaining cases
+        for worker in workers:
+            worker.result()
+        report()
     never = RunStatus.INTERRUPTED, "stopped by the user before it began"
-    return [
+    runs = [
         empty_result(case, system, *never, write=False) if result is None else result
         for case, result in zip(cases, results, strict=True)
     ]
+    if all(run.status != RunStatus.INTERRUPTED for run in runs):
+        interrupt.deliver()  # it came too late to end a run
+    return runs
 
 
 class _Progress:

@@ -43,6 +43,7 @@ from multiarm.scene import RunSpec
 from multiarm.scene.consistency import carries_all_effects, causes_of_events, method_fault
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, STEPS_CHOSEN_BY, AccuracySpec
+from multiarm.scene.values import is_finite
 from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS
@@ -156,7 +157,7 @@ def finite_time(value: Any, name: str) -> float:
     SceneError
         When it is no finite number.
     """
-    if not isinstance(value, Real) or not math.isfinite(value):
+    if not is_finite(value):
         raise SceneError(f"{name!r} must be a finite time [s], got {shown(value)}")
     return float(value)
 
@@ -274,8 +275,8 @@ def _check_effects(task: Task, name: str) -> None:
         raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
 
 
-def positive(name: str, value: float) -> float:
-    """A setting that must be positive.
+def positive(name: str, value: float, *, or_infinite: bool = False) -> float:
+    """A setting that must be positive and, unless it may be infinite, finite.
 
     Raises
     ------
@@ -283,6 +284,8 @@ def positive(name: str, value: float) -> float:
     """
     if not isinstance(value, Real) or not value > 0.0:
         raise SolverError(f"{name}: must be greater than 0, got {shown(value)}")
+    if not is_finite(value) and not (or_infinite and value == math.inf):
+        raise SolverError(f"{name}: must be finite, got {shown(value)}")
     return float(value)
 
 
@@ -343,7 +346,7 @@ def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
         sample_step=float(spec.output_step),
         sample_times=np.zeros(0) if times is None else np.minimum(times, task.end),
         adaptive=tolerance is not None,
-        longest_step=positive("max_step", task.longest_step),
+        longest_step=positive("max_step", task.longest_step, or_infinite=True),
         tolerance=1.0 if tolerance is None else tolerance.smallest,
         stabilization=kind,
         alpha=0.0 if alpha is None else float(alpha),

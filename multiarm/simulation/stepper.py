@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from numbers import Real
 from typing import NoReturn
 
 import numpy as np
@@ -27,6 +26,7 @@ from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.scene.faults import shown
+from multiarm.scene.values import is_finite
 from multiarm.simulation.driver import End, Ending, failure_of, state_of
 from multiarm.simulation.record import open_sink, run_statistics
 from multiarm.simulation.run import begin
@@ -223,9 +223,9 @@ class Stepper:
             of the last good step.  It can be advanced with other torques from there, or be reset;
             after an event that cannot be handled it has to be reset.
         """
-        if not isinstance(duration, Real) or not 0.0 < duration < math.inf:
+        if not is_finite(duration) or not duration > 0.0:
             raise SolverError(
-                f"advance: the duration must be greater than 0 s, got {shown(duration)}"
+                f"advance: the duration must be finite and greater than 0 s, got {shown(duration)}"
             )
         if self._dead_end:
             raise SolverError(f"{self._dead_end.message}; `reset` it")

@@ -31,7 +31,7 @@ import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.gradients import linearised_run as linearised_module
-from multiarm.gradients.collocation import COUNT, NODES, ORDER, WEIGHTS, Collocation
+from multiarm.gradients.collocation import COUNT, NODES, WEIGHTS, Collocation
 from multiarm.gradients.gradient import _AdjointSolver
 from multiarm.gradients.gradient import _solved_with_error as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
@@ -121,7 +121,7 @@ def test_collocation_is_of_order_nine():
         )
         errors.append(np.abs(end - expm(length * A)).max())
     # the local error falls with the power of the order and one
-    assert ORDER + 0.7 < math.log2(errors[0] / errors[1]) < ORDER + 1.3
+    assert 9 + 0.7 < math.log2(errors[0] / errors[1]) < 9 + 1.3
 
 
 def test_the_backward_map_is_the_transposed_forward_map():
@@ -738,8 +738,14 @@ def test_wrong_questions_are_answered_with_the_remedy():
         ma.sensitivities(system, ["a"])
     with refused(SceneError, "times"):
         ma.sensitivities(system, [-0.1, 0.2])
-    with refused(SolverError, "duration"):
-        ma.gradient(system, 0.0, final=height)
+    for duration in (0.0, math.inf, 10**400):
+        with refused(SolverError, "duration"):
+            ma.gradient(system, duration, final=height)
+    assert_refused(SolverError, "accuracy", pair, accuracy=math.inf)
+    for start_time in (math.nan, 10**400, "noon"):
+        assert_refused(SceneError, "'start_time'", pair, start_time=start_time)
+        with refused(SceneError, "'start_time'"):
+            ma.sensitivities(system, [0.2], start_time=start_time)
     g = ma.gradient(system, 0.2, final=height, accuracy=1e-6)
     with refused(ModelError, "'lineal'"):
         g.by_torque_table([0.0, 0.2], "lineal")

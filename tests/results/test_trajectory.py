@@ -32,6 +32,7 @@ from sample_run import (
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.results.channels import Channel
 from multiarm.results.hdf5 import lookup3
+from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
 from multiarm.results.trajectory import load_trajectory
 
@@ -379,6 +380,11 @@ def test_a_run_in_memory_is_pickled_with_its_origin():
     assert_same(again, run)
     with pytest.raises(ValueError, match="read-only"):
         again.read("time")[0] = 1.0
+
+
+def test_a_status_is_one_of_the_words_also_when_it_comes_from_a_file(tmp_path):
+    record(Hdf5Sink(tmp_path / "run.h5"), status="failed")
+    assert load_trajectory(tmp_path / "run.h5").status is RunStatus.FAILED
 
 
 def test_an_unknown_status_is_refused():

@@ -177,10 +177,18 @@ def test_a_short_pulse_of_a_controller_is_not_stepped_over():
     assert apart < 0.02 * moved
 
 
-@pytest.mark.parametrize("max_step", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("max_step", [0.0, -1.0, math.nan, pytest.param(10**400, id="10**400")])
 def test_a_longest_step_is_positive(free_block_system, max_step):
     with refused(ma.MultiarmError, "max_step"):
         ma.simulate(free_block_system, duration=0.01, max_step=max_step)
+
+
+@pytest.mark.parametrize("time", [math.nan, math.inf, pytest.param(10**400, id="10**400")])
+def test_a_time_is_finite(free_block_system, time):
+    with refused(ma.MultiarmError, "'start_time'"):
+        ma.simulate(free_block_system, duration=0.01, start_time=time)
+    with refused(ma.MultiarmError, "t: "):
+        ma.evaluate(free_block_system, time, free_block_system.initial_state())
 
 
 def test_a_controller_that_fails_after_the_start_makes_a_failed_run(free_block_system):

@@ -165,6 +165,11 @@ def test_states_are_as_many_as_parameters_finite_and_of_these_arms(
         ma.simulate_many(system, states=[states[0], broken, free_block_system.initial_state()])
 
 
+def test_one_state_is_no_list_of_states(system, states):
+    with refused(ModelError, "states is one state"):
+        ma.simulate_many(system, states=states[0])
+
+
 def test_a_run_that_cannot_begin_is_a_failed_one_and_the_others_go_on(system, states, tmp_path):
     far = system.state(object_position=[0, 0, 3.0])
     found = ma.simulate_many(

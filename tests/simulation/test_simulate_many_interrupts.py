@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,35 @@ def test_progress_tells_time_and_runs_done_in_the_calling_thread(welded_ur5_syst
     assert list(times) == sorted(times) and times[-1] == pytest.approx(0.5)
     assert list(done) == sorted(done) and done[-1] == 5 and set(here) == {True}
     assert any(0.0 < t < 0.1 and count == 0 for t, count, _ in seen)
+
+
+def test_an_interrupt_that_comes_too_late_to_end_a_run_is_not_lost(welded_ur5_system):
+    """Pressed as the last progress is told, when all runs are done."""
+
+    def at_the_end(_t, done):
+        if done == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        ma.simulate_many(
+            welded_ur5_system, states=random_states(welded_ur5_system, 2), progress=at_the_end,
+            **RUN,
+        )  # fmt: skip
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interrupt_after_the_last_poll_is_not_lost(welded_ur5_system, monkeypatch):
+    """Pressed while the pool of threads is closed."""
+
+    def pressed(*_):
+        signal.raise_signal(signal.SIGINT)
+        return shut_down(*_)
+
+    shut_down = ThreadPoolExecutor.__exit__
+    monkeypatch.setattr(ThreadPoolExecutor, "__exit__", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        ma.simulate_many(welded_ur5_system, states=random_states(welded_ur5_system, 1), **RUN)
 
 
 def test_progress_may_end_them_all(welded_ur5_system):

@@ -374,7 +374,9 @@ def test_a_sampled_control_that_fails_is_asked_again_and_keeps_its_times(tmp_pat
     assert state.layout == stepper.state.layout
 
 
-@pytest.mark.parametrize("duration", [0.0, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize(
+    "duration", [0.0, -1.0, math.nan, math.inf, pytest.param(10**400, id="10**400")]
+)
 def test_a_duration_is_positive(ur5_system, duration):
     stepper = ma.Stepper(ur5_system)
     with refused(SolverError, "advance: "):

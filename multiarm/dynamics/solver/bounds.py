@@ -81,10 +81,12 @@ CORE_TOLERANCE = 1e-9
 
 # --- Whole systems (:mod:`multiarm.dynamics.solver.dense`).
 
-# Singular values of the scaled constraint matrix below this fraction of the largest count as zero.
+# Singular values of a matrix with comparable rows and columns below this fraction of the largest
+# count as zero, where no other tolerance is asked for: motions of joints, forces for a wrench.
 RANK_TOLERANCE = 1e-9
 
-# The same for the whole matrix, whose small singular values are the squares of those of W.
+# The same for the scaled matrix of the whole system, whose small singular values are the squares of
+# those of W: for the scaled W it is the root of this number.
 SYSTEM_TOLERANCE = 1e-12
 
 # Null vectors with a smaller motion do not move the system: constraints that are dependent up to
