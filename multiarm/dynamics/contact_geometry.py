@@ -85,8 +85,10 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
     if not pairs.size:
         return places
     data.set_state(0.0, start)
-    update_kinematics(data.struct)
-    data.forgive()  # contacts that are not located yet may have failed
+    status, surface = update_kinematics(data.struct), data.callbacks.get("surface")
+    if surface is None or surface.error is None:
+        require_ok(data, status)
+    data.forgive()  # surfaces of contacts that are not located yet may have failed
     faults = []
     for row in map(int, pairs):
         arm, contact = data.model.owner(row)

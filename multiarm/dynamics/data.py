@@ -463,10 +463,17 @@ class Data:
             call.reraise()
 
     def forgive(self) -> None:
-        """Ignore the exceptions of callbacks, and clear the flag."""
+        """Ignore the exceptions of callbacks, and clear the flag.
+
+        Only of class ``Exception``: a Ctrl-C, say, is raised.
+        """
         self.arrays.status.failed = False
+        errors = [call.error for call in self.shared.calls]
         for call in self.shared.calls:
             call.error = None
+        for error in errors:
+            if error is not None and not isinstance(error, Exception):
+                raise error
 
 
 def with_rows(model: Model, variables: Variables) -> RowData:

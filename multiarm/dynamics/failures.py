@@ -14,9 +14,10 @@ from multiarm.dynamics.status import (
     OBJECT_INERTIA,
     OK,
     PROJECTION_FAILED,
+    SINGULAR,
 )
 from multiarm.errors import SolverError
-from multiarm.jit.pointers import address_of
+from multiarm.jit.pointers import is_at
 
 
 def require_ok(data: Data, status: int) -> None:
@@ -61,6 +62,11 @@ def failure_text(data: Data, status: int) -> str:
         return contradiction_text(data)
     if status == NOT_FINITE:
         return "the state is not finite; take smaller steps, or check the controller"
+    if status == SINGULAR:
+        return (
+            "the equations have no derivatives at this state: a matrix in them, or of a control "
+            "law, is singular; take a state beside it"
+        )
     if status == KERNEL_FAILED:
         return _kernel_text(data)
     return f"the evaluation failed (status {status})"
@@ -88,7 +94,7 @@ def _kernel_text(data: Data) -> str:
     names = (
         f"the {kind} `{kernel.py_func.__name__}`"
         for kind, kernel in kernels
-        if kernel is not None and address_of(kernel) == status.kernel
+        if kernel is not None and is_at(kernel, status.kernel)
     )
     return (
         f"{next(names, 'a kernel')} returned {status.answer}; a kernel returns 0 when it succeeds: "

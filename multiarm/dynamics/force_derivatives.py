@@ -31,6 +31,7 @@ from multiarm.dynamics.arrays import (
     STATE_ALONE,
     call_derivative,
     call_listed,
+    failure_of_kernel,
     open_data,
     open_system,
 )
@@ -310,6 +311,8 @@ def differentiate_effect(struct, differences, k):
     clear_slopes(model, data, work, differences.local, data.slopes.force, first)
     if stated:
         status = call_derivative(model.effects, k, DERIVATIVE, struct, data)
+        if status == SINGULAR:  # differences take the place of those of laws only
+            status = failure_of_kernel(model.effects[k, DERIVATIVE], status, data)
     by_time = differences.time_change > 0.0 and not actuates(model, k)
     if status == OK and (not stated or by_time):
         status = add_differences(struct, differences, k, not stated)

@@ -96,6 +96,10 @@ class Kernel:
         """Somebody else compiles this kernel; its next use calls ``wait()`` first."""
         self._wait = wait
 
+    def is_compiled(self, arguments: tuple[types.Type, ...]) -> bool:
+        """Whether this process has machine code of the whole for these types."""
+        return self._whole is not None and arguments in self._whole.overloads
+
     def is_cached(self) -> bool:
         """Whether fresh machine code is in the cache, or is not needed."""
         return INTERPRETED or bool(self._stamp and _cache_file(self.whole)._load_index())

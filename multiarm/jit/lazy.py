@@ -47,7 +47,7 @@ class LazyFunction(GuardedCall):
         try:
             compiled = address_of(self._function)
         except BaseException as error:  # it must not cross compiled code
-            self.error = error
+            self.keep(error)
             _number(struct, *self._flag).value = 1
             return self._failed
         _number(struct, *self._place).value = compiled

@@ -45,6 +45,13 @@ def address_of(function: Kernel) -> int:
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 
 
+def is_at(function: Kernel, address: int) -> bool:
+    """Whether a kernel decorated with `cfunc` has an address; one not yet compiled has none."""
+    if INTERPRETED:
+        return id(function) == address
+    return function.is_compiled(CFUNC.args) and address_of(function) == address
+
+
 def function_at(address: int) -> Callable[[int, int, float, float], int]:
     """The function, decorated with `cfunc`, at an address."""
     return _INTERPRETED[address] if INTERPRETED else CFUNC_PROTOTYPE(address)
@@ -120,6 +127,11 @@ class GuardedCall:
     address: int
     error: BaseException | None = None
 
+    def keep(self, error: BaseException) -> None:
+        """Keep an exception until it is raised; a Ctrl-C gives way to no later one."""
+        if self.error is None or isinstance(self.error, Exception):
+            self.error = error
+
     def reraise(self) -> None:
         """Raise what the function raised, if it did, once."""
         error, self.error = self.error, None
@@ -138,7 +150,7 @@ class PythonCallback(GuardedCall):
             try:
                 function()
             except BaseException as error:
-                self.error = error
+                self.keep(error)
                 status.failed = True
 
         self._keep_alive, self.address = c_function(_CALLBACK_PROTOTYPE, guarded)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import inspect
 import os
 import re
 import sys
@@ -20,7 +21,10 @@ from collections.abc import Callable, Iterable
 from importlib.util import resolve_name
 from numbers import Number
 from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any, NamedTuple
+
+import numpy as np
 
 _PACKAGE = Path(__file__).parents[1]
 _KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|plain|fused|cfunc|allocating)\b", re.MULTILINE)
@@ -50,27 +54,56 @@ def stamp_of(function: Callable) -> str:
 
 
 def stamp_of_constants(function: Callable) -> str:
-    """Digest of the numbers that a kernel of a user, and those it calls, take from their modules.
+    """Digest of the constants that a kernel of a user, and those it calls, take from their modules.
 
     They become part of the code, and may come from anywhere: the environment, a table, an argument
     of the program.  Those of this package come from its files.
     """
-    numbers: dict[str, str] = {}
-    waiting: list[Any] = [function]
-    while waiting:
-        called = waiting.pop()
-        module = called.__module__ or ""
-        if module.partition(".")[0] == _PACKAGE.name:
+    constants: list[str] = []
+    kernels = [function]  # grows while it is read
+    for called in kernels:
+        if (called.__module__ or "").partition(".")[0] == _PACKAGE.name:
             continue
-        for name in called.__code__.co_names:
-            value, place = called.__globals__.get(name), f"{module}.{name}"
+        for name, value in _named_values(called):
+            constants.append(f"{name} = {_text_of_constant(value)}\n")
             parts = value if isinstance(value, tuple) else (value,)
-            if all(isinstance(part, Number) for part in parts):
-                numbers[place] = repr(value)
-            elif place not in numbers and hasattr(value, "py_func"):
-                numbers[place] = ""
-                waiting.append(value.py_func)
-    return _digest(f"{place} {number}".encode() for place, number in sorted(numbers.items()))
+            functions = (getattr(part, "py_func", None) for part in parts)
+            kernels += [each for each in functions if each is not None and each not in kernels]
+    return _digest(text.encode() for text in constants)
+
+
+def _named_values(function: Callable) -> list[tuple[str, Any]]:
+    """What the names in a function, and in functions within it, stand for outside of it.
+
+    An attribute is looked up in every module that the function names, as its bytecode lists the
+    names only; one too many does no harm.
+    """
+    codes = [function.__code__]
+    for code in codes:
+        codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
+    names = list(dict.fromkeys(name for code in codes for name in code.co_names))
+    values = list(inspect.getclosurevars(function).nonlocals.items())
+    scopes, searched = [("", function.__globals__)], set()
+    for place, scope in scopes:
+        for name in names:
+            if name in scope:
+                values.append((place + name, scope[name]))
+        for label, value in values:
+            if isinstance(value, ModuleType) and value not in searched:
+                searched.add(value)
+                scopes.append((f"{label}.", vars(value)))
+    return values
+
+
+def _text_of_constant(value: Any) -> str:
+    """A text that tells a constant from others; of a kernel its name, empty for anything else."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_text_of_constant, value))})"
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        return f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, (Number, np.generic, str, bytes)):
+        return repr(value)
+    return f"{value.__module__}.{value.__qualname__}" if hasattr(value, "py_func") else ""
 
 
 def _digest(parts: Iterable[bytes]) -> str:

@@ -309,10 +309,10 @@ class Stepper:
     def _fail(self, ending: Ending) -> NoReturn:
         """Raise why the run cannot go on; the next call begins with a usual step again."""
         run, events = self._run, self._driver.events
-        run.data.forgive()
         run.clock.begin_after_failure()
         if events is not None:
             events.forget_pending()
+        run.data.forgive()
         if ending.end is End.INTERRUPTED:
             raise KeyboardInterrupt
         raise SolverError(ending.message)

@@ -12,9 +12,13 @@ from repository import ROOT, SCENES
 from user_classes import empty_registries, offered
 
 import multiarm as ma
+from multiarm.dynamics.status import SINGULAR
 from multiarm.effects import APPLIED, EffectKernel
 from multiarm.effects.defaults import defaults
+from multiarm.errors import SolverError
+from multiarm.jit.interpretation import INTERPRETED
 from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.pointers import CFUNC
 from multiarm.jit.structs import Floats1, Ints1
 from multiarm.scene import EFFECTS, dump_scene, parse_scene, with_code
 
@@ -487,6 +491,58 @@ def test_what_a_kernel_returns_beside_success_ends_the_run_and_is_in_its_message
     run = ma.simulate(ma.compile_system(scene), 0.1, certificate=False)
     assert run.status == "failed" and 0.0 < run.time[-1] <= 0.05
     assert "effect `overload` returned 3" in run.message
+
+
+@cfunc
+def no_force(_address, _size, _at, _t):
+    """No force."""
+    return 0
+
+
+@cfunc
+def no_derivative(_address, _size, _at, _t):
+    """What laws return where they have no derivative; effects return 0 only."""
+    return SINGULAR
+
+
+class Underivable(ma.Effect):
+    """A kernel whose derivative always fails."""
+
+    name = "underivable"
+
+    def build(self, _context):
+        """The kernel."""
+        return [EffectKernel(self.name, no_force, APPLIED, works=False, derivative=no_derivative)]
+
+
+def test_the_derivative_of_an_effect_that_fails_as_one_of_a_law_may_is_named():
+    ma.register_effect(Underivable)
+    system = ma.compile_system(RING.replace(effects={"underivable": {}}))
+    with refused(SolverError, f"effect `no_derivative` returned {SINGULAR};"):
+        ma.derivatives(system, 0.0, system.initial_state())
+
+
+@pytest.mark.skipif(INTERPRETED, reason="nothing is compiled")
+def test_a_kernel_that_failed_is_named_without_compiling_others():
+    @cfunc
+    def derivative(_address, _size, _at, _t):
+        return 0
+
+    class Before(ma.Effect):
+        """Another effect, with a derivative."""
+
+        name = "before"
+
+        def build(self, _context):
+            """The kernel."""
+            return [EffectKernel(self.name, no_force, APPLIED, works=False, derivative=derivative)]
+
+    for effect in (Before, Overload):
+        ma.register_effect(effect)
+    system = ma.compile_system(RING.replace(effects={"before": {}, "overload": {}}))
+    run = ma.simulate(system, 0.1, integrator="rk4", step=1e-2, certificate=False)
+    assert "effect `overload` returned 3" in run.message
+    assert not derivative.is_compiled(CFUNC.args)
 
 
 def test_an_effect_in_python_and_its_kernel_move_things_alike(package):

@@ -7,6 +7,7 @@ import functools
 import importlib
 import math
 import os
+import re
 import subprocess
 import sys
 from collections import namedtuple
@@ -213,18 +214,91 @@ def test_an_edited_constant_of_a_users_kernel_counts(tmp_path):
     assert run_constant(tmp_path, 5.0) == ["False 10.0"]
 
 
+CONSTANTS_OF_USERS = """
+import numpy as np
+import laws.helpers
+import laws.settings as settings
+from laws.settings import FACTOR
+from multiarm.jit.kernels import kernel
+
+NESTED = (1.0, (FACTOR, 2))
+ARRAY = np.full(2, FACTOR)
+
+
+def with_closure(factor):
+    @kernel
+    def scaled_by_closure(x):
+        return factor * x
+    return scaled_by_closure
+
+
+closed = with_closure(FACTOR)
+
+
+@kernel
+def of_global(x):
+    return FACTOR * x
+
+
+@kernel
+def of_module(x):
+    return settings.FACTOR * x
+
+
+@kernel
+def of_package(x):
+    return laws.settings.FACTOR * x
+
+
+@kernel
+def of_kernel_in_module(x):
+    return laws.helpers.scaled(x)
+
+
+@kernel
+def of_closure(x):
+    return closed(x)
+
+
+@kernel
+def of_tuple(x):
+    return NESTED[1][0] * x
+
+
+@kernel
+def of_array(x):
+    return ARRAY[1] * x
+
+
+@kernel
+def of_inner_function(x):
+    def scale(y):
+        return FACTOR * y
+    return scale(x)
+
+
+for name in [name for name in globals() if name.startswith("of_")]:
+    print(name, globals()[name].is_cached(), globals()[name](2.0))
+"""
+
+
 @pytest.mark.slow
-def test_a_constant_of_a_users_kernel_that_no_file_has_counts(tmp_path, monkeypatch):
-    imports = "import os\nFACTOR = float(os.environ['USER_FACTOR'])"
-    program = USER_KERNEL.format(imports=imports) + SHOWN
+def test_constants_of_a_users_kernel_that_no_file_has_count(tmp_path, monkeypatch):
+    """Wherever Numba takes them from."""
+    modules = {
+        "laws.__init__": "",
+        "laws.settings": "import os\nFACTOR = float(os.environ['USER_FACTOR'])",
+        "laws.helpers": USER_KERNEL.format(imports="from laws.settings import FACTOR"),
+    }
+    names = re.findall(r"def (of_\w+)", CONSTANTS_OF_USERS)
 
     def run(factor: float) -> list[str]:
         monkeypatch.setenv("USER_FACTOR", str(factor))
-        return run_kernels_of_users(tmp_path, program)
+        return run_kernels_of_users(tmp_path, CONSTANTS_OF_USERS, **modules)
 
-    assert run(3.0) == ["False 6.0"]
-    assert run(3.0) == ["True 6.0"]
-    assert run(5.0) == ["False 10.0"]
+    assert run(3.0) == [f"{name} False 6.0" for name in names]
+    assert run(3.0) == [f"{name} True 6.0" for name in names]
+    assert run(5.0) == [f"{name} False 10.0" for name in names]
 
 
 @pytest.mark.slow
