@@ -88,9 +88,11 @@ def evaluate_projected(struct: INTS, alpha: NUMBER, beta: NUMBER):
 
 @kernel
 def keeps_factors(data):
-    """Whether the factors of the last projection are those of an evaluation that follows."""
-    functions = data.functions
-    return data.solution.elimination == SPLIT and functions.solve == functions.solve_frictionless
+    """Whether the factors of the last projection are those of an evaluation that follows.
+
+    In a mode they are not: its solution adds forces that are given, and friction.
+    """
+    return data.solution.elimination == SPLIT and not data.modes.active
 
 
 @kernel
