@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.scene.values import is_finite
 
 Shape = tuple[Any, ...]
 # A normal is a unit vector when its length is off by no more than this; it is then made exact.
@@ -23,13 +23,9 @@ def number_of(
     value: Any, needed: str, *, above: float = -math.inf, at_least: float = -math.inf
 ) -> float:
     """A finite number within its bounds; else a GraspError that begins with ``needed``."""
-    try:
-        number = float(value) if isinstance(value, Real) else math.nan
-    except OverflowError:  # of a whole number or a fraction
-        number = math.inf
-    if not (math.isfinite(number) and number > above and number >= at_least):
+    if not (is_finite(value) and value > above and value >= at_least):
         raise GraspError(f"{needed}, not {value!r}")
-    return number
+    return float(value)
 
 
 def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False) -> np.ndarray:
